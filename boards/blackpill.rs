@@ -1,5 +1,5 @@
 //! Common part of the WeAct Black Pill boards V2/V3 with STM32F411CE or STM32F401CC: the pin table, and `setup`, which
-//! starts the clocks from the 25 MHz crystal, assigns the pins and returns the `Parts`. Before wiring, compare the
+//! derives the clocks from the 25 MHz crystal, assigns the pins and returns the `Parts`. Before wiring, compare the
 //! drawing with the print on your board.
 //!
 //! ```text
@@ -61,7 +61,8 @@ pub use crate::stm32f4::{
 };
 pub use stm32f4xx_hal::pac;
 
-/// The vectors of the tasks, as literals: RTIC expands them before constants and `cfg` are evaluated.
+/// The interrupt vectors of the tasks. They are literals, because the macro of RTIC runs before constants and `cfg` are
+/// evaluated.
 #[macro_export]
 macro_rules! vectors {
     ($app:ident) => {
@@ -74,11 +75,11 @@ pub fn call_serial() {
     pac::NVIC::pend(pac::Interrupt::SPI2);
 }
 
-/// The UART's receiver, for the tasks at the priority of the inputs.
+/// The UART's receiver, for `inputs` and `uart`, two tasks of the same priority.
 pub type UartInput = usart_interrupt::Input;
-/// The second link to the host.
+/// The second link to a host, by UART.
 pub type SerialPort = usart_interrupt::InterruptPort;
-/// The first link to the host.
+/// The first link to a host, by USB.
 pub type UsbPort = stm32f4::usb::UsbPort;
 /// Step and direction pins on one port.
 pub type StepPins = stm32f4::StepPins<1>;

@@ -18,7 +18,7 @@ pub const AXES: usize = profiles::BLACKPILL_F401.axes;
 pub const BLOCKS: usize = profiles::BLACKPILL_F401.blocks;
 /// Pages of 256 bytes for the recording of inputs and received bytes.
 pub const RECORDING_PAGES: usize = profiles::BLACKPILL_F401.recording_pages;
-/// Upper bound, in cycles, of a run of the step task that generates events.
+/// Maximum duration, in CPU cycles, of a run of the step task that generates events.
 pub const RUN_CYCLES: u32 = profiles::BLACKPILL_F401.run_cycles;
 /// Clock of the processor and of SysTick.
 pub const CORE_HZ: u32 = profiles::BLACKPILL_F401.core_hz;

@@ -10,7 +10,7 @@ pub const REST: u8 = 10;
 /// Rate limiter for calls of the serial task.
 #[derive(Debug, Default)]
 pub struct Calls {
-    /// Samples until the next call is allowed.
+    /// Number of samples until the next call is allowed.
     rests: u8,
 }
 

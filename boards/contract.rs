@@ -1,9 +1,10 @@
 //! Interface between a board and the program on it. A board provides step outputs (`StepOutput`), links to the host
-//! (`Port`), inputs, slow outputs, flash and a watchdog. It calls the program only as listed below. The module `held`
-//! makes the compiler check that the chosen board provides all this.
+//! (`Port`), inputs, slow outputs, flash and a watchdog. It calls the program only in the cases listed below. The
+//! module `held` makes the compiler check that the chosen board provides all this.
 //!
-//! A board consists of pins, clocks and registers. It contains nothing about motion, tasks or the protocol, and calls
-//! no code above it except those callbacks. The root of this crate re-exports the board's items.
+//! A board consists of pins, clocks and registers. It contains nothing about motion, tasks or the protocol. Of the code
+//! above it, it calls only the functions listed under "What a board may call". The root of this crate re-exports the
+//! board's items.
 //!
 //! # What each board provides
 //!
@@ -15,7 +16,7 @@
 //! | `RECORDING_PAGES` | pages of 256 bytes for the recording of inputs and received bytes; 0 = no recording |
 //! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running 32-bit counter, the program's clock |
 //! | `CORE_HZ`, `SAMPLE_HZ` | clock of SysTick, and the rate at which SysTick samples the inputs |
-//! | `RUN_CYCLES` | upper bound, in CPU cycles, of a run of the step task that generates events |
+//! | `RUN_CYCLES` | maximum duration, in CPU cycles, of a run of the step task that generates events |
 //! | `WATCHES_CLOCK` | whether the non-maskable interrupt means that the processor's clock has failed, and nothing else |
 //! | `setup(device, low_voltage) -> Parts` | sets up everything below, once; outputs are off |
 //! | `USUAL_BAUD` | default baud rate of the UART |
@@ -68,7 +69,7 @@ pub struct SlowLevels {
 pub struct Due(pub u32);
 
 impl Due {
-    /// An event has been output. Reported only while events are output one by one.
+    /// An event has been output. Reported only while events are output one by one, each by an interrupt of its own.
     pub const OUT: Due = Due(2);
     /// The time set by [`StepOutput::call_at`] has come.
     pub const MORE: Due = Due(4);
@@ -90,8 +91,8 @@ pub const COMBINATIONS: usize = 1 << crate::AXES;
 /// Contiguous free slots for the next events: none if the queue is full, at most one while events are output one by
 /// one.
 pub struct Free<'a> {
-    /// What to write into `words`, for each combination of steps: with one port, the port's word with the present
-    /// directions; otherwise a code that [`StepOutput::commit`] translates.
+    /// What to write into `words` for each combination of steps. With one GPIO port, this is the port's word, including
+    /// the present directions; otherwise a code that [`StepOutput::commit`] translates.
     pub table: &'a [u32; COMBINATIONS],
     /// Slots for the entries of `table`, one for each event.
     pub words: &'a mut [u32],
@@ -136,9 +137,10 @@ pub trait StepOutput<const N: usize> {
     /// Calls the step task with [`Due::MORE`] at `moment`, or at once if `moment` has passed. Replaces a pending call
     /// of this kind.
     fn call_at(&mut self, moment: u32);
-    /// Calls the step task with [`Due::MARK`] at `moment`. With `power`, hardware also changes the power at that time,
-    /// independently of the CPU. If `moment` has passed, the call and the change come at once. Replaces a pending mark.
-    /// A [`StepOutput::set_power`] or [`StepOutput::halt`] before `moment` cancels the power change, but not the call.
+    /// Calls the step task with [`Due::MARK`] at `moment`. With `power`, hardware also changes the power of the laser
+    /// at that time, independently of the CPU. If `moment` has passed, the call and the change come at once. Replaces a
+    /// pending mark. A [`StepOutput::set_power`] or [`StepOutput::halt`] before `moment` cancels the power change, but
+    /// not the call.
     fn mark_at(&mut self, moment: u32, power: Option<u16>);
 
     /// Sets the directions of all events committed from now on; a set bit means negative.
@@ -148,16 +150,16 @@ pub trait StepOutput<const N: usize> {
     /// Queues the events that were written into the first `events` free slots. While events are output one by one,
     /// returns the ticks by which a late event was delayed; otherwise 0.
     fn commit(&mut self, events: usize) -> u32;
-    /// Tells the board that `ticks` of the step clock pass from the last committed event to the stepper's next tick.
-    /// Only a board that keeps a digest of the steps needs this.
+    /// Tells the board that `ticks` of the step clock pass from the last committed event to the next tick of the
+    /// stepper, which computes the steps. Only the QEMU board needs this, for its digest (checksum) of the steps.
     fn pass(&mut self, ticks: u32);
     /// Returns the number of committed events that have not been output. It can be too high, but never too low.
     fn ahead(&self) -> usize;
     /// Returns the time at which only `left` committed events will remain to be output. If no more than `left` remain
     /// now, returns a time that is not in the future.
     fn moment_before(&self, left: usize) -> u32;
-    /// Returns the deadline for committing an event due at `next`. If it is committed by then, the output continues
-    /// with it and need not be started again.
+    /// Returns the deadline for committing an event due at `next`. If the event is committed by this time, the output
+    /// continues with it and need not be started again.
     fn joins_until(&self, next: u32) -> u32;
     /// Starts the output. With `one_by_one`, the step task is called with [`Due::OUT`] after each event and must not
     /// commit the next event before that. Returns the ticks by which all committed events were delayed: 0, unless it
@@ -166,8 +168,8 @@ pub trait StepOutput<const N: usize> {
     /// Returns whether the output has failed: the hardware's event counters disagree, or the hardware reports an error.
     fn fault(&self) -> bool;
     /// Ends the output: after this, no event begins and no scheduled power change happens. With `dark`, also sets the
-    /// power to 0 if output had started. A pulse that has begun gets its full length. A caller need not call `take`
-    /// before.
+    /// power to 0 if output had started. A pulse that has begun gets its full length. The caller need not call
+    /// [`StepOutput::take`] first.
     fn halt(&mut self, dark: bool) -> Undone<N>;
 
     /// Sets which outputs are inverted (one bit for each axis) and the role of the second motor. Call at rest.
@@ -175,8 +177,8 @@ pub trait StepOutput<const N: usize> {
     /// Sets the minimum pulse length in tenths of a microsecond. The actual length can exceed it, by less than a tick.
     /// Call at rest.
     fn set_pulse(&mut self, tenths: u16);
-    /// Sets the frequency of the spindle's PWM. `power` is the present power, which has another compare value at the
-    /// new frequency.
+    /// Sets the frequency of the spindle's PWM. `power` is the present power; its compare value depends on the
+    /// frequency and is set again.
     fn set_pwm(&mut self, hz: u32, power: u16);
     /// Sets the power of spindle or laser at once, 0 to 65535.
     fn set_power(&mut self, power: u16);
@@ -208,7 +210,7 @@ pub trait Port {
     fn is_urgent(&mut self) -> bool {
         false
     }
-    /// Tells the link that the program has space for `room` more bytes. If that is too little, the link makes the
+    /// Tells the link that the program has space for `room` more bytes. If `room` is too small, the link makes the
     /// sender wait, if it can. Called after each round of [`Port::receive`].
     fn allow(&mut self, room: usize);
     /// Queues a byte for sending. Returns false if the queue is full.

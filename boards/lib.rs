@@ -58,7 +58,7 @@ pub use contract::{
 #[cfg(all(target_os = "none", not(feature = "board")))]
 compile_error!("choose a board: `cargo fw BOARD`, or one of the features of this package");
 
-/// The controller's profile of a board.
+/// Converts a board's table of numbers to the profile that the controller uses.
 #[cfg(feature = "board")]
 const fn profile(board: &profiles::Board, has_second_motor: bool) -> oxmill_controller::Profile {
     oxmill_controller::Profile {

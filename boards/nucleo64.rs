@@ -19,7 +19,8 @@ use crate::stm32f4::{each, step::Rings, usart_dma};
 use crate::{AXES, NoPort, input_bits, stm32f4};
 pub use stm32f4xx_hal::pac;
 
-/// The vectors of the tasks, as literals: RTIC expands them before constants and `cfg` are evaluated.
+/// The interrupt vectors of the tasks. They are literals, because the macro of RTIC runs before constants and `cfg` are
+/// evaluated.
 #[macro_export]
 macro_rules! vectors {
     ($app:ident) => {
@@ -36,7 +37,7 @@ pub fn call_serial() {
 pub type UartInput = usart_dma::Input;
 /// The link to the host.
 pub type SerialPort = usart_dma::DmaPort;
-/// None: the board's USB socket belongs to the ST-LINK.
+/// No USB link: the board's USB socket belongs to the ST-LINK.
 pub type UsbPort = NoPort;
 /// Step and direction pins on two ports.
 pub type StepPins = stm32f4::StepPins<2>;

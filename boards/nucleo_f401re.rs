@@ -20,7 +20,7 @@ pub const AXES: usize = profiles::NUCLEO_F401RE.axes;
 pub const BLOCKS: usize = profiles::NUCLEO_F401RE.blocks;
 /// Pages of 256 bytes for the recording of inputs and received bytes.
 pub const RECORDING_PAGES: usize = profiles::NUCLEO_F401RE.recording_pages;
-/// Upper bound, in cycles, of a run of the step task that generates events.
+/// Maximum duration, in CPU cycles, of a run of the step task that generates events.
 pub const RUN_CYCLES: u32 = profiles::NUCLEO_F401RE.run_cycles;
 /// Clock of the processor and of SysTick.
 pub const CORE_HZ: u32 = profiles::NUCLEO_F401RE.core_hz;

@@ -5,8 +5,8 @@
 
 /// Maximum number of axes of a board; the simulator supports this many.
 pub const AXES: usize = 4;
-/// Axes of most boards with hardware. Each axis costs time at each tick and memory in each block, so a fourth axis
-/// would burden machines that have three.
+/// Number of axes of most boards with hardware. Each axis costs time at each tick and memory in each block, so a fourth
+/// axis would burden machines that have three.
 const AXES_OF_BOARDS: usize = 3;
 /// Moves that the look-ahead holds.
 pub const BLOCKS: usize = 512;
@@ -20,10 +20,10 @@ pub struct Board {
     pub step_clock_hz: u32,
     /// Clock of the processor.
     pub core_hz: u32,
-    /// Upper bound, in cycles, of a run of the step task that generates events (a stop takes longer): the result of
-    /// `cargo xtask count` times 1.1, for the flash's wait states.
+    /// Maximum duration, in CPU cycles, of a run of the step task that generates events (a stop takes longer): the
+    /// instructions counted by `cargo xtask count`, times 1.1 for the flash's wait states.
     pub run_cycles: u32,
-    /// Axes.
+    /// Number of axes.
     pub axes: usize,
     /// Moves that the look-ahead holds.
     pub blocks: usize,
@@ -78,9 +78,9 @@ const NUCLEO: Board = Board { program_pins: [2, 2], has_at_speed: true, ..HARDWA
 const BLACKPILL: Board = Board { most_baud: 115_200, ..HARDWARE };
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz instead of 100, because USB needs 48 MHz from the same PLL (RM0383, 6.3.2:
-/// PLLQ divides the same oscillator as PLLP). The step rate, tested in emulation, is that of pulses of 1 us, the
-/// shortest allowed, with pauses of 1 us; the queue of events and the processor would allow more (docs/cost.md, "Step
-/// rates").
+/// PLLQ divides the same oscillator as PLLP). The maximum step rate, tested in emulation, results from the shortest
+/// pulse allowed (1 us) and a pause of 1 us. The queue of events and the processor would allow more (docs/cost.md,
+/// "Step rates").
 pub const BLACKPILL_F411: Board = Board {
     name: "blackpill_f411",
     step_clock_hz: 96_000_000,
@@ -103,8 +103,8 @@ pub const BLACKPILL_F401: Board = Board {
 };
 
 /// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. It is fast enough for a fourth
-/// axis, which costs about 8 cycles per event in a run that generates 32 events, and one more message in a run that
-/// starts a block.
+/// axis. This axis costs about 8 cycles per event in a run that generates 32 events. A run that starts a block must
+/// also receive one more message.
 pub const NUCLEO_F446RE: Board = Board {
     name: "nucleo_f446re",
     step_clock_hz: 90_000_000,

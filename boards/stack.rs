@@ -2,7 +2,7 @@
 //! the stack pointer. `used` returns the bytes from the deepest overwritten word up to the start of the stack; `size`
 //! is the whole stack (`_stack_end` to `_stack_start`).
 
-/// A word that no address, no small number and no plausible float equals.
+/// A value that is unlikely on a used stack: it is no address, no small number and no plausible float.
 const PAINT: u32 = 0xA5C3_5A3C;
 /// Bytes below the stack pointer that stay unpainted: the frame of `paint` itself.
 const MARGIN: usize = 256;

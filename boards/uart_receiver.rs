@@ -1,8 +1,9 @@
 //! Carries received UART bytes to the serial task. DMA or the UART's interrupt writes them into a buffer. The task that
 //! samples the inputs reads the buffer at each sample and forwards the bytes in messages: a command that stops the
 //! machine within 50 us, other bytes within 200 us. It calls the serial task for bytes without such a command at most
-//! once per 500 us (`calls`). Whenever the serial task runs, it takes all messages sent so far. One look reads only a
-//! few bytes, to keep a sample short; after an overrun it empties the whole buffer.
+//! once per 500 us (`calls`). Whenever the serial task runs, it takes all messages sent so far. One look (the reading
+//! of the buffer at one sample) reads only a few bytes, to keep the sample short; after an overrun it empties the whole
+//! buffer.
 //!
 //! ```text
 //!  UART ──▶ DMA or interrupt ──▶ buffer ──look──▶ messages ──▶ serial task
@@ -13,7 +14,7 @@
 //! The buffer has one reader, which sets each slot to `EMPTY` after reading it. So an overrun is detected however long
 //! the buffer has not been read, even after the half second of a flash erase.
 //!
-//! Accesses no registers, but leaves that to a [`ByteSource`], so that host tests can run this code.
+//! Only a [`ByteSource`] accesses registers, so that host tests can run this code.
 
 use crate::calls::{RESET, is_stop};
 use core::sync::atomic::{AtomicU16, Ordering, Ordering::Relaxed, fence};
@@ -35,7 +36,7 @@ const EMPTY: u16 = 0x8000;
 /// Slot flag: bytes are missing before this one.
 const MISSING: u16 = 0x4000;
 
-/// Number of bytes of text for which the serial task is called before the end of their line has arrived.
+/// When this many bytes of text have arrived, the serial task is called even if the end of their line has not arrived.
 const GATHERED: u8 = 32;
 /// Looks after which a partly filled message is passed on.
 const WAITED: u8 = 4;
@@ -71,7 +72,7 @@ pub trait ByteSource {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(align(4))]
 pub struct ReceivedBytes {
-    /// Bytes are missing before these.
+    /// Bytes were lost before the bytes of this message.
     pub is_behind_loss: bool,
     len: u8,
     bytes: [u8; ReceivedBytes::MOST],
@@ -110,7 +111,7 @@ pub struct Look {
     pub stop: bool,
     /// The serial task has work: call it soon.
     pub news: bool,
-    /// The message has waited long enough: pass it on, with or without a call.
+    /// The message being filled has waited long enough: pass it on, with or without a call of the serial task.
     pub waits: bool,
 }
 
@@ -123,16 +124,17 @@ pub struct UartReceiver<S> {
     /// The message being filled, and the looks since its first byte.
     message: ReceivedBytes,
     looks: u8,
-    /// The last byte that was read. 0 if that was text read in one piece, or if bytes have been lost since.
+    /// The last byte that was read. 0 if it was text that [`UartReceiver::read_text`] read, or if bytes have been lost
+    /// since.
     before: u8,
     /// Number of bytes of text read since the last call of the serial task; decides whether to call it. An end of line,
     /// a command or a loss raises the number to at least [`GATHERED`].
     text: u8,
     /// The last byte that was passed on since the last call of the serial task.
     unheard: Option<u8>,
-    /// Bytes are missing before the next one.
+    /// Bytes were lost before the next one to be read.
     is_missing: bool,
-    /// The bytes before the next one are damaged.
+    /// The bytes just before the next one to be read are damaged.
     is_torn: bool,
     /// The bytes that arrive up to the next look may be damaged.
     is_doubtful: bool,
@@ -222,7 +224,8 @@ impl<S: ByteSource> UartReceiver<S> {
         let is_bad = is_damaged || self.is_doubtful;
         self.is_doubtful = is_damaged;
         self.is_stuck = false;
-        // Without DMA bytes arrive slowly, and a long look would delay the interrupt that fetches the next byte.
+        // Without DMA, a look reads fewer bytes: they arrive slowly, and a long look would delay the interrupt that
+        // fetches the next byte.
         let (mut read, mut left) = (0, if S::IS_CIRCULAR { AT_A_TIME } else { AT_A_TIME / 4 });
         while self.read != place {
             let Some(slot) = self.buffer.get(self.read) else { break };
@@ -319,7 +322,8 @@ impl<S: ByteSource> UartReceiver<S> {
     }
 
     /// Appends a byte that is not text. A `?`, hold, reset or stop is dropped if it repeats the last byte and the
-    /// serial task has not processed that one yet. Other repeated bytes are kept, as they may belong to one character.
+    /// serial task has not processed that one yet. Other repeated bytes are kept, as they may be parts of one UTF-8
+    /// character.
     #[inline(always)]
     fn append_command(&mut self, byte: u8) {
         let last = self.message.from(0).last().copied().or(self.unheard);
@@ -341,8 +345,8 @@ impl<S: ByteSource> UartReceiver<S> {
         is_sent
     }
 
-    /// Searches for the first command that stops the machine among the bytes that could not be read. Checks a few of
-    /// them at each look. If there is such a command, the serial task is called and makes space for it.
+    /// Searches for the first command that stops the machine among the bytes that could not be read; checks a few of
+    /// them at each look. If it finds such a command, the serial task will be called and make space for it.
     #[cold]
     #[inline(never)]
     fn scan(&mut self, place: usize) {
@@ -387,16 +391,16 @@ impl<S: ByteSource> UartReceiver<S> {
         }
     }
 
-    /// Adjusts the results of `scan` after `count` bytes have been read.
+    /// Adjusts `scanned` and `has_stop_ahead`, the results of `scan`, after `count` bytes have been read.
     #[inline(always)]
     fn leave_behind(&mut self, count: usize) {
         self.has_stop_ahead &= count <= self.scanned;
         self.scanned = self.scanned.saturating_sub(count);
     }
 
-    /// Returns whether DMA has overtaken the reader. DMA can count a byte before it writes it, but only the newest one.
-    /// So if more than one byte is counted as unread, and the next slot is empty, DMA has wrapped around during a look,
-    /// and that look has read the newest byte as if it were the oldest.
+    /// Returns whether DMA has overtaken the reader. DMA can count its newest byte before it writes the byte, so the
+    /// last slot that is counted as unread may be empty. If an earlier slot is empty, DMA has wrapped around during a
+    /// look, and that look has read the newest byte as if it were the oldest.
     #[cold]
     #[inline(never)]
     fn is_overtaken(&self, place: usize) -> bool {

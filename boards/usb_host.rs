@@ -46,7 +46,8 @@ impl UsbHost {
     pub fn look(&mut self, dtr: bool, configured: bool, now: impl FnOnce() -> u32) -> Look {
         // DTR falls when the host closes the port; the bus goes idle when the cable is pulled.
         let (closed, unplugged) = (self.dtr && !dtr, self.configured && !configured);
-        // If a host has sent bytes without opening the port, and the port is opened now, another host has opened it.
+        // If a host has sent bytes without opening the port (without DTR), and DTR rises now, another host has opened
+        // the port.
         let opened = !self.dtr && dtr;
         let changes_hands = opened && self.spoken;
         let gone = closed || unplugged || changes_hands;
@@ -58,7 +59,7 @@ impl UsbHost {
         } else if opened || unplugged {
             self.closing = None;
         }
-        // When one host follows another, this look reports no host, and the next look reports the new host.
+        // When one host takes the place of another, this look reports no host, and the next look reports the new host.
         self.dtr = dtr && !changes_hands;
         self.configured = configured;
         Look { gone, there: configured && self.is_listening() }

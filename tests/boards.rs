@@ -33,7 +33,7 @@ fn pins_of(code: &str) -> Vec<String> {
     found
 }
 
-/// Returns the pins of the second column of the pin table.
+/// Returns the pins in the second column of the pin table.
 fn pins_of_table(text: &str) -> BTreeSet<String> {
     let rows = text.lines().map(|line| line.trim_start_matches("//!").trim()).filter(|line| line.starts_with('|'));
     let cells = rows.filter_map(|row| row.split('|').nth(2).map(str::to_owned));
@@ -108,7 +108,7 @@ fn usb_has_its_pins_its_clock_and_its_vector() {
     assert!(nucleo.contains("UsbPort = NoPort") && !nucleo.contains("OTG"));
 }
 
-/// The list of boards is repeated in several files; no compiler compares them.
+/// Several files repeat the list of boards, and no compiler compares them.
 #[test]
 fn every_board_stands_in_every_list() {
     let ci = board_file("../.ci/run");
@@ -132,9 +132,10 @@ fn every_board_has_its_sizes_and_a_probe_profile() {
     }
 }
 
-/// The rule of docs/cost.md, "Step rates". A full ring of events lasts at least as long as two of the longest runs of
-/// the step task and half a batch. Batches for three axes take at most half of the processor's time. The shortest pulse
-/// leaves a pause in which its timer can stop.
+/// The rule of docs/cost.md, "Step rates". The step task generates events in batches and queues them in a ring. A full
+/// ring lasts at least as long as two of the longest runs of the step task and half a batch. Batches for three axes
+/// take at most half of the processor's time. After the shortest pulse, the pause is long enough for the pulse timer to
+/// stop.
 #[test]
 fn step_rates_follow_the_rule() {
     const DEPTH: u64 = 96;
@@ -148,7 +149,7 @@ fn step_rates_follow_the_rule() {
         let rates = StepRates { safe_hz: u32::MAX, least_pulse_tenths: board.least_pulse_tenths };
         assert!(rates.greatest_hz(board.least_pulse_tenths) >= hz as f32, "{board:?}");
         // The pause must have room for 7 ticks: 4 from the trigger to the first count, 1 to the edge, 1 after the
-        // pulse, 1 to the stop. A tick of the timer of the pulses is not longer than one of the step clock.
+        // pulse, 1 to the stop. A tick of the pulse timer is not longer than a tick of the step clock.
         let timing = StepTiming::new(board.step_clock_hz / 1_000_000, board.least_pulse_tenths, 0);
         assert!(timing.gap > timing.pulse + 7, "{board:?}");
     }
@@ -165,7 +166,7 @@ fn said(board: oxmill_boards::profiles::Board, line: &str) -> String {
 }
 
 /// On a board without a pin for the at-speed signal, a setting that enables the signal would make every spindle count
-/// as up to speed, or none.
+/// as up to speed, or none at all.
 #[test]
 fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
     for (wiring, code, _) in wirings() {
@@ -183,7 +184,7 @@ fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
 }
 
 /// A Black Pill's UART has an interrupt for each byte, which has to wait while the step task runs. At rates above the
-/// table's, bytes would be lost; the fast link of this board is USB.
+/// one in the board's table, bytes would be lost; the fast link of this board is USB.
 #[test]
 fn a_black_pill_takes_no_rate_of_its_uart_that_it_cannot_keep() {
     for board in oxmill_boards::profiles::ALL {

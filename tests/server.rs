@@ -89,7 +89,7 @@ fn answer_to(address: &str, request: &[u8]) -> String {
     String::from_utf8_lossy(&answer[..length]).into_owned()
 }
 
-/// A request that any web page can have a browser send to a port of this computer. Its body contains lines for the
+/// A request that any web page can make a browser send to a port of this computer. Its body contains lines for the
 /// machine.
 const REQUEST: &str = "POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: text/plain\r\n\r\n";
 
@@ -112,7 +112,7 @@ fn a_web_page_moves_nothing_on_a_port_of_lines() {
         let mut host = server.served();
         assert!(host.wait_for("<Idle").contains("MPos:0.000,0.000,0.000"), "{request}");
     }
-    // The first bytes of a line can look like a request. Sent in pieces, it must still be taken as a line.
+    // The first bytes of a line can look like a request. A line that is sent in pieces must still be taken as a line.
     let mut host = server.served();
     host.send("G");
     std::thread::sleep(Duration::from_millis(50));
@@ -179,8 +179,8 @@ fn timers(client: &Client) -> Vec<String> {
     timers
 }
 
-/// If a client's cable is pulled, a server that waits for its bytes does not notice; so the kernel must send keep-alive
-/// probes.
+/// If a client's cable is pulled, a server that waits for the client's bytes does not notice. So the kernel must send
+/// keep-alive probes.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_client_that_is_cut_off_is_asked_for_signs_of_life() {
@@ -213,7 +213,7 @@ fn thousands_of_connections_leave_nothing_behind() {
         answer_to(address, b"GET / HTTP/1.0\r\n\r\n");
         std::thread::sleep(Duration::from_millis(500));
         let before = held(&server.program);
-        // More idle connections than there are places, so the last ones are closed.
+        // Opens more idle connections than the server serves at once (64), so the last ones are closed.
         let idle: Vec<TcpStream> = (0..100).map(|_| TcpStream::connect(address).expect("it listens")).collect();
         std::thread::sleep(Duration::from_millis(200));
         let during = held(&server.program);
@@ -222,8 +222,8 @@ fn thousands_of_connections_leave_nothing_behind() {
         let memory = resident(&server.program);
         for number in 0..many {
             let mut stream = TcpStream::connect(address).expect("it listens");
-            // Some clients leave at once, some while their line is carried out. A connection without a place can be
-            // closed already.
+            // Some clients leave at once, some while their line is carried out. The server can already have closed a
+            // connection for which it has no place.
             if number % 3 > 0 {
                 let _ = stream.write_all(line.as_bytes());
             }
@@ -239,8 +239,8 @@ fn thousands_of_connections_leave_nothing_behind() {
     }
 }
 
-/// Clients of the pin port that never read their answers lose their places to others, and memory does not grow
-/// meanwhile.
+/// Clients of the pin port that never read their answers are disconnected in favour of others, and until then memory
+/// does not grow.
 #[cfg(target_os = "linux")]
 #[test]
 fn clients_that_do_not_read_hold_no_place() {
@@ -288,7 +288,7 @@ fn resident(program: &Child) -> u64 {
     line.trim().trim_end_matches(" kB").parse().expect("a number")
 }
 
-/// An endless line is rejected, and neither that nor a client that does not read makes the program grow.
+/// An endless line is rejected. Neither the line nor a client that does not read makes the program's memory grow.
 #[cfg(target_os = "linux")]
 #[test]
 fn no_client_makes_the_server_grow() {
@@ -297,7 +297,7 @@ fn no_client_makes_the_server_grow() {
     assert_eq!(client.ask("G0X1"), "ok");
     client.wait_for("<Idle");
     let before = resident(&server.program);
-    // Polls are not lines, however many there are.
+    // Polls (`?`) do not count as parts of a line, however many there are.
     for _ in 0..100 {
         client.send([b'?'; 1000]);
     }
@@ -317,7 +317,7 @@ fn no_client_makes_the_server_grow() {
     assert_eq!(short.ask("G21"), "ok");
     short.send([b'X'; (1 << 16) + 2000]);
     assert_eq!(short.line(), "[MSG:The line has no end]");
-    // The same in the first line of a client, where a browser's request would be.
+    // The same in the first line of a client, where the server looks for a browser's request.
     let mut first = server.served();
     first.send([b'X'; (1 << 16) + 2000]);
     assert_eq!(first.line(), "[MSG:The line has no end]");
@@ -367,7 +367,8 @@ fn a_recording_with_alarms_of_pins_is_played_again() {
     std::fs::remove_dir_all(&folder).expect("it is there");
 }
 
-/// A port without an address is on the loopback, also for the pins; connections that find no place get a message.
+/// A port without an address is on the loopback, also for the pins; a connection beyond the number that is served gets
+/// a message.
 #[test]
 fn a_port_alone_is_of_the_loopback() {
     for port in ["0", ":0"] {
@@ -440,8 +441,9 @@ impl Server {
         Client::of(&self.address)
     }
 
-    /// Returns a client that has read the welcome message. It retries until the previous client is gone: that client's
-    /// bytes can still be in transit, and a busy system can report a new connection before the end of the last one.
+    /// Returns a client that has read the welcome message. It retries until the previous client is gone: the previous
+    /// client's bytes can still be in transit, and a busy system can report a new connection before the end of the
+    /// previous one.
     fn served(&self) -> Client {
         let end = Instant::now() + PATIENCE;
         loop {
@@ -532,7 +534,7 @@ fn a_flood_from_a_client_that_leaves_does_not_lock_the_server() {
     let mut second = server.served();
     second.send("!");
     second.pour();
-    // The same with a client that only closes its sending side and waits for answers.
+    // The same for a client that closes only its sending side and waits for answers.
     second.stream.shutdown(Shutdown::Write).expect("a socket");
     let mut third = server.served();
     assert!(third.status().starts_with("<Hold:0|"));
@@ -550,8 +552,8 @@ fn the_half_line_of_a_client_that_left_is_cut() {
     assert!(next.wait_for("<Idle").contains("MPos:0.000,0.000,0.000"));
 }
 
-/// `G4` waits for the end of the motion, so its answer and that of the next line are pending when the client
-/// disconnects; the result must be the same with none pending.
+/// With `pending`, answers are due when the client disconnects: `G4` waits for the end of the motion, and the next line
+/// waits for `G4`. The result must be the same without pending answers.
 #[test]
 fn a_client_that_leaves_in_mid_job_is_one_that_closes_its_port() {
     for (hold, pending) in [(1, true), (1, false), (0, true), (0, false)] {
@@ -718,7 +720,7 @@ fn a_pseudo_terminal_keeps_nothing_for_the_next_client() {
         .expect("the program starts");
     let mut line = String::new();
     BufReader::new(program.stdout.take().expect("a pipe")).read_line(&mut line).expect("it says where it is");
-    // Kills the program at the end of the test, or after `PATIENCE`, so that no read below waits forever.
+    // This thread kills the program at the end of the test, or after `PATIENCE`, so that no read below waits forever.
     let (done, waits) = std::sync::mpsc::channel::<()>();
     let watch = std::thread::spawn(move || {
         let _ = waits.recv_timeout(PATIENCE);
@@ -744,7 +746,7 @@ fn a_pseudo_terminal_keeps_nothing_for_the_next_client() {
     watch.join().expect("no panic").expect("a program");
 }
 
-/// A link that leads to a file is not replaced; a dangling link that a program has left behind is replaced.
+/// A symbolic link that leads to a file is not replaced; a dangling link, as an earlier run leaves behind, is replaced.
 #[cfg(unix)]
 #[test]
 fn no_link_to_a_file_is_taken_for_a_pseudo_terminal() {

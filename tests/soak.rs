@@ -14,13 +14,13 @@ use oxmill_test_support::{Random, numbers};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// Maximum virtual time until all answers have arrived at the end of a chunk.
+/// Maximum virtual time until all answers have arrived at the end of a chunk (the lines between two rests).
 const PATIENCE: Duration = Duration::from_secs(600);
 /// Tolerated growth of the process, KiB: memory that the allocator keeps.
 const GROWTH: u64 = 4_096;
 /// Host timeouts during a job and a jog, and hard limits.
 const WATCHES: [&str; 3] = ["$922=0.3", "$923=0.2", "$21=1"];
-/// Reactions that keep the position and, after a host timeout, the job.
+/// Reactions (values of `$924` to `$928`) that keep the position and, after a host timeout, the job.
 const CONTROLLED: [&str; 4] = ["1", "2", "4", "5"];
 /// Inputs that stop the machine with one of these reactions, with their settings and alarms.
 const FAULTS: [(&str, &str, &str); 3] =
@@ -150,8 +150,8 @@ impl Soak {
         assert_eq!(reported, self.place(), "{report} {}", self.told());
     }
 
-    /// Resumes the job. Called repeatedly, because a first `~` can arrive while the machine still brakes, and because a
-    /// host timeout (`$928`) can have made the machine brake.
+    /// Resumes the job if it waits. Called repeatedly, because a first `~` can arrive while the machine still brakes,
+    /// and because the machine can also be held by a host timeout (`$928`).
     fn go_on(&mut self) {
         let rests = !self.mill.is_stepping() && !self.mill.is_idle();
         if self.mill.controller().is_paused() || rests && self.report().starts_with("<Door:0") {
@@ -194,7 +194,8 @@ impl Soak {
     fn interrupt(&mut self, byte: u8) {
         let moving = self.mill.is_stepping();
         self.mill.send([byte]);
-        // Received lines are void. The line in progress is answered, possibly late because a spindle spins up.
+        // The machine drops received lines. It still answers the line in progress, possibly late because a spindle
+        // spins up.
         self.mill.run_for(Duration::from_millis(500));
         self.half.push_str(&self.mill.take_output());
         while byte != 0x18 && !self.mill.is_idle() {
@@ -241,7 +242,7 @@ impl Soak {
 
     /// Starts a jog at rest. Then the host is silent, so the host timeout ends the jog.
     fn jog(&mut self) {
-        // A hold can have come at the end of the job.
+        // The machine may be in a hold that came at the end of the job.
         for _ in 0..100 {
             if self.report().starts_with("<Idle") {
                 break;
@@ -250,7 +251,7 @@ impl Soak {
             self.wait(100);
         }
         let (silences, begun) = (self.counts.silences, self.place()[0]);
-        // Towards the middle of the program's range.
+        // Jog towards the middle of the program's range.
         let by = self.random.below(11) as i64 * if begun > 0 { -1 } else { 1 };
         self.mill.send(format!("$J=G91 X{by} F1500\n"));
         self.wait(1_000);

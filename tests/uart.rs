@@ -1,6 +1,7 @@
 //! Tests the reader of a UART's received bytes, on memory: bytes keep their order, lost bytes are marked at their
-//! position, and no line with a damaged byte is carried out, whatever happens between any two memory accesses. A look
-//! is one pass of the reader over the received bytes.
+//! position, and no line with a damaged byte is carried out, whatever happens between any two memory accesses. The
+//! receive buffer is a ring of slots, one per byte. A look is one pass of the reader over the received bytes. A lap is
+//! an overrun: DMA has overtaken the reader by one round of the ring.
 
 use oxmill_boards::calls::{Calls, REST, is_stop};
 use oxmill_boards::uart_receiver::{Buffer, ByteSource, Look, MOST_WAITING, ReceivedBytes, SLOTS, UartReceiver};
@@ -21,7 +22,7 @@ struct Wire {
     at_clear: RefCell<Vec<u8>>,
     /// Bytes that arrive while the reader waits for a byte to settle.
     at_settle: RefCell<Vec<u8>>,
-    /// A byte that has been counted but not written, with its slot.
+    /// A byte that DMA has counted but not yet written, with its slot.
     unwritten: Cell<Option<(usize, u8)>>,
 }
 
@@ -211,9 +212,9 @@ proptest! {
         prop_assert_eq!(out.0, sent.into_iter().map(Some).collect::<Vec<_>>());
     }
 
-    /// Some bytes are damaged and become any others, also line ends. Looks occur at any time, also between the signal
-    /// of a damage and the damaged byte; bytes arrive while the damage is cleared. No line is carried out that was not
-    /// sent, none twice, and none with a damaged byte.
+    /// Some bytes are damaged and become other bytes, even line ends. Looks occur at any time, even between the signal
+    /// of a damage and the damaged byte; other bytes arrive while the signal is cleared. No line is carried out that
+    /// was not sent, none twice, and none with a damaged byte.
     #[test]
     fn no_damaged_line_is_carried_out(
         damaged in prop::collection::btree_map(
@@ -273,9 +274,9 @@ proptest! {
     }
 }
 
-/// A byte is damaged at each position of three lines, and becomes a digit or a line end; looks are more or less
-/// frequent than bytes; the damage is signalled before the byte or with it. The damaged line is not carried out, not
-/// even in part.
+/// A byte is damaged at each position of three lines, and becomes a digit or a line end; looks come more often or less
+/// often than bytes; the damage is signalled before the byte or with it. The damaged line is not carried out, not even
+/// in part.
 #[test]
 fn a_damaged_byte_at_each_place() {
     let sent = b"G1X11\nG1X12\nG1X13\n";
@@ -312,7 +313,8 @@ fn a_damaged_byte_at_each_place() {
     }
 }
 
-/// No byte after the damaged ones is dropped, whatever the unfinished message already contains when that byte arrives.
+/// No byte that follows damaged bytes is dropped, whatever the unfinished message already contains when this byte
+/// arrives.
 #[test]
 fn nothing_is_dropped_behind_damaged_bytes() {
     for count in 1..3 * ReceivedBytes::MOST {
@@ -327,8 +329,8 @@ fn nothing_is_dropped_behind_damaged_bytes() {
     }
 }
 
-/// A byte that is counted but not yet written has not arrived yet; the next look reads it, and suspected damage remains
-/// suspected.
+/// A byte that is counted but not yet written does not count as arrived: the next look reads it. Until then, a damage
+/// that has been signalled still applies to it.
 #[test]
 fn a_byte_that_is_counted_and_not_written() {
     let (wire, mut receiver) = by_dma();
@@ -340,7 +342,7 @@ fn a_byte_that_is_counted_and_not_written() {
     wire.write();
     out.look(&mut receiver);
     assert_eq!(out.text(), "abc");
-    // Damaged, and not written at the look that sees the damage, nor at the next one.
+    // The byte is damaged. It is still unwritten at the look that sees the damage, and at the next one.
     wire.damaged.set(true);
     wire.count(b'1');
     out.look(&mut receiver);
@@ -353,8 +355,8 @@ fn a_byte_that_is_counted_and_not_written() {
     assert_eq!(out.text(), "abc#@@@\n");
 }
 
-/// Bytes can wait in all slots but one for any time. With one byte more, all are lost except the last stop, and
-/// the loss is reported once.
+/// Bytes can wait in all slots but one for any time. With one byte more, all bytes are lost except the last stop (a
+/// byte that stops the machine), and the loss is reported once.
 #[test]
 fn a_full_buffer_and_a_lap() {
     for more in [0, 1, 2, SLOTS - 1, SLOTS, SLOTS + 1, 3 * SLOTS + 7] {
@@ -393,9 +395,9 @@ fn a_full_buffer_and_a_lap() {
     }
 }
 
-/// The messages are not taken while bytes arrive without end. The oldest bytes are lost, except those that stop the
-/// machine, and the loss is reported once. The reader moves bytes to make room, so DMA never laps it, and no look has
-/// to empty all slots.
+/// Nobody takes the reader's messages while bytes arrive without end. The oldest bytes are lost, except those that stop
+/// the machine, and the loss is reported once. The reader moves bytes to make room, so DMA never laps it, and no look
+/// has to empty all slots.
 #[test]
 fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     let (wire, mut receiver) = by_dma();
@@ -429,7 +431,7 @@ fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     assert!(last.ends_with(&behind) && behind[0] == b'!' && behind.len() == 301, "{} behind the loss", behind.len());
 }
 
-/// A stop is seen even if more text than there is room for precedes it, at once or within a few looks. The task is
+/// A stop is seen at once or within a few looks, even if more text precedes it than there is room for. The task is
 /// called for the stop until the stop has been passed on.
 #[test]
 fn a_stop_is_seen_behind_text_that_has_no_room() {
@@ -455,7 +457,7 @@ fn a_stop_is_seen_behind_text_that_has_no_room() {
     }
 }
 
-/// A byte that arrives while a look waits until the last byte is complete does not hide an overrun.
+/// A look waits until the last byte is complete. A byte that arrives during this wait does not hide an overrun.
 #[test]
 fn a_lap_is_seen_when_another_byte_comes_meanwhile() {
     let (wire, mut receiver) = by_dma();
@@ -468,8 +470,8 @@ fn a_lap_is_seen_when_another_byte_comes_meanwhile() {
     assert_eq!(out.text(), "#end\n");
 }
 
-/// The step task can interrupt a look anywhere, and bytes can arrive in that time. A slot that such a byte has filled
-/// is not taken for an overrun.
+/// The step task can interrupt a look anywhere, and bytes can arrive in that time. The reader must not mistake a slot
+/// that such a byte has filled for an overrun.
 #[test]
 fn bytes_that_come_while_a_look_asks_where_it_is() {
     for counts in (0..81).map(|code| [code % 3, code / 3 % 3, code / 9 % 3, code / 27]) {
@@ -507,8 +509,8 @@ fn characters_come_whole() {
     assert_eq!(out.0, text.iter().copied().map(Some).collect::<Vec<_>>());
 }
 
-/// DMA laps the reader after the check for it, and the newest byte is read as the oldest: the reader recovers its
-/// position.
+/// DMA laps the reader after the reader's check for a lap, and the reader takes the newest byte for the oldest: it must
+/// recover its position.
 #[test]
 fn a_lap_within_a_look_leaves_no_reader_waiting() {
     for late in 1..6 {
@@ -527,8 +529,8 @@ fn a_lap_within_a_look_leaves_no_reader_waiting() {
     }
 }
 
-/// Bytes that arrive while the slots are emptied are lost, too, except a stop; bytes that arrive when the last slot has
-/// been emptied are the first after the loss.
+/// After an overrun the reader empties all slots. Bytes that arrive during this are also lost, except a stop. Bytes
+/// that arrive after the last slot has been emptied are the first ones after the loss.
 #[test]
 fn bytes_that_come_while_the_slots_are_emptied() {
     for (first, last, expected) in [
@@ -552,7 +554,7 @@ fn bytes_that_come_while_the_slots_are_emptied() {
     }
 }
 
-/// The last byte is written and about to be counted: no slot is free at this time, and nothing is lost.
+/// The last byte has been written but not yet counted: no slot is free at this time, and still nothing is lost.
 #[test]
 fn a_byte_that_is_about_to_be_counted() {
     let (wire, mut receiver) = by_dma();
@@ -571,7 +573,7 @@ fn what_is_to_be_called_for() {
     let (wire, mut receiver) = by_dma();
     let (mut out, mut room) = (Out::default(), usize::MAX);
     assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
-    // Text alone waits for the end of its line, but is passed on soon.
+    // Text without a line end is held back for some looks, in case the end follows; then it is passed on anyway.
     wire.come_all(b"G1X1");
     for _ in 1..4 {
         assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
@@ -592,7 +594,8 @@ fn what_is_to_be_called_for() {
         assert_eq!(out.look(&mut receiver), look, "{bytes:?}");
         assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
     }
-    // Bytes without room stay, and the task is called for them again; if there is a stop among them, at once.
+    // Bytes for which there is no room stay in the buffer, and the task is called again for them: at once if a stop is
+    // among them.
     out.0.clear();
     wire.come_all(b"?G1X1\n!\n");
     out.glance(&mut receiver, &mut 0);
@@ -657,7 +660,8 @@ fn an_interrupt_fills_the_slots() {
         assert_eq!((out.text().as_str(), receiver.source().0.get()), ("G1X1\n", 0), "it begins anew");
         out.0.clear();
     }
-    // While the bytes are not read, text soon finds no room, but a stop does. The next byte with room marks the loss.
+    // While nobody reads the bytes, there is soon no room for text, but still for a stop. The next byte that finds room
+    // marks the loss.
     let kept = (0..2 * SLOTS).filter(|_| put(&mut receiver, b'x')).count();
     assert!(put(&mut receiver, b'!'));
     assert!(!put(&mut receiver, b'y') && kept < SLOTS);
@@ -671,7 +675,8 @@ fn an_interrupt_fills_the_slots() {
     assert_eq!(out.text(), "#z");
 }
 
-/// The task is called at once. After each call it is not called again for as many samples as fit into 500 us.
+/// The first time, the serial task is called at once. After each call it is not called again for as many input samples
+/// as fit into 500 us.
 #[test]
 fn the_serial_task_is_called_in_time_and_not_too_often() {
     let mut calls = Calls::new();

@@ -36,8 +36,8 @@ pub fn chip(board: &str) -> Option<&'static str> {
 
 /// For build scripts: writes the linker scripts of the chosen board into the linker's search path and passes them to
 /// the linker. `kinds` are the kinds of target in `cargo:rustc-link-arg-KIND`, `stack_kib` is the stack size in KiB. In
-/// this workspace the linker runs in the workspace's folder and finds the original `memory.x` there first; the copy
-/// written here is for a workspace that consists of the cargo packages alone.
+/// this workspace, the linker runs in the workspace's folder and finds the original `memory.x` there first. The copy
+/// written here is for a workspace that was made from the packaged crates alone.
 pub fn link(kinds: &[&str], stack_kib: u32) {
     println!("cargo:rerun-if-changed=build.rs");
     if env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("none") {

@@ -7,7 +7,7 @@ use oxmill_store::{Flash, Sector};
 const SECTOR_BYTES: u32 = 16 * 1024;
 const ERASED: u32 = u32::MAX;
 
-/// Error: the word to be written is not erased.
+/// Error: the word to be written has not been erased since it was last written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotErased;
 

@@ -55,14 +55,14 @@ pub const AXES: usize = profiles::QEMU_MPS2.axes;
 pub const BLOCKS: usize = profiles::QEMU_MPS2.blocks;
 /// Pages of 256 bytes for the recording of inputs and received bytes.
 pub const RECORDING_PAGES: usize = profiles::QEMU_MPS2.recording_pages;
-/// Upper bound, in cycles, of a run of the step task that generates events.
+/// Maximum duration, in CPU cycles, of a run of the step task that generates events.
 pub const RUN_CYCLES: u32 = profiles::QEMU_MPS2.run_cycles;
 /// Ticks of [`clock_ticks`] in a microsecond. The clock is the step clock.
 pub const CLOCK_TICKS_PER_US: u32 = 25;
 /// Clock of SysTick.
 pub const CORE_HZ: u32 = 25_000_000;
-/// Samples per second. There are no inputs: the samples only drive the alarm clock of `control`. There are few, because
-/// each sample costs the host time.
+/// Samples per second. There are no inputs: the samples only drive the alarm clock of `control`. The rate is low,
+/// because each sample takes time on the host.
 pub const SAMPLE_HZ: u32 = 2_000;
 /// The non-maskable interrupt belongs to the watchdog.
 pub const WATCHES_CLOCK: bool = false;
@@ -87,7 +87,8 @@ pub struct Parts {
     pub watchdog: Watchdog,
 }
 
-/// The vectors of the tasks, as literals: RTIC expands them before constants and `cfg` are evaluated.
+/// The interrupt vectors of the tasks. They are literals, because the macro of RTIC runs before constants and `cfg` are
+/// evaluated.
 #[macro_export]
 macro_rules! vectors {
     ($app:ident) => {
@@ -185,7 +186,7 @@ struct Record {
 static RECORD: Mutex<RefCell<Record>> =
     Mutex::new(RefCell::new(Record { digest: Digest::new(), busy: 0, net: [0; AXES] }));
 
-/// A committed event: its steps and directions, its time, and the time from it to the next tick of the stepper.
+/// A committed event: its steps and directions, its time, and the ticks from the event to the next tick of the stepper.
 #[derive(Clone, Copy)]
 struct Pending {
     steps: u8,
@@ -194,8 +195,8 @@ struct Pending {
     passes: u32,
 }
 
-/// Step and direction outputs that go into the [`Digest`], one event at a time. One timer serves three scheduled times:
-/// it is always set to the nearest of them.
+/// Step and direction outputs: adds each event to the [`Digest`], a checksum of the steps, when it is due. One timer
+/// serves three scheduled times: it is always set to the nearest of them.
 pub struct StepPins {
     timer: Timer0,
     /// Scheduled times: of the event, and of the calls `MORE` and `MARK`.
@@ -235,8 +236,8 @@ impl StepPins {
             NVIC::pend(Interrupt::TIMER0);
             return;
         }
-        // The timer continues with the reload value, 1 ms: if rounding made it expire before the scheduled time, that
-        // time is checked again soon.
+        // After the timer has expired, it continues with the reload value, 1 ms: if rounding made it expire before the
+        // scheduled time, that time is checked again after 1 ms.
         self.timer.set_reload(CORE_HZ / 1_000);
         self.timer.set_value(nearest);
         self.timer.set_control(Timer0::ENABLE | Timer0::INTERRUPT_ENABLE);
@@ -382,7 +383,7 @@ impl StepOutput<AXES> for StepPins {
 pub struct SerialPort(Uart0);
 
 impl Port for SerialPort {
-    /// QEMU delivers no byte before the last one has been fetched.
+    /// QEMU delivers a byte only after the previous one has been fetched.
     const WAITS: bool = true;
 
     /// Fetches the next byte from the script or the UART, if any.
@@ -394,8 +395,8 @@ impl Port for SerialPort {
         if self.0.state() & Uart0::RX_FULL != 0 { Incoming::Byte(self.0.data() as u8) } else { Incoming::Nothing }
     }
 
-    /// Without space, a received byte stays in the data register. Clears its interrupt, which would otherwise recur
-    /// forever. [`SerialPort::receive`] finds the byte later, because it checks the data register.
+    /// If the program has no space, a received byte stays in the data register. This function clears the byte's
+    /// interrupt, which would otherwise recur forever; [`SerialPort::receive`] later finds the byte without it.
     fn allow(&mut self, room: usize) {
         if room == 0 {
             self.0.clear_interrupts(Uart0::RX_INTERRUPT);
@@ -523,7 +524,7 @@ pub fn job_done() {
 /// The script that acts as the host. After the set-up only [`idle`] uses it.
 static SCRIPT: Mutex<RefCell<Option<script::Script>>> = Mutex::new(RefCell::new(None));
 
-/// Runs when no task runs: advances the script, ends QEMU after a preloaded job, answers the test stand, and sleeps
+/// Call when no task runs: advances the script, ends QEMU after a preloaded job, answers the test stand, and sleeps
 /// until the next interrupt.
 pub fn idle() {
     follow_script();
@@ -587,9 +588,9 @@ impl Watchdog {
     }
 }
 
-/// Keeps its value in a reset, because QEMU does not report the cause. `ASKED`: the program requested the reset.
-/// `RUNNING`: it did not, so the watchdog caused the reset. Any other value: power-up. Start-up code does not
-/// initialize this word.
+/// A word that keeps its value in a reset, because QEMU does not report the cause of a reset. `ASKED`: the program
+/// requested the reset. `RUNNING`: it did not, so the watchdog caused the reset. Any other value: power-up. Start-up
+/// code does not initialize this word.
 #[unsafe(link_section = ".uninit.ALIVE")]
 // unsafe because the linker takes the section on trust; safe because every bit pattern is a number.
 static mut ALIVE: core::mem::MaybeUninit<u32> = core::mem::MaybeUninit::uninit();
@@ -657,7 +658,7 @@ fn fail(way: u8) {
 }
 
 /// Converts a priority of RTIC, where 1 is the lowest, to a value of the interrupt controller, where 0 is the highest
-/// and only the upper bits count.
+/// priority and only the upper bits count.
 const fn hardware_priority(logical: u8) -> u8 {
     ((1 << pac::NVIC_PRIO_BITS) - logical) << (8 - pac::NVIC_PRIO_BITS)
 }

@@ -10,9 +10,9 @@
 //! | `S` | length `u16`, bytes | sends all bytes at once |
 //! | `A` | count `u32` | waits for `count` answers (`ok`, `error:`) since the last `R` or `N`, at most two minutes |
 //! | `W` | milliseconds `u32` | waits |
-//! | `I` | milliseconds `u32` | sends `?`, pausing in between, until the answer is `<Idle`, at most 4000 times |
+//! | `I` | milliseconds `u32` | sends `?`, with pauses of this length, until the answer is `<Idle`; at most 4000 `?` |
 //! | `R` | | ends a record: reports to the test stand how many bytes the firmware has sent so far |
-//! | `N` | | ends a record: reports that number, the machine time, the motors' steps and the stack |
+//! | `N` | | ends a record: reports the same number, the machine time, the motors' steps and the stack use |
 //! | `E` | milliseconds `u32` | ends the script if the machine has run for at least this time |
 //!
 //! At the end of the script, the test stand's report is sent and QEMU exits.
@@ -61,7 +61,7 @@ struct Said {
     answers: u32,
     /// Number of status reports.
     reports: u32,
-    /// The last status report said Idle.
+    /// Whether the last status report was an Idle report.
     idle: bool,
 }
 
@@ -141,7 +141,7 @@ impl Script {
 
     /// Advances as far as possible, at most to the end of a record.
     pub fn go_on(&mut self) -> Wanted {
-        // Adds up differences, because the clock wraps every 172 s. This function is called much more often.
+        // Adds up differences, because the clock wraps every 172 s; this function is called much more often than that.
         let now = clock_ticks();
         self.ticks += u64::from(now.wrapping_sub(self.looked));
         self.looked = now;

@@ -27,9 +27,9 @@
 //!   reveal.
 //! * DMA2 would serve a stale request as soon as its stream is on, so `begin` resets TIM1 first.
 //! * A stream to a peripheral fetches its word when it is enabled. The laser's stream is therefore re-enabled for each
-//!   power, and only one change of power is armed at a time. A power takes effect as soon as it is written to TIM3.
+//!   power, and only one change of power is armed at a time. A power takes effect as soon as DMA writes it to TIM3.
 //!
-//! Tested in emulation only, not yet on hardware.
+//! This module was tested only in emulation, not yet on hardware.
 
 use super::dma::{
     self, CIRCULAR, CR, HISR, LISR, MEMORY_COUNTS, NDTR, PERIPHERAL_COUNTS, SERVED_CYCLES, TO_PERIPHERAL, VERY_HIGH,
@@ -42,21 +42,22 @@ use core::sync::atomic::{Ordering, compiler_fence};
 
 /// Slots of the ring. The slot after the last event stays free.
 const RING: usize = 128;
-/// Maximum number of events ahead ([`crate::StepOutput::DEPTH`]). A stop has to count up to this many cancelled events,
-/// which takes less time than two bytes on the UART.
+/// Maximum number of committed events that have not been output ([`crate::StepOutput::DEPTH`]). A stop has to count up
+/// to this many cancelled events, which takes less time than two bytes on the UART.
 pub(super) const DEPTH: usize = 96;
 /// Ticks of TIM1 from its start to the leading edge of the pulse. The trailing edge follows after the pulse length.
 const EDGE_COUNT: u32 = 1;
 /// Minimum ticks from the last reading of TIM5 to the first event, so that TIM1 listens for its trigger in time.
 const LISTENS_TICKS: u32 = 48;
-/// Upper bound, in ticks, of one more attempt in `begin`, including delaying all times of the ring.
+/// Maximum duration, in ticks, of one more attempt in `begin`, which delays all times of the ring.
 const AGAIN_TICKS: u32 = 2_200;
 /// Ticks before and after a scheduled time within which its DMA request can be under way. Even at the maximum rate,
 /// events are about 90 ticks apart.
 const NEAR_TICKS: u32 = 48;
-/// If an event is late by more than this many ticks, the output is stuck.
+/// If an event is late by more than this many ticks, the output counts as stuck.
 const STANDS_TICKS: i32 = 500;
-/// If the counts differ, they are compared this many times more. The output has failed only if they differ each time.
+/// The DMA streams' counts of events are compared again this many times if they differ. The output has failed only if
+/// they differ each time.
 const MORE_LOOKS: u32 = 8;
 
 /// Error flags of streams 0 to 3. In the second flag register, the same bits are those of streams 4 to 7.
@@ -144,9 +145,9 @@ pub(super) struct Chain<M, const P: usize> {
     one_by_one: bool,
     /// With `one_by_one`: an event has been committed and is not output yet.
     pending: bool,
-    /// Number of event times that DMA1 has counted when the first one is in CCR1. It is 1 if DMA1 counts a word when it
-    /// writes the word, and 2 if it counts a word when it fetches it. The manual leaves open which (DMA_SxNDTR), so
-    /// each `begin` measures it.
+    /// Number of event times that DMA1 has counted when the first one is in CCR1: 1 if DMA1 counts words as it writes
+    /// them, 2 if it counts them as it fetches them. The manual leaves open when DMA counts (DMA_SxNDTR), so each
+    /// `begin` measures this number.
     first_moments: usize,
     map: PhantomData<M>,
 }
@@ -281,8 +282,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
     }
 
-    /// Returns the free slots for the times of the next events, and those for their words at the last port. With
-    /// several ports, the caller writes combinations of steps in place of words, and [`Chain::translate`] replaces
+    /// Returns the free slots for the times of the next events, and the free slots for their words at the last port.
+    /// With several ports, the caller writes combinations of steps in place of words, and [`Chain::translate`] replaces
     /// them.
     #[inline(always)]
     pub(super) fn free<'a>(&'a mut self, table: &'a [u32; COMBINATIONS]) -> Free<'a> {
@@ -421,13 +422,13 @@ impl<M: Map, const P: usize> Chain<M, P> {
         loop {
             switch_on(M::DMA1, MOMENTS, M::TIM5 + CCR1, self.rings.moments.as_ptr() as usize, RING, how);
             cortex_m::asm::delay(SERVED_CYCLES);
-            // A compare event by software makes DMA1 load the first event time, as it loads all others. The event
-            // starts no pulse, because TIM1 is not listening yet.
+            // Generate a compare event by software, so that DMA1 loads the first event time as it loads all others.
+            // This compare event starts no pulse, because TIM1 is not listening yet.
             write(M::TIM5 + DIER, CALLS | ASKS_FOR_MOMENT);
             write(M::TIM5 + EGR, Due::OUT.0);
             cortex_m::asm::delay(SERVED_CYCLES);
-            // This measurement is valid only before the time of the first event. If that time passes, the loop repeats
-            // it.
+            // This measurement is valid only before the time of the first event. If the first event is too late, the
+            // loop measures again.
             let counted = self.moments_counted();
             let is_fetched_ahead = counted == 2 && read(M::TIM5 + CCR1) == self.moment_at(0);
             self.first_moments = if is_fetched_ahead { 2 } else { 1 };
@@ -559,8 +560,8 @@ impl<M: Map, const P: usize> Chain<M, P> {
         }
         fault |= (read(M::DMA2 + LISR) | read(M::DMA2 + HISR)) & ERRORS != 0;
         if !self.one_by_one {
-            // DMA1 is as far ahead of the events as at `begin`, or by one more event time if the next compare event
-            // came after TIM1 had stopped listening.
+            // DMA1 has counted as many event times ahead of the edges as at `begin`, or one more if another compare
+            // event came after TIM1 had stopped listening.
             let more = self.moments_counted().wrapping_sub(tail).wrapping_sub(self.first_moments) % RING;
             fault |= more > 1 || read(M::DMA1 + LISR) & MOMENT_ERRORS != 0;
         }

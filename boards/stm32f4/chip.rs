@@ -24,8 +24,8 @@ use crate::{Due, Port, SlowLevels};
 /// Writes a whole register as a number.
 macro_rules! raw {
     ($register:expr, $bits:expr) => {{
-        // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because only timers
-        // are written so: they reach no memory, and each value is explained where it is written.
+        // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because the macro
+        // writes only timers, which reach no memory, and each value is explained where it is written.
         unsafe { $register.bits($bits) }
     }};
 }
@@ -58,7 +58,7 @@ impl<MODE> From<&ErasedPin<MODE>> for Place {
 /// Step and direction outputs on `P` ports, with the timers that they need.
 pub type StepPins<const P: usize> = step::StepPins<Chip, P, (pac::TIM1, pac::TIM5, pac::TIM3, [ErasedPin<Output>; 8])>;
 
-/// Calls the step task, from any task. The call waits as a flag of the step task's timer until `take` clears it.
+/// Calls the step task, from any task. The call is a pending flag of the step task's timer until `take` clears it.
 #[inline]
 pub fn call_step() {
     write(<Chip as Map>::TIM5 + timer::EGR, Due::CALLED.0);
@@ -92,7 +92,7 @@ pub fn step_pins<const P: usize>(
     pwm.ccr2().write(|w| raw!(w, 0));
     pwm.ccer().write(|w| w.cc2e().set_bit());
     pwm.cr1().write(|w| w.cen().set_bit());
-    // Enable the clock of the slave timer first (reference manual, timer synchronization).
+    // Enable the clock of the slave timer, TIM1, first (reference manual, timer synchronization).
     pac::TIM1::enable(rcc);
     // By the manuals of the F401 and F411 (RCC_APB2LPENR, reset value 0x0007 7930), TIM1 would otherwise stop while the
     // processor sleeps and ignore its trigger. All other peripherals in use keep their clock during sleep.
@@ -180,9 +180,10 @@ pub struct InputPins {
     /// The number of entries in use.
     count: usize,
     probe: Place,
-    /// The input pins of ports A, B and C.
+    /// Masks of the pins that are inputs, of ports A, B and C.
     used: [u16; 3],
-    /// The input pins that were high at the last reading. `word` is computed again only if they change, which is rare.
+    /// Masks of the input pins that were high at the last reading. `word` is computed again only if these masks change,
+    /// which is rare.
     high: [u16; 3],
     /// The result of the last reading.
     word: u32,
@@ -208,7 +209,7 @@ impl InputPins {
         pins.into_iter().zip(bits).fold(inputs, |inputs, (pin, bit)| inputs.with(bit, pin))
     }
 
-    /// Adds a pin for one more of [`input_bits`](crate::input_bits).
+    /// Adds an input pin and its bit, one of [`input_bits`](crate::input_bits).
     pub fn with(mut self, bit: u32, pin: ErasedPin<Input>) -> Self {
         self._pins[self.count] = Some(pin);
         let place = self._pins[self.count].as_ref().map(Place::from);

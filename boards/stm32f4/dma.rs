@@ -47,7 +47,7 @@ pub(super) const fn errors(streams: &[usize]) -> u32 {
     flags
 }
 
-/// Upper bound, in cycles, of the time from a request to the last word that it transfers.
+/// Maximum time, in cycles, from a DMA request to the last word that it transfers.
 pub(super) const SERVED_CYCLES: u32 = 80;
 /// Minimum number of cycles between switching on two streams.
 const APART_CYCLES: u32 = 12;

@@ -42,7 +42,7 @@ unsafe impl Map for Chip {
     const RCC: usize = 0x4002_3800;
 }
 
-/// Registers of a port, and the address distance of two ports.
+/// Registers of a port, and the distance from one port's address to the next.
 const IDR: usize = 0x10;
 const BSRR: usize = 0x18;
 const PORT_SIZE: usize = 0x400;

@@ -58,9 +58,9 @@ const ALL: u8 = (COMBINATIONS - 1) as u8;
 /// The bit of axis A, whose motor is the fourth; 0 on a board with three axes.
 const FOURTH_AXIS: u8 = ALL & 8;
 
-/// Computes the words of each port for all combinations. `driven`: the bits of a combination that drive each pin.
-/// `invert`: a bit for each pin that is active low. With `both`, a pin that is not driven gets the opposite level;
-/// otherwise it is left alone.
+/// Computes the words of each port for all combinations. `driven`: for each pin, the bits of a combination that make it
+/// active. `invert`: a bit for each pin that is active low. If none of a pin's bits is set, the word makes the pin
+/// inactive with `both`, and leaves it unchanged otherwise.
 fn fill<const P: usize>(ports: [usize; P], places: [Place; 4], driven: [u8; 4], invert: u8, both: bool) -> Words<P> {
     let mut tables = [[0; COMBINATIONS]; P];
     for (i, (place, driven)) in places.into_iter().zip(driven).enumerate() {
@@ -160,7 +160,7 @@ impl<M: Map, const P: usize, O> StepPins<M, P, O> {
 
     /// Returns the PWM's compare value for a power.
     fn compare(&self, power: u16) -> u32 {
-        // 65535 becomes 65536/65536: fully on.
+        // Full power, 65535, becomes 65536/65536: always on.
         let share = u32::from(power) + u32::from(power >> 15);
         (share * self.pwm_period) >> 16
     }
@@ -253,7 +253,7 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
 
     #[inline(never)]
     fn halt(&mut self, dark: bool) -> Undone<AXES> {
-        // This comes first, so that the computations below do not delay the stop.
+        // Stop the output first, so that the computations below do not delay the stop.
         let (tail, fault) = self.chain.silence(dark);
         let mut net = [0; AXES];
         // For each axis and port, finds the bits of a word that show a step and those that show a negative direction. A
@@ -314,7 +314,7 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
         self.pwm_period = (counts / (prescaler + 1)).clamp(2, 0xFFFF);
         write(M::TIM3 + PSC, prescaler);
         write(M::TIM3 + ARR, self.pwm_period - 1);
-        // DMA does not overwrite this, because it writes no power at rest.
+        // DMA does not overwrite this value, because it writes no power at rest.
         write(M::TIM3 + CCR2, self.compare(power));
         // Restarts the counter, which loads the prescaler and ensures that the counter is not beyond its new end.
         write(M::TIM3 + EGR, 1);

@@ -45,7 +45,7 @@ const VOLTAGE_LINE: u32 = 1 << 16;
 /// Called when the supply fails.
 static LOW_VOLTAGE: Mutex<Cell<fn() -> !>> = Mutex::new(Cell::new(unwatched));
 
-/// Default handler. Not reached: the vector is masked until [`watch_voltage`] has set a function.
+/// Initial value of `LOW_VOLTAGE`. Never called: the vector is masked until [`watch_voltage`] has set a function.
 fn unwatched() -> ! {
     safe_state();
     cortex_m::peripheral::SCB::sys_reset()
@@ -66,7 +66,7 @@ pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
         cortex_m::Peripherals::steal().NVIC.set_priority(VOLTAGE_VECTOR, 0);
         pac::NVIC::unmask(VOLTAGE_VECTOR);
     }
-    // A supply that fell before the edge detection was enabled raises no edge.
+    // If the supply fell before edge detection was enabled, there is no edge. So check the level, too.
     if voltage_is_low() {
         pac::NVIC::pend(VOLTAGE_VECTOR);
     }

@@ -1,14 +1,16 @@
-//! The UART to the host: [`Usart`] for the serial task, and [`UartInput`] for the tasks at the priority of the inputs.
-//! The board chooses how bytes are transferred: by DMA (`usart_dma`) or by an interrupt (`usart_interrupt`).
+//! The UART to the host: [`Usart`] for the serial task, and [`UartInput`] for the task `inputs`, or for `inputs` and
+//! `uart`, which have the same priority. The board chooses how bytes are transferred: by DMA (`usart_dma`) or by an
+//! interrupt (`usart_interrupt`).
 //!
 //! ```text
 //!  UART ──▶ UartInput ──messages──▶ Usart ──▶ serial task
 //!  UART ◀── UartOutput ◀─────────── Usart ◀── serial task
 //! ```
-//! Bytes neither interrupt the step task nor are lost during its longest run, at any rate that a board allows (`$931`).
-//! Writing a word of flash can stall the processor for 100 us, an erase for half a second. Guarantee: a host that
-//! respects the flow control (at most the 255 bytes that `Bf:` counts are in flight) loses nothing, and there is
-//! additional space for 64 realtime commands (`REALTIME_DEPTH`). Any other loss is reported.
+//! Received bytes do not interrupt the step task, and none is lost during its longest run, at any baud rate that a
+//! board allows (`$931`). Writing a word of flash can stall the processor for 100 us, an erase for half a second.
+//! Guarantee: a host that respects the flow control loses nothing. (It has at most the 255 bytes in flight that `Bf:`
+//! counts, and up to 64 realtime commands beside them: `REALTIME_DEPTH`.) If a host exceeds these limits, any loss is
+//! reported.
 
 use super::registers::{read, write};
 use crate::uart_receiver::{ByteSource, Look, ReceivedBytes, UartReceiver};
@@ -61,7 +63,7 @@ impl<S: ByteSource, const N: usize> UartInput<S, N> {
     /// Sends the bytes read so far to the serial task. With `calls`, the caller calls the serial task afterwards.
     pub fn pass_on(&mut self, calls: bool) {
         if calls && self.receiver.has_stop() {
-            // The command is in the message being filled or in an earlier one.
+            // The stop command is in the message being filled or in an earlier one.
             self.hurry.write(self.sent.wrapping_add(1));
         }
         let (messages, sent) = (&mut self.messages, &mut self.sent);

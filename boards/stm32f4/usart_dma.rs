@@ -4,10 +4,11 @@
 //!  USART ──▶ DMA, circular ──▶ buffer
 //!  USART ◀── DMA ◀── one half; the serial task fills the other, and is called at the end of a half
 //! ```
-//! DMA does not read the status register. Damaged bytes are detected by the USART's interrupt line (EIE). Its vector is
-//! not enabled, so its pending bit stays set until software clears it, even if reading the data register has cleared
-//! the flags. The bit is set before DMA fetches the byte. So if the bit is found clear, all bytes that arrived before
-//! are good. Otherwise all bytes from the previous look up to the next one are treated as damaged (`uart_receiver`).
+//! DMA does not read the status register. A damaged byte raises the USART's interrupt line (EIE). The vector of this
+//! line is masked, so its pending bit stays set until software clears it, even after a read of the data register has
+//! cleared the error flags. The bit is set before DMA fetches the damaged byte. So if a look at the bit finds it clear,
+//! all bytes that arrived before are good. Otherwise all bytes from the previous look up to the next one are treated as
+//! damaged (`uart_receiver`).
 
 use super::dma::{CIRCULAR, HISR, MEMORY_COUNTS, NDTR, SERVED_CYCLES, TO_PERIPHERAL, clear_flags, stream, switch_on};
 use super::registers::{read, write};
@@ -51,7 +52,7 @@ const USART: usize = 0x4000_4400;
 /// The vector whose pending bit reports damaged bytes; it stays masked.
 const VECTOR: pac::Interrupt = pac::Interrupt::USART2;
 
-/// The receiving half.
+/// The receiving part of the UART.
 pub struct ByDma {
     _rx: Rx<pac::USART2>,
     buffer: &'static Buffer,
@@ -109,7 +110,8 @@ impl ByteSource for ByDma {
     }
 
     fn clear_damage(&mut self) {
-        // If a byte waits in the data register, DMA must fetch it; in that case the next look clears the flags.
+        // Reading the data register clears the error flags. If a byte waits there, DMA must fetch it; the next look
+        // then clears the flags.
         if read(USART + SR) & ARRIVED == 0 {
             let _ = read(USART + DATA);
         }
@@ -121,7 +123,7 @@ impl ByteSource for ByDma {
     }
 }
 
-/// The sending half: DMA sends one half of the buffer while the serial task fills the other.
+/// The sending part of the UART: DMA sends one half of the buffer while the serial task fills the other.
 pub struct Halves {
     _tx: Tx<pac::USART2>,
     halves: &'static mut [[u8; HALF]; 2],

@@ -58,7 +58,7 @@ pub struct ByInterrupt {
     clock: u32,
     /// The slot of the next byte.
     place: usize,
-    /// Bytes are missing before the next byte.
+    /// Bytes were lost before the next byte that will be put into the buffer.
     is_behind_loss: bool,
     /// DMA may have fetched a damaged byte.
     is_damaged: bool,
@@ -153,7 +153,7 @@ impl Input {
 }
 
 impl ByInterrupt {
-    /// Prepares the stream to continue at the slot of the next byte if DMA has to take over.
+    /// Prepares the DMA stream, so that it writes to the slot of the next byte if it has to take over.
     fn prepare(&self) {
         let memory = self.buffer.get(self.place..).unwrap_or_default();
         program(DMA, STREAM, USART + DATA, memory.as_ptr() as usize, memory.len());
@@ -169,7 +169,8 @@ impl ByInterrupt {
         let before = self.place;
         self.place = SLOTS - (read(at + NDTR) as usize).min(SLOTS);
         if self.place != before && core::mem::take(&mut self.is_behind_loss) {
-            // DMA cannot mark that bytes are missing before the bytes that it fetched, so these are refused instead.
+            // Bytes are missing before those that DMA fetched, but DMA cannot mark this. So the fetched bytes are
+            // refused instead.
             self.is_damaged = true;
         }
         clear_flags(DMA, STREAM);
@@ -215,7 +216,7 @@ impl ByteSource for ByInterrupt {
     }
 
     fn begin_anew(&mut self) -> bool {
-        // While DMA receives, the buffer must not restart. The interrupt that ends this is already pending.
+        // While DMA receives, the buffer must not restart. The interrupt that ends receiving by DMA is already pending.
         let can = read(USART + CR_3) & DMA_RECEIVES == 0;
         if can && self.place > 0 {
             self.place = 0;
@@ -225,8 +226,8 @@ impl ByteSource for ByInterrupt {
     }
 }
 
-/// Lets DMA receive during a flash operation, which stalls the processor. The interrupt that is made pending here ends
-/// this after the operation. Interrupts must be off and the machine at rest.
+/// Lets DMA receive during a flash operation, which stalls the processor. This function pends the UART's interrupt,
+/// which ends receiving by DMA after the operation. Interrupts must be off and the machine at rest.
 pub fn receive_by_dma() {
     let at = stream(DMA, STREAM);
     if read(at + NDTR) != 0 {
@@ -248,7 +249,8 @@ impl UartOutput for Queue {
         self.bytes.try_send(byte).is_ok()
     }
 
-    /// Triggers the interrupt, which sends a byte at once if the data register is free, or as soon as it becomes free.
+    /// Triggers the interrupt, which sends a byte at once if the data register is free, otherwise as soon as it becomes
+    /// free.
     fn begin(&mut self) {
         if !self.bytes.is_empty() {
             NVIC::pend(VECTOR);

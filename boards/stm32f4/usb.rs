@@ -144,8 +144,8 @@ struct SerialClass {
     begin_in: bool,
 }
 
-// Wraps the class of the serial port. A second class beside it would need a kilobyte more, because the compiler
-// resolves the driver's calls only if there is a single class.
+// Wraps the class of the serial port. A second class beside it would need a kilobyte more, because the compiler can
+// resolve the driver's calls of a class only if there is a single one.
 impl UsbClass<UsbBusType> for SerialClass {
     fn get_configuration_descriptors(&self, writer: &mut DescriptorWriter<'_>) -> usb_device::Result<()> {
         self.port.get_configuration_descriptors(writer)
@@ -182,13 +182,13 @@ struct Received {
     next: usize,
     /// The end of the packet has been taken out of the FIFO; the endpoint must be enabled again.
     ended: bool,
-    /// The driver may have a packet, because it has handled events since it last had none. Without this flag the serial
-    /// task would ask the driver at each byte of the UART, and each question takes 4 us.
+    /// The driver may hold a packet: it has handled events since the last time that it had no packet. Without this flag
+    /// the serial task would query the driver at each byte of the UART, and each query takes 4 us.
     may_wait: bool,
 }
 
 impl Received {
-    /// Returns the bytes that have not been taken yet.
+    /// Returns the bytes of the packet that have not been taken yet.
     fn left(&self) -> &[u8] {
         self.packet.get(self.next..self.length).unwrap_or_default()
     }
@@ -321,7 +321,7 @@ impl UsbPort {
         if !is_enabled() {
             return;
         }
-        // Clears earlier flags.
+        // Clear flags that earlier operations have set.
         write(control + DIEPINT, NAK_IN_FORCE | IS_DISABLED);
         write(control, read(control) & !ENABLED | SNAK);
         let is_refused = await_bits(control + DIEPINT, NAK_IN_FORCE, NAK_IN_FORCE);
@@ -366,8 +366,8 @@ impl Port for UsbPort {
             self.device.poll(&mut [&mut self.class]);
             self.begin_toggles();
             self.received.may_wait = true;
-            // The packet that the driver has just fetched is usually followed by its end: take that, too, without
-            // another interrupt.
+            // In the FIFO, the packet that the driver has just fetched is usually followed by the entry that ends it.
+            // Take this entry, too, without waiting for another interrupt.
             self.hold_endpoint();
         }
         if self.device.state() == UsbDeviceState::Default {

@@ -62,7 +62,7 @@ impl Axis {
         self as usize >= LINEAR
     }
 
-    /// Whether the axis has ends. A rotary axis with `travel` 0 turns without end.
+    /// Whether the travel of the axis is limited. A rotary axis with `travel` 0 turns without limit.
     pub fn has_ends(self, travel: f32) -> bool {
         !self.is_rotary() || travel > 0.0
     }
@@ -96,7 +96,7 @@ impl<T: Copy, const N: usize> PerAxis<T, N> {
         Self([value; N])
     }
 
-    /// Calls `make` with each axis to get the value of that axis.
+    /// Makes the value of each axis by a call of `make` with that axis.
     pub fn from_axis(mut make: impl FnMut(Axis) -> T) -> Self {
         Self(core::array::from_fn(|i| make(Axis::ALL.get(i).copied().unwrap_or(Axis::X))))
     }

@@ -1,7 +1,6 @@
 //! Hashes (FNV-1a) of a step stream: one over its step events with their times, one over the events in their order,
-//! without times. Two machines that have made the same steps at the same times have the same hashes. The simulator
-//! computes them from its trace; a target without pins computes them from the words that it would have written to the
-//! pins.
+//! without times. Two machines with the same steps at the same times have the same hashes. The simulator computes them
+//! from its trace; a target without pins computes them from the words that it would have written to the pins.
 
 /// Running digest over (time, step bits, direction bits) of each step event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

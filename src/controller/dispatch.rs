@@ -19,7 +19,8 @@ use crate::units::{Duration, Instant};
 use crate::work::line::LineInWork;
 use crate::work::task::Task;
 
-/// Interval at which output changes that wait for a motion (M62) are checked. A change is late by at most this time.
+/// While a change of an output (M62) waits for the start of a motion, the controller checks at this interval whether
+/// the motion has started. The change is late by at most this time.
 const OUTPUTS_LOOK: Duration = Duration::millis(1);
 
 /// Properties of the board that the controller needs.
@@ -107,9 +108,9 @@ impl<const N: usize> Controller<N> {
 
     /// Takes an event that happened at `now`.
     ///
-    /// The path of a line: its bytes arrive here and are collected by `LineIntake`. At the last byte
-    /// `host::dispatch_line` has the line checked, and `work::stages` keeps it as a task. [`Controller::output`] then
-    /// executes the task.
+    /// The path of a line: its bytes arrive here and are collected by `LineIntake`. After the last byte,
+    /// `host::dispatch_line` calls the interpreter, which checks the line, and `work::stages` keeps it as a task.
+    /// [`Controller::output`] then executes the task.
     // Always inlined, so that a byte in the middle of a line costs no function call.
     #[inline(always)]
     pub fn event(&mut self, now: Instant, event: Event<N>) {
@@ -120,13 +121,14 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Takes a byte that only extends the current line, as nearly all events are. The time is irrelevant for such a
-    /// byte. Returns false for any other byte and does not take it; pass it as an [`Event::Line`].
+    /// Takes a byte if it only extends the current line; nearly all events are such bytes, and their time does not
+    /// matter. Returns false if the byte was not taken: pass it to [`Controller::event`] as an [`Event::Line`].
     pub fn take_text_byte(&mut self, byte: LineByte) -> bool {
         self.m.lines.take_plain(byte)
     }
 
-    /// Takes the leading `bytes`, all of one `epoch`, that only extend the current line. Returns how many were taken.
+    /// Takes `bytes` from the front, as long as they only extend the current line. All are of one `epoch`: see
+    /// [`LineByte`]. Returns how many were taken.
     pub fn take_text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         self.m.lines.take_text(epoch, bytes)
     }
@@ -169,8 +171,9 @@ impl<const N: usize> Controller<N> {
             && self.m.replies.has_room()
     }
 
-    /// Whether received lines wait for an operator or for the end of a motion. Meanwhile bytes received before a reset
-    /// stay in the queue as well.
+    /// Whether received lines wait: for an operator, or for the end of homing or braking. As long as they wait, bytes
+    /// that a later reset has made invalid are not taken from the queue either, unless [`Controller::drop_old`] drops
+    /// them.
     pub fn lets_lines_wait(&self) -> bool {
         !self.state.takes_lines()
     }
@@ -312,7 +315,8 @@ impl<const N: usize> Controller<N> {
         if self.m.stops.take_order() {
             return Some(Output::Stop);
         }
-        // Wiring comes before pins, because the drivers' enable output needs its polarity before its level.
+        // Wiring (polarities, step timing) is sent before levels of pins, because the drivers' enable output needs its
+        // polarity before its level.
         if let Some(wiring) = self.changed_wiring() {
             return Some(Output::Wiring(wiring));
         }
@@ -348,7 +352,7 @@ impl<const N: usize> Controller<N> {
         if let Some(ToStep::Segment(segment)) = &mut message {
             segment.power = self.overridden_power(segment.power);
         }
-        // Messages that reopen the step task or watch the probe move nothing.
+        // The drivers need not be on for a message that reopens the step task or watches the probe: it moves nothing.
         let moves = !matches!(message, None | Some(ToStep::Resume { .. } | ToStep::Watch { .. }));
         if moves && self.m.drivers.switch_on() {
             self.m.pins.disturb();
@@ -356,8 +360,8 @@ impl<const N: usize> Controller<N> {
         message
     }
 
-    /// Returns the next message to the step task in order: reopening it, watching the probe, parking, then the job's
-    /// motion.
+    /// Returns the next message for the step task. Reopening the step task comes first, then watching the probe, then
+    /// parking moves, and last the job's motion.
     #[inline(never)]
     fn message_in_turn(&mut self) -> Option<ToStep> {
         if !self.m.stops.is_open() {
@@ -413,7 +417,7 @@ impl<const N: usize> Controller<N> {
             }
             _ => {}
         }
-        // The code above may have opened the door.
+        // The code above may have entered `State::Door`.
         if let State::Door(door) = self.state {
             self.settle_phases(door.phase);
         }

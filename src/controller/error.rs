@@ -140,7 +140,7 @@ codes! {
     /// The step queue ran dry at speed. Grbl has no number for this, because its machine would lose steps silently.
     /// Other controllers use numbers from 11 on, so this one is above theirs.
     Underrun = 100, "motion data ran out at speed; the position may be lost";
-    /// Not in Grbl. grblHAL's number for it is 10, which here is Grbl's own squaring alarm.
+    /// Not in Grbl. grblHAL's number for it is 10, which Grbl and Oxmill use for the squaring alarm.
     EmergencyStop = 101, "the emergency stop was pressed; the position may be lost if something moved";
     DriverFault = 102, "a motor driver reported a fault; the position may be lost";
     /// The step outputs did not output the commanded steps. Other controllers cannot detect this.

@@ -13,7 +13,7 @@ pub enum Digits {
     Eight,
 }
 
-/// Digits that [`Digits::Eight`] keeps.
+/// Number of digits that [`Digits::Eight`] keeps.
 const EIGHT: u32 = 8;
 /// A mantissa below this can take one more digit without overflowing `u64`.
 const ROOM_FOR_A_DIGIT: u64 = 1_000_000_000_000_000_000;
@@ -56,7 +56,7 @@ pub fn read_here(text: &[u8], digits: Digits) -> Option<Number> {
 fn read_short(text: &[u8]) -> Option<(i64, usize, u8)> {
     let mut mantissa: u32 = 0;
     let mut used = 0;
-    // Bytes up to and including the point; 0 before a point.
+    // Number of bytes up to and including the point; 0 as long as no point has been read.
     let mut point = 0;
     for &byte in text {
         used += 1;
@@ -141,7 +141,8 @@ mod tests {
         read(text.as_bytes(), Digits::Eight).map(|number| (number.value.0, number.used))
     }
 
-    /// The table of conversions in the document with which the project began. It keeps eight digits.
+    /// The conversions in a table of the document with which the project began. That document keeps eight digits of a
+    /// number.
     #[test]
     fn table_of_the_document() {
         for (text, value) in [

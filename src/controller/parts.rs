@@ -39,7 +39,8 @@ pub(crate) struct Machine<const N: usize> {
     pub pins: Pins,
     pub settings_lock: SettingsLock,
     pub now: Instant,
-    /// When the host's last line was answered, requests (`$`) excepted, or the last hold or door ended.
+    /// When the host's last line was answered (`$` lines do not count) or the last hold or door ended, whichever was
+    /// later.
     pub last_line_at: Instant,
     pub lines: LineIntake,
     pub interpreter: Lent<Interpreter<N>>,
@@ -84,8 +85,8 @@ impl<const N: usize> Machine<N> {
         self.drivers.motion_ended(self.now, self.settings.whole(Key::IdleDelay));
     }
 
-    /// Switches the spindle off if it is on, as M5 would. The interpreter is told, so the next line starts with the
-    /// spindle off.
+    /// Switches the spindle off if it is on, as M5 would. Also updates the interpreter's modal state, so the next line
+    /// starts with the spindle off.
     pub(crate) fn stop_spindle(&mut self) {
         if self.accessories.is_on() {
             self.accessories.stop_spindle();

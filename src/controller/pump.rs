@@ -39,8 +39,9 @@ pub enum Source {
 /// Maximum number of realtime commands between two checks whether the step task is short of segments. A flood of
 /// commands must not starve the step task.
 const COMMANDS_AT_ONCE: u32 = 16;
-/// Maximum number of realtime commands in a round, more than can have waited at its start. Commands come before inputs
-/// and lines.
+/// Maximum number of realtime commands in a round. The round takes them before inputs and lines, so without this limit
+/// a flood of commands would keep these waiting. The limit exceeds the number of commands that can wait at the start of
+/// the round.
 const MOST_COMMANDS: u32 = 2 * REALTIME_DEPTH as u32;
 
 /// The platform under a controller: provides queues, time and outputs, and makes no decisions.
@@ -50,10 +51,11 @@ pub trait Pump<const N: usize> {
     const IS_WOKEN: bool;
     /// The controller that this pump drives.
     fn controller(&mut self) -> &mut Controller<N>;
-    /// Begins a round and returns the time that holds for all of it. Only line bytes queued by now belong to the round,
-    /// so a report requested by `?` comes before the answer to a line that ends after the `?`.
+    /// Begins a round and returns its time, which is used for the whole round. Only line bytes queued by now belong to
+    /// the round, so a report requested by `?` comes before the answer to a line that ends after the `?`.
     fn begin(&mut self) -> Instant;
-    /// Returns the progress of the step task, and the counts of bytes received and not yet taken.
+    /// Returns the progress of the step task and the counts of bytes: free in the line queue, received but not yet
+    /// read, and received since power-up.
     fn observed(&mut self) -> Observed;
     /// Takes the next event of a source.
     fn next_event(&mut self, source: Source) -> Option<Event<N>>;
@@ -70,17 +72,17 @@ pub trait Pump<const N: usize> {
     fn give_text(&mut self, _now: Instant) -> bool {
         false
     }
-    /// Called after events and lines were taken: moves what found no room before into its queue. `took`: whether any
-    /// event or line was taken. Returns whether anything was queued.
+    /// Called after events and lines were taken, which can have made room in queues: lets the platform queue what found
+    /// no room before. `took`: whether any event or line was taken. Returns whether anything was queued.
     fn make_room(&mut self, took: bool) -> bool;
     /// Returns which output queues have room.
     fn room(&mut self) -> Room;
     /// Passes an output to the task or driver that performs it. There is room for it.
     fn carry(&mut self, output: Output);
-    /// Called just before the controller takes an event, so that the event can be recorded.
+    /// Records an event. Called just before the controller takes it.
     #[inline(always)]
     fn record(&mut self, _now: Instant, _event: &Event<N>) {}
-    /// Called after the controller has taken the end of a line while more bytes wait.
+    /// Records that more bytes wait after a line. Called when the controller has taken the end of that line.
     #[inline(always)]
     fn record_more(&mut self) {}
 }
@@ -140,9 +142,9 @@ pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
 }
 
 /// Drops bytes received before a reset while lines wait (at an open door, or in a state that only a reset ends). Left
-/// in the queue, these bytes would take the room of later bytes, and in the end that of another reset. Drops at most as
-/// many bytes as the queue holds, so that a host that keeps sending cannot delay that reset. Returns whether any byte
-/// was dropped.
+/// in the queue, these bytes would take the room of later bytes. In the end even another reset would find no room.
+/// Drops at most as many bytes as the queue holds, so that a host that keeps sending cannot delay the round. Returns
+/// whether any byte was dropped.
 #[cold]
 #[inline(never)]
 fn drop_old_bytes<const N: usize>(pump: &mut impl Pump<N>, now: Instant) -> bool {

@@ -15,8 +15,8 @@ use crate::step_rates::least_pause_ns;
 /// Minimum set-up time of a direction, even if `$29` is less, microseconds.
 const LEAST_SETUP_US: u32 = 2;
 /// Maximum time between two events, microseconds. Longer gaps are filled with events that change nothing. A few events
-/// are always queued ahead, so that the output has no gaps. Limiting the time between events limits how long before
-/// their times they are queued.
+/// are always queued ahead, so that the output has no gaps. Because the time between events is limited, none is queued
+/// long before its time.
 const SPLIT_US: u32 = 250;
 
 /// Minimum and maximum times between step events, in ticks of the step clock.
@@ -48,8 +48,8 @@ impl StepTiming {
         }
     }
 
-    /// Whether a row of ticks can be output unchanged. The argument is the minimum and the maximum interval between
-    /// these ticks.
+    /// Whether a row of step events can be output at the planned times, without moved or inserted events. The argument
+    /// is the minimum and the maximum interval between the events of the row.
     pub fn is_regular(&self, (least, greatest): (u32, u32)) -> bool {
         least >= self.gap && greatest < self.split
     }
@@ -133,8 +133,8 @@ mod tests {
     }
 
     proptest! {
-        /// At any time of the wrapping clock, inserted events keep the minimum and the maximum distance, and finitely
-        /// many are enough.
+        /// At any time of the wrapping clock, the times between inserted events are within the minimum and the maximum,
+        /// and a finite number of events fills the gap.
         #[test]
         fn long_times_are_filled_up(last in any::<u32>(), away in 0_u32..1 << 28, pulse_tenths in 5_u16..=2550, short in any::<bool>()) {
             let timing = StepTiming::new(96, pulse_tenths, 0);

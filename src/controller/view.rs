@@ -92,8 +92,8 @@ impl<const N: usize> Controller<N> {
         self.task.is_none() && !matches!(self.state, State::Homing(_))
     }
 
-    /// Whether the controller is idle and spindle and laser are off. Only in that state may the pump stop for a second
-    /// to erase flash.
+    /// Whether the controller is idle and spindle and laser are off. Only then may the pump stop for a second to erase
+    /// flash.
     pub fn is_quiet(&self) -> bool {
         self.is_idle() && self.is_off()
     }

@@ -7,7 +7,7 @@ use crate::boards;
 use oxmill_controller::units::{Duration, Instant};
 use rtic_sync::signal::{SignalReader, SignalWriter};
 
-/// Maximum time between two readings. The fastest board clock (25 MHz) wraps after 171 s.
+/// Maximum time, in us, between two readings. The fastest board clock (25 MHz) wraps after 171 s.
 const LONGEST_SLEEP: Duration = Duration::from_ticks(10_000_000);
 
 const NOW: Duration = Duration::from_ticks(0);
@@ -16,7 +16,7 @@ const NOW: Duration = Duration::from_ticks(0);
 pub struct Clock {
     /// Ticks at the last reading.
     seen: u32,
-    /// Ticks before the last reading that are not yet counted in `micros`, less than a microsecond.
+    /// Ticks before the last reading that `micros` does not count yet, together less than a microsecond.
     rest: u32,
     /// Microseconds since power-up at the last reading.
     micros: u64,
@@ -24,7 +24,7 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// A clock that starts at 0.
+    /// Creates a clock that starts at 0.
     pub fn new(alarm: SignalWriter<'static, u32>) -> Clock {
         Clock { seen: boards::clock_ticks(), rest: 0, micros: 0, alarm }
     }
@@ -57,7 +57,7 @@ pub struct Alarm {
 }
 
 impl Alarm {
-    /// An alarm that is not set.
+    /// Creates an alarm that is not set.
     pub fn new(set: SignalReader<'static, u32>) -> Alarm {
         Alarm { set, at: None }
     }

@@ -1,5 +1,5 @@
-//! The control task: passes the messages of other tasks to the controller, and carries out the controller's outputs, in
-//! the order of [`oxmill_controller::pump`].
+//! The control task: passes the messages of other tasks to the controller, and carries out the controller's outputs. It
+//! does this in rounds; [`oxmill_controller::pump`] defines the order within a round.
 
 use crate::BoardController;
 use crate::boards::{self, AXES};
@@ -21,8 +21,8 @@ use oxmill_controller::{Coalescing, LineReader, Owed};
 use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalWriter;
 
-/// Wake-up interval while the queue to the step task is full: short segments leave the queue before the controller's
-/// own wake-up time.
+/// Interval of wake-ups while the queue to the step task is full, 500 us: short segments leave the queue before the
+/// wake-up time that the controller requests.
 const FULL_QUEUE_WAKEUP: Duration = Duration::from_ticks(500);
 
 /// The ends of the channels that `control` owns.
@@ -53,7 +53,7 @@ pub struct Control {
     settings: SettingsStore,
     recorder: Recorder<&'static mut [Page]>,
     clock: Clock,
-    /// Start time of the round.
+    /// Start time of the present round.
     round_began: Instant,
     line_reader: LineReader,
     /// Line bytes passed to the controller since power-up (wrapping).
@@ -63,22 +63,23 @@ pub struct Control {
     /// Value of `hosts_went` in [`SERIAL`] when it was last read.
     hosts_went: u16,
     job: Option<Job>,
-    /// Wiring data for which the queues had no room.
+    /// Wiring data (polarity and similar settings of the pins) for which the queues had no room.
     unsent_wiring: Option<Wiring>,
-    /// Count of queued line bytes when the round began: later bytes belong to a later round.
+    /// Count of line bytes queued since power-up when the round began (wrapping). Bytes queued after that belong to a
+    /// later round.
     lines_in: u32,
     /// At the start of the round, the serial task held commands for which the queue had no room (owed commands).
     owes: bool,
     /// Owed commands taken from the serial task but not yet passed to the controller.
     owed: Owed,
     coalescing: Coalescing,
-    /// Whether the last change was stored; the controller has not been informed yet.
+    /// The result of the last attempt to store a change, until the controller is informed: whether it was stored.
     stored: Option<bool>,
     /// Inputs that the board has.
     fitted: u32,
     /// The controller has requested the state of the input pins.
     pins_asked: bool,
-    /// The log will soon have no room without an erase. Changes only between rounds.
+    /// The settings log in flash will soon have no room without an erase. Changes only between rounds.
     wants_erase_soon: bool,
 }
 
@@ -142,7 +143,7 @@ impl Control {
             if !self.erase_ahead() {
                 break;
             }
-            // Continue with the lines that had to wait for the erase.
+            // After the erase, go on with the lines that had to wait for it.
         }
         let observed = self.observe();
         if observed.step_idle && self.controller.is_idle() {
@@ -225,13 +226,14 @@ impl Control {
         let queue_empty = self.ends.segments.is_empty();
         let step_idle = queue_empty && STEP.at_rest.load(Ordering::Relaxed);
         let used = SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_sub(self.line_bytes_out) as usize;
-        // A preloaded job counts as a full queue until its end, because its next bytes are always ready.
+        // Until its end, a preloaded job counts as a full queue of received bytes, because its next bytes are always
+        // ready.
         let arrived = SERIAL.bytes_received.load(Ordering::Relaxed);
         let heard = arrived.wrapping_add(SERIAL.bytes_ignored.load(Ordering::Relaxed));
         let received = arrived.wrapping_sub(self.line_bytes_out) as usize;
         let has_job = self.job.as_ref().is_some_and(|job| job.next < job.text.len());
         let (used, received) = if has_job { (LINES_DEPTH, LINES_DEPTH) } else { (used, received) };
-        // If messages wait for room, no space is free, whatever the count of bytes in the queue.
+        // If received bytes wait for room in a queue, report no free space, whatever the number of queued bytes.
         let rx_free = if self.has_no_room() { 0 } else { LINES_DEPTH.saturating_sub(used) as u16 };
         Observed {
             segments_begun: STEP.segments_begun.load(Ordering::Relaxed),
@@ -266,8 +268,8 @@ impl Control {
         (came != core::mem::replace(&mut self.hosts_came, came)).then_some(Event::Connected)
     }
 
-    /// Returns the next command: first the queued ones, then those owed when the round began. Commands queued after the
-    /// owed ones were taken come later.
+    /// Returns the next command: first the queued commands, then the owed commands, if there were any when the round
+    /// began. Commands that are queued after the owed ones were taken follow the owed ones.
     fn next_command(&mut self) -> Option<Realtime> {
         if let Some(command) = self.owed.pop() {
             return Some(command);
@@ -283,8 +285,8 @@ impl Control {
         self.owed.pop()
     }
 
-    /// Returns whether lines must wait for an erase. A host that sends many settings is thus delayed before the log is
-    /// full.
+    /// Returns whether lines must wait for an erase. This delays a host that sends many settings before the settings
+    /// log is full.
     #[inline(always)]
     fn waits_for_erase(&self) -> bool {
         self.wants_erase_soon && self.controller.is_nearly_quiet()

@@ -23,7 +23,7 @@ pub unsafe extern "C" fn __aeabi_memcpy4() {
         "subs r2, #32",
         "bhs 1b",
         "pop {{r4-r10}}",
-        // The remaining bytes, minus 4.
+        // r2 becomes the number of remaining bytes, minus 4.
         "2: adds r2, #28",
         "blo 4f",
         "3: ldr r3, [r1], #4",

@@ -1,11 +1,11 @@
 //! Samples and filters the input pins, and reports changes to `control`. If an armed input becomes active, requests a
-//! stop of the step task. Also counts the changes that the filter rejects as noise.
+//! stop of the step task. Also counts, for each input, the changes that the filter rejects as noise.
 //!
 //! Each sample also checks the alarm clock of `control`, the `Supervisor` of the watchdog, and the bytes received by
 //! the UART, for which it calls the serial task.
 //!
 //! Inputs are sampled instead of using edge interrupts, so that no two pins compete for an interrupt line and a
-//! bouncing switch cannot flood the CPU. A change takes effect after eight equal samples, 0.4 ms.
+//! bouncing switch cannot flood the CPU. A changed level takes effect after eight equal samples (0.4 ms).
 
 use crate::boards::calls::Calls;
 use crate::boards::{self, InputPins, UartInput, input_bits};
@@ -44,7 +44,7 @@ pub struct Inputs {
     alarm: Alarm,
     /// Decides when the serial task may be called for bytes that can wait.
     calls: Calls,
-    /// Reports that the serial task has left bytes unread.
+    /// Signal from the serial task that it has left bytes unread and must be called again.
     left_unread: SignalReader<'static, ()>,
     supervisor: Supervisor,
 }

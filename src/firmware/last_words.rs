@@ -6,9 +6,11 @@
 //!  failure ──keep──▶ .uninit ──reset──▶ take ──▶ controller ──▶ host
 //! ```
 //! RAM keeps its contents over a reset. Without power it loses them, the checksum is wrong, and no record is found. So
-//! the record of a dropping supply voltage survives if about 1.7 V are left for the RAM, but not a power-off.
+//! a record that was stored because the supply voltage dropped survives if the voltage stays above about 1.7 V; it does
+//! not survive a power-off.
 //!
-//! Position and line are from the last turn of the control task, at most 2 ms ago while the machine moves.
+//! Position and line are from the end of the control task's last run, which was at most 2 ms ago while the machine
+//! moves.
 
 use crate::boards;
 use core::cell::Cell;
@@ -26,14 +28,14 @@ const CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
 const MARK: u32 = u32::from_le_bytes(*b"last");
 const TEXT: usize = 120;
 
-/// Position and line of the machine at the last turn of the control task.
+/// Position and line of the machine at the end of the control task's last run.
 #[derive(Clone, Copy)]
 pub struct Whereabouts {
     /// Machine position, micrometres.
     pub place: [i32; 3],
     /// N word of the running line.
     pub line: u32,
-    /// Time of that turn: microseconds since power-up (wrapping).
+    /// Start time of that run's last round: microseconds since power-up (wrapping).
     pub moment: u32,
 }
 
@@ -153,7 +155,8 @@ pub fn take() -> Option<Crash> {
     })
 }
 
-/// Returns the pages of the recording, as they were before this start, to the first caller. Later callers get no pages.
+/// Returns the pages of the recording to the first caller, with their contents from before the reset. Later callers get
+/// no pages.
 pub fn pages() -> &'static mut [Page] {
     static LENT: AtomicBool = AtomicBool::new(false);
     if LENT.swap(true, Ordering::Relaxed) {

@@ -63,7 +63,7 @@ macro_rules! firmware {
                 // Time of the next wake-up of the control task.
                 alarm: Signal<u32> = Signal::new(),
                 controller: MaybeUninit<BoardController> = MaybeUninit::uninit(),
-                // Memory of the controller: look-ahead, stored subroutines, tools.
+                // Memory for the large parts of the controller: look-ahead, G-code interpreter, replies.
                 storage: Storage<AXES, BLOCKS> = Storage::EMPTY,
             ])]
             fn init(cx: init::Context) -> (Shared, Local) {

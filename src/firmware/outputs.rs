@@ -11,7 +11,7 @@ pub struct Outputs {
 }
 
 impl Outputs {
-    /// All outputs are off, as the board's set-up leaves them.
+    /// Starts with all outputs off, as the board's set-up leaves them.
     pub fn new(pins: SlowPins) -> Outputs {
         Outputs { pins, wanted: None, enable_invert: false }
     }

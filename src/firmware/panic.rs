@@ -20,7 +20,7 @@ fn panic(info: &PanicInfo<'_>) -> ! {
 }
 
 /// The clock of the board has failed, and the processor continues with a slower internal clock, so that all rates are
-/// wrong. On a board that does not watch its clock, this interrupt is from the watchdog, which resets next.
+/// wrong. On a board that does not watch its clock, the watchdog raises this interrupt before it resets the board.
 // unsafe because it replaces the handler of cortex-m-rt by its name; safe because it has the signature of an exception
 // handler that does not return.
 #[unsafe(no_mangle)]

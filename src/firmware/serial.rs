@@ -1,5 +1,5 @@
 //! The links to the hosts, UART and USB: splits received bytes into realtime commands and line bytes, queues them for
-//! `control`, and sends replies to the host that has the floor.
+//! `control`, and sends replies to the host that has the floor: the host whose lines are accepted.
 //!
 //! ```text
 //!  USART ──▶ link ───┐                                   ┌─▶ USART
@@ -8,7 +8,8 @@
 //! ```
 //! Both links are always read. Realtime commands act from either link; lines are accepted only from the link that has
 //! the floor. The floor can change when the machine has nothing to do, when the host that has the floor disconnects,
-//! and with a reset. A reset stops the step task from here, before anything is queued or decided.
+//! and with a reset. When a reset is received, this task itself stops the step task, before anything is queued or
+//! decided.
 
 use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
 use crate::shared::{self, ASKED, CONTROL, SERIAL, Wake};
@@ -21,12 +22,12 @@ use rtic_sync::signal::SignalWriter;
 
 /// Size of a USB packet in bytes.
 const PACKET: usize = 64;
-/// How many bytes the UART link holds while the queue is full. A UART cannot make its sender wait, so more would not
-/// help.
+/// How many bytes the UART link holds back while the queue is full. More would not help, because a UART cannot make its
+/// sender wait.
 const UART_HELD: usize = 1;
 
-/// Maximum burst of bytes that are not queued as parts of lines. With this limit, endless bytes of this kind, from a
-/// host or from noise on a wire, cannot use all of the processor time.
+/// Maximum burst of bytes that are not queued as parts of lines. Without this limit, a host or noise on a wire could
+/// use all of the processor time by endless bytes of this kind.
 const MOST_OTHERS: u32 = 128;
 /// Time in µs after which one more of the bytes limited by `MOST_OTHERS` is allowed.
 const OTHER_US: u32 = 200;
@@ -48,7 +49,8 @@ const USB: usize = 1;
 
 /// The sending ends of the queues to `control`.
 struct ToControl {
-    /// Whether commands that find no room are kept as marks (owed), because the link being read cannot wait.
+    /// Whether commands that find no room in the queue are kept as flags ("owed" commands), because the link being read
+    /// cannot make its sender wait.
     may_owe: bool,
     /// No reply waits or is partly sent, and the last run left no bytes unread.
     flushed: bool,
@@ -57,7 +59,7 @@ struct ToControl {
     line_sender: LineSender,
     /// Line bytes queued in this run.
     bytes_queued: u32,
-    /// How many bytes outside lines may still be taken.
+    /// How many bytes outside lines may still be taken now (at most `MOST_OTHERS`).
     others: u32,
     /// Time, in clock ticks, up to which `allow_others` has added to `others`.
     others_since: u32,
@@ -208,7 +210,8 @@ impl<P: Port> Ported<P> {
                 Incoming::Byte(byte) => news |= self.link.take(byte, arbiter, other, queues),
             }
             // `others` does not limit bytes of lines, because the room in the queue does. On a link that cannot wait,
-            // it does not limit characters of remarks either: `singly` limits them, and their host counts characters.
+            // it does not limit characters of remarks either: `singly` limits these, and a host that counts characters
+            // for its flow control counts them, too.
             let is_other = queues.bytes_queued == queued && (P::WAITS || !self.link.is_in_remark());
             queues.others = queues.others.saturating_sub(u32::from(is_other));
             self.singly += 1;
@@ -230,8 +233,8 @@ impl<P: Port> Ported<P> {
     }
 
     /// Call while the last byte received is a `!` that may be text. Waits for the next byte; if none comes, the `!`
-    /// becomes a command. Returns whether there is news for `control`. Runs are counted as well as time, because after
-    /// a stall of the processor the following bytes can have arrived without having been read.
+    /// becomes a command. Returns whether there is news for `control`. Both time and runs are counted: after a stall of
+    /// the processor, time has passed, but the next bytes may have arrived unread.
     #[cold]
     fn await_rest(&mut self, arbiter: &mut HostArbiter, queues: &mut ToControl) -> bool {
         let now = boards::clock_ticks();
@@ -249,7 +252,8 @@ impl<P: Port> Ported<P> {
         self.link.pass_on(arbiter, queues)
     }
 
-    /// Sends the link's refusals of lines, as far as the port takes them. Returns `false` while some remain.
+    /// Sends the link's error answers to refused lines, as far as the port takes them. Returns `false` while some
+    /// remain.
     fn refuse(&mut self) -> bool {
         let Self { port, link, .. } = self;
         link.refuse(|byte| port.send(byte))
@@ -345,7 +349,7 @@ impl Serial {
             self.sent = self.sending.as_bytes().len();
         }
         let mut more = false;
-        // A reply must not interrupt a refusal.
+        // A reply must not be sent in the middle of a refusal.
         let clear = if to_usb { usb } else { uart };
         loop {
             if !clear {
@@ -358,7 +362,7 @@ impl Serial {
                 self.sending = chunk;
                 self.sent = 0;
                 self.sending_to = holder;
-                // If `control` has found the queue full, it waits to be woken.
+                // If the queue was full, `control` may be waiting for room: wake it.
                 room |= was_full;
                 continue;
             }

@@ -1,9 +1,10 @@
 //! The settings store of the firmware: opens the log of `oxmill-store` in the board's flash, restores its records into
 //! the controller, stores changes, and erases the spare sector before it is needed.
 //!
-//! A write is a few words, and is done when the controller requests it. An erase stalls the processor for a quarter of
-//! a second on the STM32 boards. So it is done ahead of need, and only when the caller finds that no motor moves, the
-//! spindle and the laser are off, and no command waits. After one failed erase, none is tried until the next power-up.
+//! A write takes a few words, and is done when the controller requests it. An erase stalls the processor for a quarter
+//! of a second on the STM32 boards. So the erase is done ahead of need, and only when the caller finds that no motor
+//! moves, the spindle and the laser are off, and no command waits. After one failed erase, none is tried until the next
+//! power-up.
 
 use crate::BoardController;
 use crate::boards::SettingsFlash;
@@ -32,7 +33,7 @@ impl SettingsStore {
         SettingsStore { log, worn: false }
     }
 
-    /// Returns a valid record by its index.
+    /// Returns the valid record with this index, if there is one.
     pub fn record(&mut self, number: u16) -> Option<Record> {
         let (mut left, mut found) = (number, None);
         let seek = |record: Record| match left.checked_sub(1) {

@@ -5,7 +5,7 @@ use crate::boards::{self, stack};
 use crate::shared::{SERIAL, STEP};
 use core::sync::atomic::Ordering;
 
-/// Time without motion and received bytes before the stack is measured.
+/// The stack is measured only after this time without motion and without received bytes.
 const QUIET_TICKS: u32 = boards::CLOCK_TICKS_PER_US * 5_000;
 /// Minimum time between two measurements.
 const REST_TICKS: u32 = boards::CLOCK_TICKS_PER_US * 1_000_000;
@@ -18,7 +18,7 @@ pub struct Watch {
     busy: u32,
     /// Count of received bytes at the last activity.
     heard: u32,
-    /// Maximum depth so far, in bytes.
+    /// Maximum stack depth so far, in bytes.
     most: u32,
 }
 

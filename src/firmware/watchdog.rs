@@ -7,9 +7,9 @@
 //!  inputs, every 100 ms: all cleared? feed; set the marks again and call the tasks
 //!  `control` stuck for half a second: outputs safe, record, reset       another task, or `inputs`: the hardware resets
 //! ```
-//! A task in an endless loop blocks the tasks of lower priority. If the task is `control`, the supervisor still runs
-//! and detects this; with other tasks the hardware watchdog resets the board after its own time. Time is counted in
-//! samples of `inputs`, so a stalled processor (an erase of flash) is not taken for a stuck task.
+//! A task in an endless loop blocks the tasks of lower priority. If this task is `control`, the supervisor still runs
+//! and detects the failure. If it is another task, the hardware watchdog resets the board after its own timeout. Time
+//! is counted in samples of `inputs`, so a stalled processor (an erase of flash) is not taken for a stuck task.
 
 use crate::boards::{self, SAMPLE_HZ, Watchdog};
 use crate::failure;

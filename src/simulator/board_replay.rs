@@ -31,7 +31,7 @@ pub struct Arrival {
 }
 
 /// Plays a recording on a machine that has the recorded settings and has just been powered up. `hear` receives the
-/// machine's output; `pass` is called from time to time with the time since the beginning, in ticks of the step clock.
+/// machine's output; `pass` is called as time passes, with the ticks of the step clock since the beginning.
 pub fn play(
     recording: &Recording,
     simulator: &mut Simulator,
@@ -89,8 +89,8 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
             }
         }
     }
-    // Lines that are recorded between a connect or disconnect and the following `Cut` are from the former host: they
-    // were in the queue already. Move them before the connect or disconnect.
+    // A `Cut` marks where the bytes of a former host end. Lines recorded between a connect or disconnect and the
+    // following `Cut` are therefore from the former host: move them before the connect or disconnect.
     let mut since = 0;
     for cut in 0..ordered.len() {
         if !matches!(ordered[cut].1, Input::Told(Told::Noted(Noted::Cut))) {
@@ -208,8 +208,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.hear_always();
         self.start(inputs, left_out, notes)?;
         for (at, (time, input)) in inputs.iter().enumerate().skip(1) {
-            // The beginning of a line is recorded with the time of the next input. A beginning that waited behind
-            // another line had already arrived, so play it now.
+            // The first part of a line that has not ended is recorded with the time of the next input. If the part
+            // waited behind another line, it had already arrived then, so play it now.
             let waited = at > 0 && matches!(inputs[at - 1].1, Input::Told(Told::Noted(Noted::More))) && is_begin(input);
             let time = if waited { self.simulator.clock().now() } else { time + self.shift };
             let later = inputs.get(at + 1..).unwrap_or_default();
@@ -230,8 +230,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         Ok(())
     }
 
-    /// Establishes the state at which the replay begins. `left_out`: number of inputs of the recording before that
-    /// state.
+    /// Puts the simulator into the state at which the replay begins. `left_out`: number of inputs of the recording
+    /// before that state.
     fn start(&mut self, inputs: &[(u64, Input)], left_out: usize, notes: &mut Vec<String>) -> Result<(), String> {
         let Some((time, input)) = inputs.first() else { return Err("nothing is recorded".into()) };
         let mut counters = Vec::new();
@@ -260,7 +260,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
     fn stand(&mut self, standing: &Standing) -> Result<(), String> {
         let inverted = self.simulator.wiring().map_or(0, |wiring| wiring.inputs.inverted);
         self.simulator.set_pins(Signals::of_word(standing.active ^ inverted));
-        // A board records a state at rest only while no input stops it.
+        // A board records a state at rest only if no input stops the machine, so none may do so here.
         if let Some(alarm) = self.simulator.controller().alarm() {
             return Err(format!(
                 "the inputs of its first state raise ALARM:{}: the recording is damaged",
@@ -374,8 +374,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.send_followed(bytes, more);
     }
 
-    /// Waits until a `~` can resume. A host sends `~` as soon as the board reports that it rests in a hold; the
-    /// simulator may reach that state a little later.
+    /// Advances until the machine is paused, so that a `~` can resume it. A host sends `~` as soon as the board reports
+    /// that it rests in a hold; the simulator may reach that state a little later.
     fn resume(&mut self, time: u64) {
         self.advance(time);
         let mut ahead = self.simulator.clone();
@@ -523,8 +523,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         notes: &mut Vec<String>,
     ) -> Result<(), String> {
         let is_there = |simulator: &mut Simulator| {
-            // The board's position is that at the end of a segment. In the simulator this end can lie between two
-            // events, so `look` lets the controller notice it. This can shift the controller's wake-ups in these last
+            // The recorded position is the end of a segment. In the simulator this end can lie between two events, so
+            // `look` lets the controller notice it. This can shift the controller's wake-ups in these last
             // milliseconds, but not what the step task receives.
             simulator.look();
             let controller = simulator.controller();

@@ -149,7 +149,7 @@ impl Check {
         Self { simulator, origin, began_at: [0; AXES], outcome, done: true }
     }
 
-    /// Advances the job by up to `rounds` rounds of the virtual clock. A round takes the host some microseconds.
+    /// Advances the job by up to `rounds` rounds, each to the next event. A round takes the host some microseconds.
     /// Returns whether the job has ended.
     pub fn advance(&mut self, rounds: u32) -> bool {
         for _ in 0..rounds {
@@ -163,7 +163,7 @@ impl Check {
         self.done
     }
 
-    /// Advances the job by one slice of machine time. Returns whether the job has ended.
+    /// Advances the job to its next event, or handles an alarm or a pause. Returns whether the job has ended.
     fn run_slice(&mut self) -> bool {
         let (simulator, outcome) = (&mut self.simulator, &mut self.outcome);
         if simulator.unfetched() > 0 {
@@ -258,7 +258,7 @@ impl Check {
         &self.simulator
     }
 
-    /// The simulator, for taking its recordings.
+    /// The simulator, for taking what it has collected.
     pub fn simulator_mut(&mut self) -> &mut Simulator {
         &mut self.simulator
     }
@@ -273,7 +273,7 @@ impl Check {
         let times = simulator.meter().times().sum();
         let (low, high) = machine.extents();
         // The step counters began at 0 at power-up, but homing can have given the position other coordinates since. So
-        // take distances from the present position, which are the same in steps and in coordinates.
+        // calculate with distances from the present position: a shift of the coordinates does not change them.
         let here = simulator.machine_place();
         let counted = simulator.meter().millimetres(machine.motors());
         let axes = simulator.controller().settings().axes_in_use();
@@ -402,7 +402,7 @@ mod tests {
         summary
     }
 
-    /// The M6 here do not wait for the preceding moves. The time of a move must still count for the tool of the move,
+    /// Here, M6 does not wait for the preceding moves. The time of a move must still count for the tool of the move,
     /// even if the controller has already read the next M6.
     #[test]
     fn the_time_is_told_by_tool_and_by_kind() {

@@ -35,7 +35,7 @@ const CONNECTIONS: usize = 64;
 pub(crate) enum Happened {
     /// A client is ready to be served.
     Connected(Client),
-    /// A connection was accepted; its reader thread needs the sender.
+    /// A connection was accepted. Its reader thread will report to the loop through this sender.
     Connecting(Incoming, SyncSender<Happened>),
     /// Bytes of the client have arrived, or the client has disconnected: see its [`Inbox`].
     Heard,
@@ -265,7 +265,7 @@ pub(crate) fn writer(mut link: impl Write + Send + 'static, inbox: Arc<Inbox>) -
     let (sender, receiver) = sync_channel::<Vec<u8>>(ANSWERS);
     let handle = thread::spawn(move || {
         let written = receiver.iter().try_for_each(|bytes| write_out(&mut link, &bytes, &inbox));
-        // If the loop has nothing more to write, it notices the client's end only by this call.
+        // A loop that has nothing more to write notices only by this call that the client has gone.
         inbox.end();
         written
     });

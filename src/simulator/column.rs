@@ -33,7 +33,8 @@ fn is_word(name: &str) -> bool {
     !name.is_empty() && !name.contains(|c: char| c.is_ascii_lowercase())
 }
 
-/// Returns whether the G-code word `name` begins here: `G2` also matches `G02`, but not `G21`.
+/// Returns whether `line` begins with the G-code word `name`: `G2` also matches `G02`, but not `G21`. `without_number`:
+/// a `name` that is a letter alone matches only if no number follows.
 fn begins(line: &[(u64, char)], name: &str, without_number: bool) -> bool {
     let is_of_number = |c: char| c.is_ascii_digit() || c == '.';
     let mut rest = line.iter().map(|(_, character)| *character).peekable();

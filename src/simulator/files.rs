@@ -54,7 +54,7 @@ pub fn open_text(path: &Path) -> io::Result<(Box<dyn BufRead>, Option<u64>)> {
     Ok((Box::new(reader.take(u64::MAX)), length))
 }
 
-/// Returns the first bytes; empty at the end of the file.
+/// Returns the first bytes without consuming them; empty if the file is empty.
 fn begin_of(reader: &mut impl BufRead) -> io::Result<&[u8]> {
     while let Err(error) = reader.fill_buf() {
         if error.kind() != io::ErrorKind::Interrupted {
@@ -174,7 +174,7 @@ fn number(_: &fs::Metadata) -> Option<(u64, u64)> {
     None
 }
 
-/// Returns the path of a file that does not exist yet: its folder with links resolved, and its name.
+/// Returns where a file that does not exist yet would be created: its folder with links resolved, and its name.
 fn future(path: &Path) -> Option<PathBuf> {
     let mut path = path.to_path_buf();
     for _ in 0..MOST_LINKS {

@@ -8,11 +8,11 @@ use oxmill_controller::axes::{Arrangement, Axis, LINEAR};
 use oxmill_controller::messages::{SECOND_SWITCH, Signals};
 use serde::Deserialize;
 
-/// Description of a machine: TOML in a file, otherwise any format that serde supports.
+/// Description of a machine. A file has it in TOML; code can deserialize it from any format that serde supports.
 ///
 /// ```toml
 /// steps_per_mm = [250, 250, 250]   # of the machine itself
-/// kinematics = "corexy"            # or "cartesian", which need not be said
+/// kinematics = "corexy"            # or "cartesian", the default
 /// backlash_mm = [0.05, 0.03, 0]    # how far each motor turns before its carriage follows; each list may have A, in degrees
 /// racked_mm = 0.4                  # how far the second motor of an axis is ahead of the first at power-up
 /// [[switch]]                       # closes at and beyond a place, in mm from where the machine stood at power-up
@@ -167,7 +167,7 @@ impl Fittings {
         Ok(Self { steps_per_mm, kinematics, backlash_mm, racked_mm, contacts, driven_mm: [0.0; AXES] })
     }
 
-    /// Adds the switches unless the machine already has limit switches. Returns whether they were added.
+    /// Adds the switches if the machine has no limit switches yet. Returns whether they were added.
     pub fn fit_switches(&mut self, switches: &HomeSwitches) -> bool {
         if self.contacts.iter().any(|contact| !contact.probe) {
             return false;
@@ -212,7 +212,7 @@ impl Fittings {
         }
     }
 
-    /// Returns the carriage positions for positions of the driven parts, mm.
+    /// Converts positions of the parts that the motors drive to positions of the carriages, mm.
     fn places(&self, motors: [f64; AXES]) -> [f64; AXES] {
         let mut places = motors;
         if self.kinematics == Kinematics::CoreXy {
@@ -270,8 +270,8 @@ impl Fittings {
         self.contacts.iter().any(|c| c.probe && c.closed)
     }
 
-    /// Returns the levels of the pins at a time: a bouncing contact shows its state in most samples and the opposite in
-    /// some.
+    /// Returns the levels of the pins at the time `now_us`. A bouncing contact shows its state in most samples and the
+    /// opposite in some.
     pub fn sample(&self, now_us: u64) -> Signals {
         let mut signals = Signals::default();
         for contact in &self.contacts {

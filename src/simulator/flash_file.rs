@@ -1,5 +1,5 @@
 //! A flash image in a file (`--store`), locked while in use: the sectors one after the other, 16 KiB each, as a debug
-//! probe would read them. Every word that the log writes is written to the file at once, separately.
+//! probe would read them. Every word that the settings log writes is written to the file at once, separately.
 
 use crate::files::lock;
 use crate::store::{IMAGE, Kept, Store, Unusable};

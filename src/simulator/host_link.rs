@@ -150,8 +150,8 @@ impl HostLink {
         self.link.pass_on(&mut self.arbiter, &mut self.queues)
     }
 
-    /// Fetches a byte from the port; `None` if the port is empty or the link has no room. Returns whether a byte was
-    /// queued. `is_free`, `reads_characters`: state of the controller.
+    /// Fetches a byte from the port into the link; `None` if the port is empty or the link has no room. Otherwise
+    /// returns whether anything was added to the queues. `is_free`, `reads_characters`: state of the controller.
     pub fn fetch(&mut self, is_free: bool, reads_characters: bool) -> Option<bool> {
         let byte = if self.link.room() > 0 { self.port.pop_front()? } else { return None };
         self.heard = self.heard.wrapping_add(1);
@@ -177,7 +177,8 @@ impl HostLink {
         self.pass_on()
     }
 
-    /// When to look again at a `!` that may be text; `None` while bytes wait in the port.
+    /// When a `!` that may be text is executed as a command; `None` without such a `!`, or while bytes wait in the
+    /// port.
     pub fn rest_due(&self) -> Option<Instant> {
         self.command_at.filter(|_| self.port.is_empty())
     }
@@ -222,8 +223,9 @@ impl HostLink {
         self.queues.lines.len()
     }
 
-    /// Number of line bytes in the queue and in the link. Plus one if a cut (`HOST_CHANGED`) must be queued before the
-    /// bytes in the link, and plus one if more bytes wait in a replay.
+    /// Number of line bytes in the queue and in the link. Plus one if a cut must be queued before the bytes in the link
+    /// (`HOST_CHANGED`, which voids the unfinished line of the former host), and plus one if more bytes wait in a
+    /// replay.
     pub fn received(&self) -> usize {
         let held = self.link.held();
         self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut()) + usize::from(self.more)

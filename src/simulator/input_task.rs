@@ -1,5 +1,6 @@
 //! The input task: samples the simulated pins through the boards' own filter. A pin is low if the user or a closed
-//! contact pulls it low. Reports changes to the controller, and stops the step task if an armed input becomes active.
+//! contact pulls it low. Reports changes to the controller, and stops the step task if an armed input (`Wiring::armed`,
+//! such as a limit switch) becomes active.
 
 use crate::clock::Clock;
 use crate::fittings::Fittings;

@@ -28,7 +28,7 @@ use std::path::Path;
 use std::rc::Rc;
 use std::time::Instant;
 
-/// Rounds of the virtual clock between updates of the progress display: some 10 ms on the host.
+/// Rounds of [`Check::advance`] between updates of the progress display: some 10 ms on the host.
 const ROUNDS: u32 = 4096;
 
 /// Bits of a flash word that are still programmed when an ordered power cut interrupts its write: the lower half.
@@ -344,7 +344,7 @@ fn play(
         recording.play(&mut simulator, |text| said.push_str(text), pass).and_then(|()| recording.check_compared())
     };
     if recording.is_of_board() {
-        // Do not run until idle: the board's recording says nothing about what comes after its end.
+        // Do not run until idle: a board's recording does not tell what the board did after its end.
         return (Check::of(simulator, clock.now(), &said), same);
     }
     // Finish what the last inputs have started.
@@ -503,7 +503,7 @@ fn progress_bar(length: Option<u64>, what: &str) -> ProgressBar {
         .map_or(bar.clone(), |style| bar.with_style(style))
 }
 
-/// The text of a progress bar for machine time. There is none before the first line has been executed.
+/// Returns the machine time as text for the progress bar. The bar shows no machine time before the first update.
 fn machine_time(seconds: f64) -> String {
     format!("{} of machine time ", crate::summary::clock_time(seconds))
 }

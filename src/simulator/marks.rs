@@ -3,8 +3,8 @@
 
 use std::collections::VecDeque;
 
-/// Above this number of entries, those without a queued move are removed. The number exceeds the moves of a look-ahead,
-/// so that removal is rare.
+/// If the table has more entries than this, those without a queued move are removed. The look-ahead holds fewer moves
+/// than this, so removal is rare.
 const KEPT: usize = 1 << 12;
 
 /// The line and tool that a move belongs to.
@@ -29,8 +29,8 @@ pub struct Marks {
 
 impl Marks {
     /// Notes the line that is being executed. Returns a new number for its moves if the mark has changed. `queued`
-    /// returns the numbers of the moves in the queue. A full table keeps only these, because lines without moves could
-    /// fill it without limit.
+    /// returns the numbers of the moves in the queue. If there are more than `KEPT` entries, only those of queued moves
+    /// are kept: lines without moves could fill the table without limit.
     pub fn begin(&mut self, mark: Mark, queued: impl FnOnce() -> Vec<u32>) -> Option<u32> {
         if self.known.back().is_some_and(|(_, last)| *last == mark) {
             return None;

@@ -2,8 +2,8 @@
 //! times, and the parts of peak speeds and accelerations that rounding to steps cannot explain. Also takes samples for
 //! the drawing.
 //!
-//! A segment gives how many units of its block it advances, and how long that takes; a block gives the steps of each
-//! axis. Nothing here is computed per step.
+//! A block gives the steps of each axis. A segment gives by how many units of its block the machine advances (a step of
+//! the block's dominant axis has `UNITS_PER_STEP` units), and how long that takes. Nothing here is computed per step.
 //!
 //! The ends of a block are rounded to steps, so the length of a short block is uncertain: in a block of 25 steps, half
 //! a step at each end is 4 %. Speeds and accelerations are therefore averaged over windows of one to `LONGEST_WINDOW`
@@ -27,8 +27,8 @@ const LONGEST_WINDOW: usize = 1024;
 const SPEED_TOLERANCE: f64 = 0.005;
 /// Rounding error, as a fraction of an acceleration, up to which the acceleration is not reduced.
 const ACCELERATION_TOLERANCE: f64 = 0.02;
-/// Acceptable rounding error, as a fraction of a speed, in a drawing. The error is mostly smaller. A lower value would
-/// need longer windows, which would blur the motion after a short block.
+/// Acceptable rounding error of a speed in a drawing, as a fraction of the speed. The error is mostly smaller. A lower
+/// value would need longer windows, which would blur the motion after a short block.
 const DRAWN_TOLERANCE: f64 = 0.06;
 /// Maximum distance of the end of a block from the step that it is rounded to, in steps. The time that the planner
 /// gives to a block is rounded likewise.
@@ -118,7 +118,7 @@ struct Pending {
 #[derive(Clone, Copy, Debug)]
 struct Node {
     time: f64,
-    /// Distance along the path up to here, without the excess.
+    /// Distance along the path up to here, without the `excess` of the blocks.
     way: f64,
     /// Sum of the `doubt` of the blocks up to here.
     doubt: f64,
@@ -274,7 +274,7 @@ impl Meter {
         places
     }
 
-    /// Also collects samples for a drawing from here on.
+    /// From here on, also collects samples for a drawing.
     pub fn draw(&mut self, drawing: Drawing) {
         self.drawing = Some(drawing);
     }
@@ -310,7 +310,8 @@ impl Meter {
         self.times = Times::default();
     }
 
-    /// Handles a message loaded into the step task. `mark` is the line and tool of its move, if moves are marked.
+    /// Call for each message that is loaded into the step task. `mark` is the line and tool of its move, if moves are
+    /// marked.
     pub fn loaded(&mut self, message: &ToStep, mark: Mark) {
         match message {
             ToStep::BlockRest { steps_by_axis } => self.rest = Some(*steps_by_axis),
@@ -357,7 +358,7 @@ impl Meter {
         let Some((segment, block)) = self.upcoming.pop_front() else { return };
         if let Some(block) = block {
             self.new_block(block, position);
-            // Keep the flag until a segment of the block is drawn: the first segment may be a wait.
+            // Keep `fresh` set until a segment of the block is drawn: the first segment may be a wait.
             self.fresh = true;
         }
         let ticks = f64::from(segment.ticks);
@@ -404,8 +405,8 @@ impl Meter {
         }
     }
 
-    /// Counts a piece of the block. A path of pieces of a step or two is a staircase, longer than the path that it
-    /// follows. Several of these pieces are therefore counted together, as a straight line.
+    /// Counts a piece of the block. Pieces of a step or two form a staircase, which is longer than the programmed path.
+    /// So several such pieces are counted together, as one straight line.
     fn add_distance(&mut self, length: f64, parts: [f64; 2], rapid: bool) {
         if !self.block.short || rapid != self.pending.rapid {
             self.count_pending();

@@ -4,7 +4,7 @@
 
 use std::io::{self, ErrorKind, Read};
 
-/// Beginning of an encrypted connection (RFC 8446, 5.1). Its further bytes could be realtime commands.
+/// Beginning of an encrypted connection (RFC 8446, 5.1). Any of its further bytes could be taken for realtime commands.
 const TLS: &[u8] = b"\x16\x03";
 /// Longer than any line that the firmware accepts. A longer first line is taken for a request, because web addresses
 /// can be long.

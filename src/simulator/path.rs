@@ -1,5 +1,6 @@
-//! The data of a drawing: points of the tool path, and speed over time. Both have a maximum size, however long the job:
-//! points are thinned within a tolerance (Douglas-Peucker), and neighbouring time columns are merged.
+//! The data of a drawing: points of the tool path, and speed over time in columns (spans of time). Both have a maximum
+//! size, however long the job: points are thinned within a tolerance (Douglas-Peucker), and neighbouring columns are
+//! merged.
 
 use crate::marks::Mark;
 use oxmill_controller::axes::LINEAR;
@@ -82,7 +83,7 @@ impl Column {
         Column { feed, rapid: self.rapid.into_iter().chain(other.rapid).reduce(f32::max) }
     }
 
-    /// Returns whether the column has a speed. If not, no speed changed in its time span.
+    /// Returns whether a speed was noted in the column's time span. If not, the speed before it still holds.
     fn is_known(&self) -> bool {
         self.feed.is_some() || self.rapid.is_some()
     }
@@ -186,7 +187,7 @@ impl Drawing {
         &self.points
     }
 
-    /// The known columns of the speed curve as (seconds from the start, column), in order of time.
+    /// The columns in which a speed was noted, as (middle in seconds from the start, column), in order of time.
     pub fn columns(&self) -> impl Iterator<Item = (f64, Column)> + '_ {
         let middle = |index: usize| (index as f64 + 0.5) * self.width;
         self.columns
@@ -350,7 +351,7 @@ mod tests {
         }
         assert_eq!(drawing.points().len(), 2);
         assert!((drawing.points()[1].speed - 98.9375).abs() < 1e-3, "{:?}", drawing.points()[1]);
-        // The mean speed is the same if the points are first kept and removed later.
+        // The mean speed is the same if the points are kept at first and removed only when the path is thinned.
         let points: Vec<Point> = std::iter::once(drawing.points()[0])
             .chain(speeds.iter().enumerate().map(|(i, speed)| {
                 let seconds = [i as f64, i as f64 + 1.0];

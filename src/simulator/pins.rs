@@ -1,5 +1,5 @@
 //! The line protocol that moves input pins by hand: `limit x 1`, `probe 1`, `door 1`, `estop 1`, `input 0 1` and so on.
-//! `noise limit x` puts a glitch on a pin that is shorter than the filter needs; `steps` queries the state of the step
+//! `noise limit x` puts a glitch on a pin, too short to pass the input filter; `steps` queries the state of the step
 //! outputs.
 //!
 //! A level stays until it is changed. 1 is a closed contact (a low pin): active, unless a setting inverts the input.

@@ -1,6 +1,6 @@
 //! Writes the lines that restore a machine's state before the rest of a job (`oxmill resume`): modal state, tool,
-//! offsets, the moves to the position, spindle and coolant. Numbers are exact. If the rest begins within arcs or canned
-//! cycles, their words are added to its first line.
+//! offsets, the moves to the position, spindle and coolant. Numbers are exact. If the rest continues arcs or canned
+//! cycles without repeating their words, these words are added to its first line that continues them.
 
 use crate::boards::AXES;
 use oxmill_controller::axes::{Axis, PerAxis};
@@ -38,7 +38,7 @@ pub struct Entry {
 /// and the words that its line needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mode {
-    /// Index in the rest of the first line that continues in the mode or selects another one.
+    /// The first line of the rest that continues in the mode or selects another one, as an index in the rest.
     pub line: usize,
     /// The words to add to that line, if it continues in the mode.
     pub words: Option<String>,
@@ -55,7 +55,7 @@ pub fn exact(number: i64) -> String {
 /// Returns the lines that restore a state and move the tool to the position.
 ///
 /// # Errors
-/// A text for users: the state has something that cannot be restored, or a feed rate is unknown.
+/// A text for users: a part of the state cannot be restored, or the feed rate of the move down is unknown.
 pub fn prologue(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String> {
     let modal = state.modal();
     if state.rotation().is_some() || state.scaling().is_some() {
@@ -104,7 +104,7 @@ fn offsets(state: &Interpreter<AXES>) -> Option<String> {
     state.offsets().g92_acts.then(|| format!("G52{}", if words.is_empty() { " X0" } else { &words }))
 }
 
-/// Returns the words of the axes that are not 0.
+/// Returns the words of the axes whose value is not 0.
 fn words(place: &PerAxis<Coordinate, AXES>) -> String {
     let axes = Axis::of_machine::<AXES>().zip(place.iter()).filter(|(_, value)| **value != Coordinate::ZERO);
     axes.map(|(axis, value)| format!(" {}{}", char::from(axis.letter()), exact(value.0))).collect()
@@ -199,8 +199,8 @@ fn modes(modal: &Modal, is_fed: bool) -> Vec<String> {
     words
 }
 
-/// Returns F with its mode, the unit, and G0 or G1. `is_fed`: the lines before have set a feed rate, which is cleared
-/// if the state has none.
+/// Returns the words for the feed rate and its mode, the unit, and G0 or G1. `is_fed`: earlier lines of the prologue
+/// have set a feed rate; it is cleared if the state has none.
 fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
     let is_linear = modal.straight == MotionMode::Linear;
     let feed = (modal.feed_mode == FeedMode::PerMinute).then_some(modal.feed).filter(|feed| *feed > Decimal::ZERO);
@@ -226,8 +226,8 @@ fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
     words
 }
 
-/// Finds the first line of the rest that continues in the present motion mode or selects another one, and the words to
-/// add to it. After that line the present mode does not matter any more.
+/// Finds the first line of the rest that continues in the motion mode in force before the rest, or selects another one.
+/// Also returns the words to add to that line. After it, the earlier mode does not matter any more.
 ///
 /// # Errors
 /// A text for users: no line of the rest moves the machine.
@@ -278,7 +278,8 @@ pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) ->
             if !has(b'I') {
                 return Some(line);
             }
-            // This curve precedes all later ones, unless its line can be skipped (`/`).
+            // This curve needs no earlier one, and a later curve would continue this one. But if this line can be
+            // skipped (`/`), look further.
             if !text.trim_ascii_start().starts_with(b"/") {
                 return None;
             }
@@ -290,7 +291,7 @@ pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) ->
     None
 }
 
-/// Returns the words of a canned cycle that a line does not contain.
+/// Returns those words of a canned cycle that a line lacks. `has` returns whether the line has a word with this letter.
 fn cycle(kind: CycleKind, words: &CycleWords, units: Units, has: impl Fn(u8) -> bool) -> String {
     let length = |length: Coordinate| match units {
         Units::Mm => exact(length.0),

@@ -25,7 +25,7 @@ impl Pump<AXES> for Simulator {
     }
 
     fn observed(&mut self) -> Observed {
-        // A loaded job takes the place of the host; until its end, its next bytes are always ready.
+        // A loaded job takes the place of the host: until its end, the next bytes are always ready.
         let has_job = self.job.0.is_some();
         let queued = if has_job { self.job_ready } else { self.host.queued() };
         let received = if has_job { self.job_ready } else { self.host.received() };
@@ -119,7 +119,7 @@ impl Pump<AXES> for Simulator {
 }
 
 impl Simulator {
-    /// Passes the next piece of the recording to the controller, as a board records it.
+    /// Passes the next piece of the recorder's listing to the controller, in the form that a board would pass.
     fn read_recording(&mut self, first: bool) {
         let Simulator { controller, recorder, store, board, .. } = self;
         let record = |number| store.records().into_iter().nth(usize::from(number));

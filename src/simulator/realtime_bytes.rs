@@ -61,7 +61,7 @@ pub fn warning(line: &[u8]) -> Option<String> {
     (!told.is_empty()).then(|| format!("sent as it is, {}", told.join("; ")))
 }
 
-/// Returns for each byte whether it is text of a comment: such bytes are commands in dialect grbl only.
+/// Returns for each byte whether it is text of a comment. Such a byte can be a command in dialect grbl only.
 fn texts(line: &[u8]) -> Vec<bool> {
     let mut remark = Remark::NONE;
     let mut is_text = vec![false; line.len()];

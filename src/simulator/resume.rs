@@ -51,7 +51,8 @@ pub struct Wish {
     /// Where to resume.
     pub begin: Begin,
     /// Z at which the tool travels to the position, in mm of program coordinates. Default: the highest Z of the job, if
-    /// the job has travelled at known heights only.
+    /// the job has travelled only at heights known in the present coordinate system, whatever the machine's position
+    /// was before the job.
     pub clearance: Option<Coordinate>,
     /// Feed rate down to the position, mm/min. Default: that of the job's last plunge straight down.
     pub plunge: Option<Decimal>,
@@ -68,7 +69,7 @@ pub struct Resumed {
     pub line: u64,
     /// Number of lines of the job.
     pub lines: u64,
-    /// The lines before that line.
+    /// The lines of `program` that restore the state, before the rest of the job.
     pub prologue: Vec<String>,
 }
 
@@ -76,7 +77,8 @@ pub struct Resumed {
 /// comment.
 ///
 /// # Errors
-/// A text for users: a preceding line is rejected or missing, or a part of the state at the line is not known.
+/// A text for users: the line does not exist, a line before it is rejected, or a part of the state at the line is not
+/// known.
 pub fn resume(machine: &Simulator, name: &str, job: &[u8], wish: &Wish) -> Result<Resumed, String> {
     if wish.plunge.is_some_and(|feed| feed < SLOWEST) {
         return Err("the plunge feed is below 1 mm/min".into());
@@ -329,8 +331,8 @@ impl Walk {
         })
     }
 
-    /// Returns the highest Z of the job so far. Fails unless the job has travelled only at heights that are known in
-    /// the present coordinate system.
+    /// Returns the highest Z of the job so far. Fails if the job has travelled at a height that is not known in the
+    /// present coordinate system, or if the spindle would be higher at this Z than it was in the job.
     fn clearance(&self, other: &Walk) -> Result<Coordinate, String> {
         const WISH: &str = "say at which Z the tool may travel (--clearance)";
         let system = self.state().modal().coordinate_system;
@@ -363,8 +365,8 @@ impl Walk {
         Ok(highest)
     }
 
-    /// Runs the job some lines further, and runs the prologue and the same lines, as written, on a machine that has
-    /// just been powered up. Fails unless both machines are then in the same state.
+    /// Runs the next lines of the job (`job`) here. On a machine that has just been powered up, runs the prologue and
+    /// these lines as the new program contains them (`written`). Fails if the two machines then differ in their state.
     fn compare(&mut self, prologue: &[String], written: &[Vec<u8>], job: &[&[u8]]) -> Result<(), String> {
         let mut anew = powered_up_as(&self.simulator)?;
         let taken = prologue.iter().map(|line| line.clone().into_bytes()).chain(written.iter().cloned());
@@ -425,7 +427,7 @@ fn jog(simulator: &mut Simulator, by: [f64; AXES]) -> Result<(), String> {
     settle(simulator)
 }
 
-/// Sends a line and runs until its reply.
+/// Sends a line and runs until it is answered.
 fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
     simulator.take_output();
     simulator.send(format!("{line}\n"));

@@ -174,8 +174,8 @@ impl Device {
             }
             let active = self.simulator.is_active();
             if self.is_done() && !active && self.simulator.unfetched() == 0 && self.kept.is_none() {
-                // The machine would execute unread lines only after a command from a host, but no host will come. The
-                // writer ends after the last reply, when its sender is dropped.
+                // Lines that are still unread would be executed only after a command from a host, but no host will
+                // come. The writer ends after the last reply, when its sender is dropped.
                 let failure = self.client.as_ref().and_then(|client| client.inbox.failure());
                 return failure.map_or(Ok(()), Err).context("cannot read standard input to its end");
             }
@@ -338,7 +338,8 @@ impl Device {
         }
     }
 
-    /// Sends replies to the client, as far as it has room. Returns `false` if it does not accept replies any more.
+    /// Sends replies to the client, as far as its queue has room. Returns `false` if the client does not accept replies
+    /// any more.
     fn answer(&mut self) -> bool {
         let Some(client) = &self.client else {
             // Without a client, the output is discarded.

@@ -66,7 +66,7 @@ pub struct Simulator {
     pub(crate) inputs: InputTask,
     pub(crate) step: StepTask,
     pub(crate) world: World,
-    /// Whether the last record could be stored, until the controller has been notified.
+    /// Whether the last record could be stored; `None` after the controller has been notified.
     pub(crate) stored: Option<bool>,
     /// Whether the controller has requested the state of the inputs.
     pub(crate) pins_asked: bool,
@@ -136,9 +136,9 @@ impl Simulator {
 
     // Inputs
 
-    /// Receives bytes from the host at the present virtual time. Realtime commands act immediately, before the line
-    /// bytes that precede them, as long as those bytes fit into the board's queue and the link (255 and 192 bytes).
-    /// Further bytes, including commands, wait in the host's port: see [`Simulator::unread`].
+    /// Receives bytes from the host at the present virtual time. Realtime commands act immediately: they overtake line
+    /// bytes sent earlier, as long as those fit into the board's queue and the link (255 and 192 bytes). Bytes that do
+    /// not fit wait in the host's port, and so do commands after them: see [`Simulator::unread`].
     pub fn send(&mut self, bytes: impl AsRef<[u8]>) {
         self.host.send(bytes.as_ref());
         self.receive();
@@ -150,12 +150,12 @@ impl Simulator {
     pub fn send_followed(&mut self, bytes: impl AsRef<[u8]>, more: bool) {
         self.host.follow(more);
         self.send(bytes);
-        // `more` holds only for these bytes: the board has taken the waiting bytes next, even if the recording contains
-        // them only later, with the end of their line.
+        // `more` holds only for these bytes. The board took the waiting bytes next, even if they are recorded only
+        // later, when their line ends.
         self.host.follow(false);
     }
 
-    /// For a replay, which has no times of received bytes: the host never counts as silent.
+    /// For a replay: the host never counts as silent, because a recording does not tell when each byte was received.
     pub fn hear_always(&mut self) {
         self.host.hear_always();
     }
@@ -306,8 +306,8 @@ impl Simulator {
         }
     }
 
-    /// Lets the controller check the progress of the step task, as on a board whenever anything wakes it. Each call can
-    /// shift the following wake-ups, so two runs that are compared must call this equally often.
+    /// Lets the controller check the progress of the step task, as it does on a board whenever something wakes it. Each
+    /// call can shift the following wake-ups, so two runs that are compared must call this equally often.
     pub fn look(&mut self) {
         self.turn();
     }
@@ -352,8 +352,8 @@ impl Simulator {
         true
     }
 
-    /// Returns the tick at which the controller must work next, or at which a byte that may be text becomes a command;
-    /// `None` if there is no such tick or the clock never reaches it.
+    /// Returns the tick at which the controller must work next, or at which a `!` that may be text is executed as a
+    /// command; `None` if there is no such tick or the clock never reaches it.
     fn wake_due(&self) -> Option<u64> {
         let due = [self.controller.next_wakeup(), self.host.rest_due()].into_iter().flatten();
         let due = due.map(|instant| self.clock.ticks_at(instant)).min()?;
@@ -381,7 +381,7 @@ impl Simulator {
             && self.job.0.as_ref().is_none_or(|job| job.is_used_up())
     }
 
-    /// Returns whether the ordered power cut has happened: the simulator then stops.
+    /// Returns whether the ordered power cut has happened. From then on the simulator does nothing.
     pub fn power_is_gone(&self) -> bool {
         self.store.power_is_gone()
     }
@@ -465,7 +465,7 @@ impl Simulator {
         &mut self.store
     }
 
-    /// The slow outputs; `None` before the controller has written them.
+    /// Spindle, coolant and other outputs that change slowly; `None` before the controller has written them.
     pub fn outputs(&self) -> Option<SlowOutputs> {
         self.step.outputs()
     }
@@ -475,12 +475,12 @@ impl Simulator {
         self.step.power()
     }
 
-    /// The wiring, as used by the tasks of the pins.
+    /// The pin settings (polarity, armed inputs, ganged motors) last sent to the tasks; `None` before any were sent.
     pub fn wiring(&self) -> Option<Wiring> {
         self.wiring
     }
 
-    /// Step-clock ticks during which the step task was busy: the time base of the digest.
+    /// Step-clock ticks during which the step task was busy: the time base of the trace's digest.
     pub fn busy_ticks(&self) -> u64 {
         self.step.busy()
     }

@@ -82,7 +82,7 @@ impl StepTask {
         self.due
     }
 
-    /// Ticks during which the task was busy: the time base of the digest.
+    /// Ticks during which the task was busy: the time base of the trace's digest.
     pub fn busy(&self) -> u64 {
         self.busy
     }
@@ -112,7 +112,7 @@ impl StepTask {
         self.stepper.segments_begun()
     }
 
-    /// The slow outputs as last written.
+    /// The slow outputs (spindle, coolant and others that do not step) as last written.
     pub fn outputs(&self) -> Option<SlowOutputs> {
         self.outputs
     }
@@ -132,7 +132,7 @@ impl StepTask {
         self.probe_invert = wiring.probe_invert;
     }
 
-    /// Sets the slow outputs. The power of a moving laser stays as it is, because it comes with the segments.
+    /// Sets the slow outputs. The power of a moving laser stays as it is, because each segment sets it.
     pub fn show(&mut self, outputs: SlowOutputs, clock: &Clock, world: &mut World) {
         self.outputs = Some(outputs);
         if !outputs.power_from_segments || self.due.is_none() {
@@ -206,7 +206,8 @@ impl StepTask {
             self.load(clock, world);
         }
         if self.due.is_none() {
-            // At standstill the outputs give the laser's power: 0 if it is scaled (M4), otherwise its constant power.
+            // At standstill the power comes from `outputs`, not from a segment: 0 if a laser is scaled (M4), otherwise
+            // its constant power.
             self.carry_power(due, self.outputs.map_or(0, |outputs| outputs.power), world);
             world.meter.at_rest(clock.seconds(due));
             return true;
@@ -215,7 +216,7 @@ impl StepTask {
         probed || contact
     }
 
-    /// Sets the laser power, if it is determined by the segments.
+    /// Sets the laser power, if the laser is in a mode in which segments determine it.
     fn carry_power(&mut self, at: u64, power: u16, world: &mut World) {
         if let Some(outputs) = self.outputs
             && outputs.power_from_segments
@@ -240,7 +241,7 @@ impl StepTask {
     pub fn stop(&mut self, clock: &Clock, world: &mut World) {
         let event = self.stepper.stop([0; AXES]);
         self.stopped(event, clock, world);
-        // Empty the queue: its messages are void, and a full queue would have no room for `Resume`.
+        // Take all messages from the queue: they are void now, and a full queue would have no room for `Resume`.
         self.load(clock, world);
     }
 

@@ -1,5 +1,5 @@
-//! The settings store of a simulated board: two flash sectors in memory under the log that the boards use. Every
-//! written word can be copied to a file immediately.
+//! The settings store of a simulated board: the boards' own log, on two flash sectors in memory. Every written word can
+//! be copied to a file immediately.
 //!
 //! The copy gets every word immediately, so whenever the process ends, the copy is like a flash after a power cut. A
 //! power cut can also be ordered: after a given number of writes and erases, the next operation is left half done and
@@ -126,8 +126,8 @@ impl Store {
     }
 
     /// Cuts the power after `operations` more operations: the next operation is left half done. `torn`: mask of the
-    /// bits that an interrupted word write still programs. With bit 0 set, an interrupted erase looks complete but
-    /// counts as failed.
+    /// bits that an interrupted word write still programs. If bit 0 of `torn` is set, an interrupted erase looks
+    /// complete but counts as failed; otherwise half of the sector is erased.
     pub fn cut_power_after(&mut self, operations: u32, torn: u32) {
         let image = self.log.flash_mut();
         image.cut = Some(operations);
@@ -192,7 +192,7 @@ impl Image {
         Self { sectors: [words.clone(), words], keep: None, operations: 0, cut: None, torn: 0, gone: false }
     }
 
-    /// Reads an image. Rejects bytes without a log, because opening a log in them would erase them.
+    /// Reads an image. Rejects bytes that contain no log, because opening a log there would erase them.
     fn from_bytes(bytes: &[u8]) -> Result<Self> {
         if bytes.len() != IMAGE {
             bail!("it does not have {IMAGE} bytes");

@@ -1,5 +1,5 @@
-//! Forecasts a job over a serial link: its duration with a sender that counts characters at a baud rate, and the lines
-//! at which the machine waits for bytes, in comparison with an unlimited link.
+//! Forecasts how long a job takes over a serial link of a given baud rate, and at which lines the machine waits for
+//! bytes, in comparison with an unlimited link.
 //!
 //! The sender counts characters: it sends a line if the line and all unanswered lines together fit into the
 //! controller's receive buffer. Replies take time on the way back, too. Time advances in slices of a millisecond.
@@ -15,8 +15,8 @@ use std::time::Duration;
 const SLICE: Duration = Duration::from_millis(1);
 /// Slices per second, times the bits on the wire per byte: start, eight data bits, stop.
 const BYTE: u64 = 1000 * 10;
-/// If the lag grows by less than this from one line to the next, in seconds, it is ignored: the time slices alone cause
-/// such differences.
+/// The lag is how much later a line ends than over an unlimited link. If it grows by less than this from one line to
+/// the next, in seconds, the growth is ignored: the time slices alone can cause it.
 const NOTICEABLE: f64 = 0.005;
 /// Maximum number of lines that are listed.
 const MOST_PLACES: usize = 20;
@@ -26,7 +26,7 @@ const MOST_PLACES: usize = 20;
 pub struct Lost {
     /// Line number in the text sent, from 1.
     pub line: u64,
-    /// Additional delay at this line, relative to the delay of the lines before, in seconds.
+    /// By how much the lag behind an unlimited link grows at this line, in seconds.
     pub seconds: f64,
 }
 
@@ -202,7 +202,7 @@ fn carried(baud: u32, credit: &mut u64, waiting: usize) -> usize {
     }
     *credit += u64::from(baud);
     let carried = usize::try_from(*credit / BYTE).unwrap_or(waiting).min(waiting);
-    // An idle link accumulates no credit except for the byte in progress.
+    // If nothing more waits, keep only the fraction of a byte: capacity that was not used is lost.
     *credit = if carried < waiting { *credit - carried as u64 * BYTE } else { *credit % BYTE };
     carried
 }

@@ -115,7 +115,7 @@ pub(crate) fn serve_pins(listener: &TcpListener, sender: &SyncSender<Happened>) 
 }
 
 fn serve_pin_client(stream: &TcpStream, sender: &SyncSender<Happened>) -> io::Result<()> {
-    // Limit the time for which a client that has vanished or does not read occupies its slot, and its memory.
+    // A client that has vanished or does not read occupies a slot and memory: limit the time and the buffers.
     set_up(stream, UNREAD)?;
     let socket = SockRef::from(stream);
     socket.set_send_buffer_size(PIN_BUFFER)?;

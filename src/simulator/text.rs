@@ -46,8 +46,8 @@ pub struct JobText {
     after_cr: bool,
     stopped: bool,
     failed: Option<io::Error>,
-    /// Lines that have not been answered: line number in the file, text, and the error of a board without all words if
-    /// it rejects the line.
+    /// Unanswered lines: line number in the file, text, and the error with which the board rejects the line if it does
+    /// not support all words (see `small_board`).
     unanswered: VecDeque<(u64, String, Option<Error>)>,
     /// Whether the board supports all words of the simulator.
     has_all_words: bool,
@@ -57,7 +57,7 @@ pub struct JobText {
     alarmed_at: Option<u64>,
     consumed: u64,
     reply: Vec<u8>,
-    /// The message that was just received, if nothing followed it.
+    /// The last line of output, if it was a message (`[MSG:`). It explains the error if an error comes next.
     message: Option<String>,
     said: Vec<Said>,
     /// Number of lines that the controller had read before this job.
@@ -70,7 +70,7 @@ pub struct JobText {
     has_words: bool,
     /// The line that ended the program.
     ended_at: Option<ProgramEnd>,
-    /// Number of lines with words that were answered after the end of the program.
+    /// Number of lines with words after the end of the program that were answered `ok`.
     behind_end: u64,
 }
 
@@ -134,7 +134,7 @@ impl JobText {
     }
 
     /// Starts the job. `lines_before`: number of lines (wrapping) that the controller has read before. `has_all_words`:
-    /// if `false`, the errors of a board without all words are added.
+    /// if `false`, the errors are added that a board returns for words that it does not support.
     pub fn begin(&mut self, lines_before: u32, has_all_words: bool) {
         self.lines_before = lines_before;
         self.has_all_words = has_all_words;
@@ -187,8 +187,8 @@ impl JobText {
         self.unanswered.front().map(|(number, ..)| *number)
     }
 
-    /// Returns the line number of the oldest unanswered line at the first alarm, because several lines can be answered
-    /// after the alarm. Without an alarm so far, returns that of the oldest unanswered line now.
+    /// Returns the line number of the line that was the oldest unanswered one at the first alarm; further lines can
+    /// have been answered since. Without an alarm so far, returns the number of the oldest unanswered line now.
     pub fn alarmed_at(&self) -> Option<u64> {
         self.alarmed_at.or_else(|| self.oldest_unanswered())
     }
@@ -316,7 +316,7 @@ impl JobText {
     }
 
     /// Returns the line that ended the program (M2, M30, or a tape mark after words), and the number of lines with
-    /// words that were answered after it; `None` if there were no such lines.
+    /// words after it that were answered `ok`; `None` if there were no such lines.
     pub fn behind_end(&self) -> Option<(ProgramEnd, u64)> {
         self.ended_at.filter(|_| self.behind_end > 0).map(|end| (end, self.behind_end))
     }
@@ -392,7 +392,7 @@ fn shown_character(character: char) -> char {
 /// Converts a character for the controller.
 fn plain(character: char) -> u8 {
     match character {
-        // Blanks of other scripts count as blanks.
+        // Unicode spaces count as blanks, too.
         _ if character.is_whitespace() => b' ',
         _ if character.is_ascii() => character as u8,
         _ => b'?',
@@ -434,7 +434,7 @@ mod tests {
         };
         assert_eq!(end("(a)\n%\nG0 X1\n%\nG0 X2\n\nX3\n%\nX4\n", &b"ok\r\n".repeat(6)), Some((4, true, 3)));
         assert_eq!(end("%\nG0 X1\n%\n(a)\n", &b"ok\r\n".repeat(2)), None);
-        // The first end counts.
+        // A program with two ends has ended at the first one.
         assert_eq!(end("%\nM30\n%\nX4\n", b"[MSG:Pgm End]\r\nok\r\nok\r\n"), Some((2, false, 1)));
         assert_eq!(end("X1\n%\nM30\nX4\n", b"ok\r\n[MSG:Pgm End]\r\nok\r\nok\r\n"), Some((2, true, 2)));
     }

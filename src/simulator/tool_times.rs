@@ -31,7 +31,7 @@ pub struct Times {
 }
 
 impl Times {
-    /// Returns the row of a tool, which is created if needed.
+    /// Returns the row of a tool; creates it if needed.
     pub fn of(&mut self, tool: u32) -> &mut ToolTime {
         // The tool in use is usually the last one.
         let at = self.tools.iter().rposition(|row| row.tool == tool).unwrap_or_else(|| {

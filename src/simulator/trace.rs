@@ -1,5 +1,5 @@
-//! Trace of the step outputs, event by event: digests always; on request also a row per event in a CSV file or a list
-//! in memory.
+//! Trace of the step outputs, event by event. It always keeps digests (running hashes of the events). On request, it
+//! also writes a row per event into a CSV file, or keeps the events in memory.
 
 use oxmill_controller::axes::{Axis, LINEAR};
 use oxmill_controller::digest::Digest;
@@ -102,7 +102,7 @@ impl Trace {
         self.list.as_deref().unwrap_or(&[])
     }
 
-    /// The step task starts a segment at the tick `at` of the virtual clock.
+    /// Call when the step task starts a segment, at the tick `at` of the virtual clock.
     #[inline]
     pub fn segment(&mut self, at: u64) {
         if self.list.is_some() {

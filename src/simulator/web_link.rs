@@ -205,7 +205,7 @@ fn carry(
         match socket.read() {
             Ok(Message::Binary(bytes)) => {
                 inbox.push(&bytes);
-                // If the sender's queue is full, the loop has work to do and looks into the inbox anyway.
+                // If the loop's channel is full, the loop has work to do and looks into the inbox anyway.
                 let _ = sender.try_send(Happened::Heard);
             }
             Ok(Message::Close(_)) => return Ok(()),

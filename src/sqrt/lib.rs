@@ -20,11 +20,12 @@ pub fn square_root(value: f32) -> f32 {
     libm::sqrtf(value)
 }
 
-/// The square root under the C library's name. LLVM knows the result of a function with this name and sees that this
-/// one has no other effect, so it replaces each call by the instruction. Then no registers are saved around a call, and
-/// later code need not wait for the result.
+/// The square root under the C library's name. LLVM knows what a function with this name returns and sees that this one
+/// has no other effect, so it replaces each call by the instruction. So no registers are saved around a call, and code
+/// that does not use the result can run before it is ready.
 ///
-/// Inline assembly cannot name floating-point registers as operands on this processor, so `s0` is borrowed.
+/// Inline assembly cannot name floating-point registers as operands on this processor. So `s0` is used by name, and its
+/// value is restored.
 #[cfg(all(target_arch = "arm", target_os = "none", target_abi = "eabihf"))]
 #[inline(never)]
 // SAFETY: unsafe because of the exported name; safe because the function does the same as the C library's `sqrtf`.

@@ -15,8 +15,8 @@ pub struct StepStatus {
     /// Whether no motor turns and no message is loaded in the step task.
     pub at_rest: AtomicBool,
     /// Nonzero if a message queued now must not wait for the next scheduled run of `step`: the task that queues the
-    /// message must pend the step vector. Each run writes 0 or 1. So if the watchdog has written [`STEP_ASKED`] and
-    /// still finds it here, no run has followed.
+    /// message must then pend the step vector. Each run of `step` writes 0 or 1. So if the watchdog has written
+    /// [`STEP_ASKED`] and still finds this value, `step` has not run since.
     pub wants: AtomicU8,
 }
 
@@ -25,7 +25,7 @@ pub static STEP: StepStatus =
     StepStatus { segments_begun: AtomicU32::new(0), at_rest: AtomicBool::new(true), wants: AtomicU8::new(1) };
 
 /// Value of [`StepStatus::wants`] that `inputs` (the watchdog) writes to check whether a run of `step` follows. It is
-/// nonzero, so a task that queues a message also pends the step vector meanwhile.
+/// nonzero, so until `step` has run, a task that queues a message pends the step vector, too.
 pub const STEP_ASKED: u8 = 2;
 
 /// Status written by `serial`.
@@ -116,7 +116,7 @@ pub fn owe(command: Realtime) -> bool {
     if command.opens_epoch() && command != Realtime::Reset {
         ask_for_stop();
     }
-    // Load and store need no atomic update: `control`, which takes the commands, does not preempt `serial`.
+    // A separate load and store suffice: `control`, which takes the commands, does not preempt `serial`.
     SERIAL.owed.store(owed.0, Ordering::Relaxed);
     true
 }
@@ -126,8 +126,8 @@ pub fn owes() -> bool {
     SERIAL.owed.load(Ordering::Relaxed) != 0
 }
 
-/// For `control`: takes the owed commands. Call only after [`owes`] has returned `true` and the queue of commands has
-/// been emptied since then, because the owed commands arrived after all commands in that queue.
+/// For `control`: takes the owed commands. Call only if [`owes`] has returned `true` and the queue of commands was
+/// emptied after that, because the owed commands arrived after all commands in the queue.
 pub fn take_owed() -> Owed {
     Owed(SERIAL.owed.swap(0, Ordering::Relaxed))
 }

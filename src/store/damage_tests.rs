@@ -17,7 +17,7 @@ enum Spare {
     Old,
 }
 
-/// Returns a log with records of all kinds, and its changes in order with the bytes that each occupies.
+/// Returns a log with records of all kinds, and its changes in order, each with the addresses of its bytes.
 fn image(spare: Spare) -> (Log<Mock>, Vec<(Range<u32>, Store)>) {
     let mut log = Log::open(Mock::new()).unwrap();
     let mut changes = vec![
@@ -339,7 +339,7 @@ proptest! {
             let (sector, end) = (log.sector, log.end);
             change(&mut log, &c).unwrap();
             if log.sector != sector {
-                // Compaction writes other records than the change itself.
+                // Compaction writes other records than the change itself, so all records are read again.
                 spans = records(&mut log);
             } else if log.end > end {
                 spans.push((end..log.end, c));

@@ -9,11 +9,12 @@ use proptest::prelude::*;
 enum Fault {
     /// The operation is refused and has no effect.
     Refused,
-    /// The operation fails after some of its bits are done.
+    /// The operation is done in part, and fails. A write programs only the bits of this mask; the number of words that
+    /// an erase erases follows from it, too.
     Partly(u32),
     /// The operation is complete, but is reported as failed.
     Reported,
-    /// The power is cut when some bits of the operation are done.
+    /// The power is cut during the operation, which is done in part as with `Partly`.
     Cut(u32),
 }
 
@@ -127,7 +128,7 @@ fn faults() -> impl Strategy<Value = Vec<(u32, Fault)>> {
     proptest::collection::vec((0_u32..120, fault), 1..8)
 }
 
-/// If any word of a compaction fails in any way, changes that are accepted later are found again.
+/// If the write of any word of a compaction fails, in any way, changes that are accepted later are found again.
 #[test]
 fn a_move_that_fails_takes_nothing_along() {
     let faults = [Fault::Refused, Fault::Reported, Fault::Partly(0x00FF_FFFF), Fault::Partly(0xFF00_0000)];

@@ -19,7 +19,7 @@
 //!
 //! # Damage
 //! Flash may lose a bit, and a file may be overwritten. A record with a wrong crc is skipped, and the next record is
-//! searched word by word. Any record with a right crc after the damage belongs to this log, because records begin at
+//! looked for word by word. Any record with a right crc after the damage belongs to this log, because records begin at
 //! multiples of 4 and a sector is erased as a whole. (A text that a host can store never looks like a record, because
 //! its characters are neither the kind `PUT` nor the length of a `REMOVE`.) One wrong byte in a header is corrected by
 //! its crc.
@@ -122,7 +122,8 @@ const MARK: u32 = u32::from_le_bytes(*b"wipe");
 const LONGEST: u32 = 100;
 /// Words of the longest record.
 const LONGEST_WORDS: usize = 27;
-/// Maximum number of remembered gaps. After further gaps, records are checked each time they are read.
+/// Maximum number of remembered gaps (damaged bytes between records). After further gaps, records are checked each time
+/// they are read.
 const GAPS: usize = 8;
 /// Number of keys whose records are found in one walk over the log.
 const KEYS: usize = 128;
@@ -602,7 +603,7 @@ impl<F: Flash> Log<F> {
         Ok(Outline::read(self.flash.read(self.sector, address)?))
     }
 
-    /// Reads the record at an address where there is one.
+    /// Reads the record at an address where a record is known to be.
     fn entry(&mut self, address: u32) -> Result<Entry, F::Error> {
         let outline = self.outline(address)?;
         let mut entry = Entry { kind: outline.kind, key: outline.key, value: heapless::Vec::new() };

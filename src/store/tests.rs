@@ -25,7 +25,7 @@ struct Mock {
     reads: u32,
     /// Location of a word that a power cut left half written, and its missing bits.
     torn: Option<(Sector, u32, u32)>,
-    /// Bits that are still programmed in the word being written when the power is cut.
+    /// If the power is cut during a write, only these bits of its word are still programmed.
     torn_bits: u32,
 }
 
@@ -234,8 +234,8 @@ fn changes() -> impl Strategy<Value = Vec<Store>> {
     proptest::collection::vec(one, 1..60)
 }
 
-/// Cuts the power at each operation of the series, with `torn_bits` of the last word written. Afterwards the log holds
-/// the state before or after the interrupted change, and still works.
+/// Cuts the power at each operation of the series. If the operation is a write, only the bits `torn_bits` of its word
+/// are programmed. Afterwards the log holds the state before or after the interrupted change, and still works.
 fn cut_everywhere(changes: &[Store], torn_bits: u32) -> Result<(), TestCaseError> {
     let whole = {
         let mut log = Log::open(Mock::new()).unwrap();

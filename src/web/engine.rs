@@ -41,11 +41,11 @@ pub struct Order {
     pub path: bool,
     /// The machine's hardware, with the fields of a file for `--machine`.
     pub machine: Option<Description>,
-    /// Work zero of G54 in mm of machine coordinates; the machine is then homed before its job. Without it, the machine
+    /// Work zero of G54 in mm of machine coordinates. If it is given, the machine is homed before its job; otherwise it
     /// is not homed. For [`check`] and [`stream`] only.
     pub work_zero: Option<[f64; LINEAR]>,
-    /// Lines that the machine executes before its job, such as `G10 L1 P1 Z12.5`: its offsets and tools. For [`check`]
-    /// and [`stream`] only.
+    /// Lines that the machine executes before its job, to set its offsets and tools, such as `G10 L1 P1 Z12.5`. For
+    /// [`check`] and [`stream`] only.
     pub stored: Vec<String>,
     /// Where the rest of an interrupted job begins. For [`resume()`] only.
     pub resume: Option<Resume>,
@@ -59,9 +59,9 @@ pub struct Order {
 pub struct Resume {
     /// The first line of the rest, from 1.
     pub line: u64,
-    /// Z at which the tool travels to the position, in mm of program coordinates.
+    /// Z at which the tool travels to the position where the rest begins, in mm of program coordinates.
     pub clearance: Option<f64>,
-    /// Feed rate from there down, in mm/min.
+    /// Feed rate from this Z down to the workpiece, in mm/min.
     pub plunge: Option<f64>,
     /// Spin-up time of the spindle, in seconds.
     #[serde(default = "spin_up")]
@@ -83,10 +83,10 @@ pub fn parse(input: &[u8]) -> Result<(Order, &[u8]), String> {
     Ok((order, job.get(1..).unwrap_or_default()))
 }
 
-/// Returns a simulator as ordered, idle.
+/// Returns an idle simulator with the board, machine, settings and dialect of the order.
 ///
 /// # Errors
-/// If the board or dialect does not exist, or if a setting is rejected.
+/// If the board or dialect does not exist, if the description of the machine is invalid, or if a setting is rejected.
 pub fn power_up(order: &Order) -> Result<Simulator, String> {
     let board: Board = order.board.as_deref().map_or(Ok(boards::DESK), board_named)?;
     let fittings = order.machine.clone().map_or_else(|| Ok(Fittings::default()), Fittings::new);
@@ -112,7 +112,7 @@ pub fn power_up(order: &Order) -> Result<Simulator, String> {
     Ok(simulator)
 }
 
-/// Returns a simulator as ordered, homed if there is a work zero, with its offsets and tools.
+/// Like [`power_up`], but then homes the machine if the order has a work zero, and sends it the lines of `stored`.
 fn power_up_for_job(order: &Order) -> Result<Simulator, String> {
     let mut simulator = power_up(order)?;
     if let Some(place) = order.work_zero {
@@ -133,7 +133,8 @@ fn power_up_for_job(order: &Order) -> Result<Simulator, String> {
 /// Prepares the check of a job.
 ///
 /// # Errors
-/// As [`power_up`], or if the job is not text, or the machine cannot be homed for a work zero.
+/// As [`power_up`], or if the job is not text, the machine cannot be homed for a work zero, or a line of `stored` is
+/// rejected.
 pub fn check(order: &Order, job: &[u8]) -> Result<Check, String> {
     file_kind::refuse(job, true).map_err(|why| format!("the job is not read: {why}"))?;
     let mut simulator = power_up_for_job(order)?;
@@ -145,10 +146,10 @@ pub fn check(order: &Order, job: &[u8]) -> Result<Check, String> {
     Ok(Check::new(simulator, JobText::new(Cursor::new(job.to_vec()))))
 }
 
-/// Prepares sending a job over an unlimited link, and over the ordered link.
+/// Prepares sending a job twice: over an unlimited link, and over a link with the order's `baud`.
 ///
 /// # Errors
-/// As [`check`].
+/// As [`check`], except that a job that is not text is not rejected.
 pub fn stream(order: &Order, job: &[u8]) -> Result<[Streaming; 2], String> {
     Ok([Streaming::new(power_up_for_job(order)?, job, 0), Streaming::new(power_up_for_job(order)?, job, order.baud)])
 }
@@ -207,7 +208,8 @@ pub const ARC: u32 = 1 << 30;
 pub fn rows(check: &Check) -> (Vec<f32>, Vec<u32>, Vec<u32>, Vec<u32>) {
     let simulator = check.simulator();
     let points = simulator.meter().drawing().map_or(&[][..], Drawing::points);
-    // The points count from the position at power-up, whose machine coordinates are not 0 if the machine was homed.
+    // The points of the path are relative to the position at power-up, whose machine coordinates are not 0 if the
+    // machine was homed.
     let here = simulator.machine_place();
     let counted = simulator.meter().millimetres(simulator.machine().motors());
     let row = |point: &Point| {
@@ -357,8 +359,8 @@ mod tests {
         assert_eq!(errors("\"G999\""), Err("G999: error:20".into()));
     }
 
-    /// Short moves of several lines are merged unless the lines have different N words. Keeping the path, for which the
-    /// moves are numbered by lines, must not change that.
+    /// The firmware merges short moves of several lines unless the lines have different N words. A kept path numbers
+    /// the moves by lines, but must not change which moves are merged.
     #[test]
     fn a_path_changes_nothing_of_the_job() {
         let short: String = (1..400).map(|i| format!("G1 X{}\n", f64::from(i) * 0.003)).collect();

@@ -7,7 +7,7 @@
 //!
 //! Text and bytes are passed through an input buffer and an output buffer:
 //! 1. `oxmill_input(n)` returns the address of `n` bytes in the module's memory: write the input there. The next call
-//!    that takes an input consumes it. The address is valid until the next call.
+//! that takes an input consumes it. The address is valid until the next call of the module.
 //! 2. Call a function. A function with a `status` returns 0, or 1 for a rejection: then the output is a text with the
 //!    reason.
 //! 3. `oxmill_output()` and `oxmill_output_len()` return address and length of the output, which is valid until the
@@ -46,8 +46,8 @@
 //! machine coordinates, the machine of a check or a stream is homed before the job and G54 is set there, as with
 //! `--work-zero`. `"resume": {"line": 1200, "clearance": 20, "plunge": 100, "spin_up": 5}` says where the rest of a job
 //! begins; only `line` is required. `"stored": ["G10 L1 P1 Z12.5"]` are lines that the machine of a check or a stream
-//! executes before the job: its offsets and tools. Settings are applied in the order of their numbers, the dialect
-//! last.
+//! executes before the job, to set its offsets and tools. Settings are applied in the order of their numbers, the
+//! dialect last.
 //!
 //! A panic traps and ends the instance; the text of the panic can still be fetched.
 

@@ -41,8 +41,8 @@ const ROOMS: &[(&str, &[&str])] = &[
     ("recorder", &["dispatch", "messages", "protocol", "units"]),
 ];
 
-/// The rooms that carry out input and work on `Controller` and `Machine`. Module `shape` checks the calls between their
-/// files.
+/// The rooms that carry out the received input and change `Controller` and `Machine`. Module `shape` checks the calls
+/// between the files of these rooms.
 const CORE: &[&str] = &["dispatch", "parts", "memory", "view", "states", "work", "host", "inputs", "outputs"];
 
 /// The rooms that a room of [`CORE`] may use.
@@ -80,7 +80,7 @@ fn root() -> PathBuf {
 }
 
 /// Returns all Rust files below a folder, with their paths relative to it. Skips folders and files named `tests`,
-/// because the rules do not apply to tests; [`faults`] checks that these are part of test builds only.
+/// because the rules do not apply to tests; [`faults`] checks that tests are compiled only in test builds.
 fn sources(folder: &Path) -> Vec<(PathBuf, String)> {
     let mut found = source::all(folder);
     found.retain(|(file, _)| {
@@ -132,7 +132,7 @@ fn faults(file: &Path, text: &str) -> Vec<String> {
     let text = source::bare(text).replace("extern crate alloc;", "");
     let module = module_of(file);
     let mut faults = Vec::new();
-    // Only unmarked test modules are left: `bare` has removed the items marked `#[cfg(test)]`.
+    // Any `mod tests` still in the text lacks its mark: `bare` has removed the items marked `#[cfg(test)]`.
     if source::words(&text).zip(source::words(&text).skip(1)).any(|(a, b)| a == "mod" && b == "tests") {
         faults.push("has `mod tests` without #[cfg(test)] right before it".to_string());
     }
@@ -152,7 +152,8 @@ fn faults(file: &Path, text: &str) -> Vec<String> {
             faults.push(format!("uses `{}`", path.join("::")));
         }
         // `room_of` counts `super` from the module of the file. That is right because rooms have inline modules only in
-        // tests. Names that the crate's root re-exports are rejected, because they would bypass the table.
+        // tests. Names that the crate's root re-exports are rejected: used through the root, a room's name would bypass
+        // the table.
         if let Some(other) = room_of(&path, &module)
             && other != *room
             && !allowed.contains(&other.as_str())
@@ -251,8 +252,8 @@ fn the_simulator_is_safe_and_knows_no_hardware() {
     assert!(text.contains("forbid(unsafe_code)"));
 }
 
-/// Boards know pins. Of the controller they may use the profile, the reset cause, and the step digest (for boards
-/// without pins); they must not use the tasks.
+/// Returns the rules that a file of the boards violates. From the controller, boards may use the profile, the reset
+/// cause, and the step digest (for boards without pins); they must not use the tasks.
 fn board_faults(_: &Path, text: &str) -> Vec<String> {
     let mut faults = Vec::new();
     for path in source::paths(&source::bare(text)) {
@@ -276,8 +277,8 @@ fn boards_know_pins_only() {
     report(&root().join("boards"), board_faults);
 }
 
-/// Code that turns a port number into an address could reach any register. So only the folder that knows the registers
-/// can read and write them.
+/// Code that turns the number of a port into an address could reach any register. So only the folder that knows the
+/// registers can read and write them.
 #[test]
 fn registers_are_reached_from_their_folder_only() {
     let text = source::bare(&fs::read_to_string(root().join("boards/stm32f4/registers.rs")).unwrap());

@@ -1,5 +1,5 @@
-//! Checks the shape of the code: calls and imports between the files of a room have no cycles, and each type name
-//! occurs once per crate.
+//! Checks the shape of the code: calls and imports between the files of a room (a top-level module of the controller)
+//! have no cycles, and each type name occurs once per crate.
 
 use crate::source::{self, Item};
 use crate::{CORE, module_of, root, sources};
@@ -20,8 +20,8 @@ const SAME_NAMES: &[(&str, usize)] = &[
 const CRATES: [&str; 8] =
     ["boards", "src/controller", "src/firmware", "src/sqrt", "src/simulator", "src/step_task", "src/store", "src/web"];
 
-/// Fails if a figure exceeds the limit and is not listed with exactly this value. Also fails if a listed figure is
-/// within the limit.
+/// Compares figures with a limit. `listed` has the known exceptions. Fails if a figure exceeds the limit and is not
+/// listed with exactly its value, or if a listed figure is within the limit.
 fn judge(what: &str, found: &BTreeMap<String, usize>, limit: usize, listed: &[(&str, usize)]) {
     let mut faults = Vec::new();
     for (name, figure) in found.iter().filter(|(_, figure)| **figure > limit) {
@@ -47,8 +47,8 @@ fn items(folder: &str) -> Vec<(String, Vec<Item>)> {
     sources(&root().join(folder)).iter().map(read).collect()
 }
 
-/// Returns the controller's files by room; a file at the root is a room of its own, and all rooms of [`CORE`] count as
-/// one.
+/// Returns the controller's files by room (top-level module). A file at the root is a room of its own, and all rooms of
+/// [`CORE`] count as one.
 fn rooms() -> BTreeMap<String, Vec<(String, String)>> {
     let mut rooms: BTreeMap<String, Vec<(String, String)>> = BTreeMap::new();
     for (file, text) in sources(&root().join("src/controller")) {
@@ -178,11 +178,11 @@ fn full_path(path: &[String], module: &[String], is_child: impl Fn(&String) -> b
 #[test]
 fn a_crate_has_each_type_name_once() {
     let mut found: BTreeMap<String, usize> = BTreeMap::new();
-    // The boards are left out, because each of them defines the types of the same contract.
+    // The boards are excluded, because each board defines the same types, as their contract requires.
     for folder in CRATES.into_iter().filter(|folder| *folder != "boards") {
         for (_, items) in items(folder) {
             for item in items.iter().filter(|item| ["struct", "enum", "trait"].contains(&item.kind.as_str())) {
-                // A type in a macro gets its name where the macro is used.
+                // A type in a macro (`$name`) gets its name only where the macro is used.
                 if item.name != "$" {
                     *found.entry(format!("{folder} {}", item.name)).or_default() += 1;
                 }

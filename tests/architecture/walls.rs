@@ -30,8 +30,8 @@ fn crates_build_on_those_below_them() {
     }
 }
 
-/// Differences between boards are hidden behind the boards' contract: only the boards crate may have features for
-/// boards.
+/// Only the crate of the boards may have features for boards: to all other code, their contract hides the differences
+/// between boards.
 #[test]
 fn no_condition_of_the_firmware_names_a_board() {
     let mut read = 0;
@@ -47,7 +47,7 @@ fn no_condition_of_the_firmware_names_a_board() {
     assert!(read > 10);
 }
 
-/// Conditions name the feature of a chip, not of a board, so a new board with the same chip needs no other change.
+/// Conditions name the feature of a chip and not of a board, so a new board with a known chip needs no change to them.
 #[test]
 fn only_the_choice_of_a_board_names_one_in_a_condition() {
     let files = sources(&root().join("boards"));

@@ -15,7 +15,7 @@ use std::collections::VecDeque;
 use std::process::ExitCode;
 
 const AXES: usize = 3;
-/// Look-ahead of the boards, in blocks.
+/// Look-ahead of the boards, in blocks (moves).
 const BOARD: usize = oxmill_simulator::boards::BLOCKS;
 /// More blocks than any job has.
 const UNLIMITED: usize = 1 << 17;
@@ -239,7 +239,8 @@ fn main() -> ExitCode {
         }
         files.iter().try_for_each(|file| own(file))
     };
-    // A controller with an unlimited look-ahead is moved over the stack to the heap, so a large stack is needed.
+    // A controller with an unlimited look-ahead is built on the stack before it moves to the heap, so a large stack is
+    // needed.
     let thread = std::thread::Builder::new().stack_size(256 << 20).spawn(work);
     match thread.map(std::thread::JoinHandle::join) {
         Ok(Ok(Ok(()))) => ExitCode::SUCCESS,

@@ -9,7 +9,7 @@ use std::fmt::Write;
 
 /// Lengths of the step pulse (`$0`), tenths of a microsecond, for which the table lists maximum step rates.
 const PULSES: [u16; 7] = [5, 10, 20, 25, 30, 50, 100];
-/// What the small image lacks (`FULL_IMAGE`).
+/// What an image built for size lacks (the features of `FULL_IMAGE`).
 const LEFT_OUT: &str = "expressions, parameters, O words; rotated and scaled coordinates; splines; rounded corners (`G64 P`); habits of CAM \
     programs (`G31`, `G70`, `G54.1`, D); outputs and inputs of programs; texts of settings and errors (`$ES`); recording (`$REC`)";
 

@@ -14,7 +14,7 @@ const OF_OTHERS: [&str; 9] = ["dfu-util", "git", "ls", "mdbook", "printf", "rust
 /// A command of a page.
 struct Command<'a> {
     words: Vec<&'a str>,
-    /// Whether it is a complete line to be typed, not only a command that the text names.
+    /// Whether it is a complete line to be typed; otherwise the text only names the command.
     whole: bool,
 }
 
@@ -64,7 +64,7 @@ fn filled_in(word: &str) -> String {
 fn fault_of_oxmill(words: &[&str], whole: bool) -> Option<String> {
     let words: Vec<String> = words.iter().map(|word| filled_in(word)).collect();
     let error = CommandLine::try_parse_from(words).err()?;
-    // A command that the text only names can lack its arguments.
+    // If the text only names a command, its arguments can be missing.
     let is_short = matches!(
         error.kind(),
         ErrorKind::MissingRequiredArgument

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::fs;
 
 const FENCE: &str = "```conversation\n";
-/// Pages that must show all lines to be sent in conversations.
+/// Pages on which every line that the reader sends to the machine must be in a fence named `conversation`.
 const HANDS_ON: [&str; 5] = ["boards", "first-cut", "set-up", "tuning", "troubleshooting"];
 
 /// Returns a new machine. The mark `<!-- machine: FILE -->` in the page names the file with its fittings, as for
@@ -51,7 +51,7 @@ fn said(mill: &mut Simulator, fence: &str) -> (String, usize) {
             mill.run_for(std::time::Duration::from_millis(500));
         }
         let answer = mill.take_output().replace('\r', "");
-        // The machine becomes idle, except in an alarm that only a reset ends: then it leaves bytes unread.
+        // The machine must become idle, except in an alarm that only a reset ends, in which it leaves bytes unread.
         assert!(done || answer.contains("ALARM"), "{line}: {answer}");
         now += &format!("{line}\n{answer}");
         seen += 1;

@@ -73,7 +73,7 @@ fn keep(page: &Path, make: impl FnOnce(&str) -> String) {
     );
 }
 
-/// Returns the text with another table between the two marks of a name.
+/// Returns the text with the table between the marks `<!-- made: name -->` and `<!-- end -->` replaced.
 fn with_table(text: &str, name: &str, table: &str) -> String {
     let (begin, end) = (format!("<!-- made: {name} -->\n"), "<!-- end -->");
     let (before, rest) = text.split_once(&begin).unwrap_or_else(|| panic!("no `made: {name}`"));
@@ -179,7 +179,7 @@ fn every_page_is_in_the_summary_once() {
     }
 }
 
-/// The first paragraph of a page says what its reader will be able to do.
+/// The first paragraph of a page says what its reader will know or be able to do after it.
 #[test]
 fn every_page_opens_with_what_its_reader_can_do_then() {
     for page in pages("docs").iter().filter(|page| !page.ends_with("SUMMARY.md")) {
@@ -225,7 +225,7 @@ fn settings_of(cell: &str) -> Vec<u16> {
     found
 }
 
-/// Users who come from Grbl find each of its settings in the first column.
+/// The page for users who come from Grbl has each setting of Grbl in the first column of its tables.
 #[test]
 fn each_setting_of_grbl_is_treated_for_those_who_come_from_it() {
     let page = read(&root().join("docs/coming-from.md"));

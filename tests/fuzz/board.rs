@@ -1,9 +1,9 @@
 //! A board without the simulator: a controller with its queues, the step generator, a store and a clock. A fuzz target
 //! can delay, starve or falsify any of these. The board follows [`oxmill_controller::pump`], as every board does.
 //!
-//! It checks invariants for any input: a round makes a bounded number of outputs; a controller that accepts lines has
-//! nothing left to do after a bounded number of rounds; no wake-up is in the past; while the machine is locked, no
-//! motion is sent to the step task and no step is made; each line is answered once.
+//! It checks invariants for any input: a round (one pass of the pump) makes a bounded number of outputs; a controller
+//! that accepts lines has nothing left to do after a bounded number of rounds; no wake-up is in the past; while the
+//! machine is locked, no motion is sent to the step task and no step is made; each line is answered once.
 
 use super::work;
 use oxmill_controller::memory::Memory;
@@ -19,11 +19,11 @@ use std::collections::{BTreeMap, VecDeque};
 
 pub const AXES: usize = 3;
 const BLOCKS: usize = 16;
-/// Maximum number of outputs in a round, not counting answers. Each of these outputs but the last changes a pin or its
+/// Maximum number of outputs in a round, not counting answers. All of these outputs except the last change a pin or its
 /// wiring.
 const MOST_QUIET_OUTPUTS: usize = 8;
-/// Maximum number of rounds without time passing. A program can loop without moving; if it takes more rounds, it is
-/// left looping.
+/// Maximum number of rounds without time passing. A program can loop without moving; after this many rounds the board
+/// no longer waits for its end.
 const MOST_ROUNDS: usize = 3_000;
 /// Maximum number of control-flow edges in a round; the highest count when this was chosen: 24,963.
 const MOST_WORK: u64 = 100_000;
@@ -48,7 +48,7 @@ pub fn shows() -> bool {
     *SHOWS
 }
 
-/// A byte of a line, and whether the board is sure that its line must be answered.
+/// A byte of a line, and whether the line must be answered for sure.
 type Queued = (LineByte, bool);
 
 #[derive(Clone)]
@@ -83,8 +83,8 @@ pub struct Board {
     said: Vec<u8>,
     round_replies: usize,
     moments: u32,
-    /// Whether all events are ones that a real board can send. Otherwise events can be false, and the controller
-    /// only has to survive them.
+    /// Whether all events are events that a real board can send. If not, events can be false, and the controller only
+    /// has to survive them.
     pub is_true: bool,
     /// Minimum and maximum positions of the motors, in steps, while soft limits are on and the position is trusted.
     pub travel: Option<[(i32, i32); AXES]>,
@@ -108,7 +108,7 @@ fn is_answer(line: &[u8]) -> bool {
 /// Account of the answers that are due.
 #[derive(Clone, Debug, Default)]
 struct Book {
-    /// Whether the line that has been started must be answered.
+    /// Whether the line whose first bytes have been read must be answered for sure.
     is_sure: bool,
     last_byte: u8,
     /// Number of answers that must have been sent.
@@ -265,7 +265,8 @@ impl Board {
         }
     }
 
-    /// Notes that the queued lines, and the line in progress, need not be answered, because they can have been dropped.
+    /// Records that the queued lines and the line in progress need not be answered, because the controller can have
+    /// dropped them.
     fn forget_lines(&mut self) {
         self.lines.iter_mut().for_each(|(_, sure)| *sure = false);
         self.book.is_sure = false;
@@ -312,7 +313,7 @@ impl Board {
         self.load();
     }
 
-    /// Simulates a motor output that fails while the motor moves.
+    /// Simulates that the output of an axis makes this many steps too many or too few during motion.
     pub fn miscount(&mut self, axis: usize, steps: i32) {
         if self.due.is_some()
             && let StepEvent::Stopped { stops, position, .. } = self.stepper.stop([0; AXES])
@@ -378,7 +379,7 @@ impl Board {
         self.due.is_none() || !self.reports.is_empty()
     }
 
-    /// Lets time pass, with the controller's wake-ups; without them if `stalled`.
+    /// Lets time pass. The controller runs at its wake-ups, unless it is `stalled`.
     pub fn pass(&mut self, time: u64, stalled: bool) {
         let end = self.now.saturating_add(time);
         while self.has_time() {
@@ -421,16 +422,15 @@ impl Board {
                     self.book.settle();
                 }
                 let wakeup = self.controller.next_wakeup();
-                // A wake-up may be in the past in two cases: while a stop is pending, because on a board the stop
-                // arrives before the next instruction, and after false events, because the controller may wait for a
-                // stop that never comes.
+                // A wake-up may be in the past in two cases. While a stop is pending: on a real board the stop arrives
+                // before the next instruction. After false events: the controller may wait for a stop that never comes.
                 let is_owed = !self.is_true || self.late & late::STEP != 0 && !self.reports.is_empty();
                 assert!(is_owed || wakeup.is_none_or(|at| at > self.now()), "{wakeup:?} is past at {}", self.now);
                 return;
             }
             assert_eq!(begun, self.stepper.segments_begun(), "time stands still in a round");
         }
-        // Only a program in a loop can go on for so long, and meanwhile the controller accepts no line.
+        // Only a program in a loop can go on for so many rounds, and the controller accepts no line during the loop.
         self.unended += 1;
         assert!(!self.controller.wants_line(), "rounds without end");
     }

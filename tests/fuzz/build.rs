@@ -1,4 +1,4 @@
-//! With libFuzzer, compiles the work counter separately in C: the counting code itself must not be counted.
+//! With libFuzzer, compiles the work counter, which is written in C, so that the counting code itself is not counted.
 
 fn main() {
     println!("cargo::rerun-if-changed=work.c");

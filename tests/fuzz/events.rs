@@ -1,11 +1,11 @@
 //! All events that a controller can receive, in any order: bytes of lines, realtime commands, inputs, contacts, stops,
 //! late segments, miscounted steps, replies of a store that works or fails, hosts that connect and disconnect, jumps in
 //! time; each source can be delayed. The first byte chooses whether the step task and the inputs also send false
-//! events: stops that were not ordered, of any number and position, and replies to nothing.
+//! events: stops that nobody requested, with any number and position, and replies to nothing.
 //!
 //! Invariants, in addition to those of the board: `?` is answered by one report; the position at rest is that of the
-//! motors; a machine that has miscounted does not claim to know its position; after a reset with restored settings it
-//! is idle, and a jog makes exactly its steps.
+//! motors; a machine that has miscounted steps does not claim to know its position; after a reset with restored
+//! settings it is idle, and a jog makes exactly its steps.
 
 use super::board::{AXES, Board, late, shows};
 use super::session::SETTINGS;
@@ -225,8 +225,8 @@ fn tell(board: &mut Board, lie: &Lie) {
     }
 }
 
-/// Offset between the motors and the controller's position: the same at each rest, until an action redefines the
-/// position.
+/// Compares the controller's position with that of the motors: their offset (`apart`) must be the same at each rest,
+/// until an action redefines the position.
 #[derive(Default)]
 struct Account {
     apart: Option<[i64; AXES]>,
@@ -243,7 +243,8 @@ impl Account {
             _ => false,
         };
         if renames {
-            // The position is no longer checked, because the action can change it, the step length or the backlash.
+            // From now on the position is not checked, because the action can change the position, the step length or
+            // the backlash.
             self.miscounted = true;
         }
     }

@@ -54,9 +54,9 @@ impl Queues for Depths {
 
 #[derive(Arbitrary)]
 enum Action {
-    /// The host on the UART sends a line of this many `a`, with a byte in it.
+    /// The host on the UART sends a line of this many `a`, with this byte in the middle.
     Uart(u8, u8),
-    /// The host on USB sends a line of this many `b`, with a byte in it.
+    /// The host on USB sends a line of this many `b`, with this byte in the middle.
     Usb(u8, u8),
     UsbComes,
     UsbGoes,
@@ -71,7 +71,8 @@ enum Action {
 struct Reader {
     half: Vec<LineByte>,
     epoch: u16,
-    /// For each host the unread lines: number of letters, and the number left if a reset within the line cuts it.
+    /// For each host the unread lines: the number of letters, and how many of them are left if a reset in the middle of
+    /// the line drops its beginning.
     sent: [VecDeque<[usize; 2]>; 2],
     /// Realtime commands that were sent and have not been read.
     commands: Vec<Realtime>,
@@ -109,7 +110,7 @@ impl Reader {
 
     fn read_lines(&mut self, queues: &mut Depths, most: usize) {
         for byte in queues.lines.drain(..most.min(queues.lines.len())) {
-            // Bytes from before a reset are void, as they are for the controller.
+            // Drop bytes from before a reset (an older epoch), as the controller does.
             if byte.byte != HOST_CHANGED && std::mem::replace(&mut self.epoch, byte.epoch) != byte.epoch {
                 self.half.clear();
             }

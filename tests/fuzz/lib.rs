@@ -1,5 +1,5 @@
-//! Fuzz targets for all code that parses foreign data. Each target is a function of some bytes; its invariants must
-//! hold for any bytes.
+//! Fuzz targets for all code that parses data from outside. Each target is a function of some bytes; its invariants
+//! must hold for any bytes.
 //!
 //! A target panics when an invariant is violated. `cargo xtask fuzz` lets libFuzzer look for such bytes, guided by code
 //! coverage. `corpus/` has a small set of inputs that reaches most of the code (one input per line, escaped); `finds/`

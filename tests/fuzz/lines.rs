@@ -2,8 +2,7 @@
 //! first byte chooses the dialect, block delete on or off, and a fourth axis or none.
 //!
 //! Invariants: a rejected line changes nothing; every position stays within range; every value that a line yields is a
-//! finite number; carrying out the stored lines of a subroutine, loop or macro takes a bounded number of steps per
-//! line.
+//! finite number; each stored line of a subroutine, loop or macro is carried out with a bounded amount of work.
 
 use super::work::at_most;
 use oxmill_controller::gcode::{

@@ -20,7 +20,8 @@ const SETTINGS: &str = "$100=4 $101=4 $102=4 $110=30000 $111=30000 $112=30000 $1
     $132=60 $24=3000 $25=6000 $26=1 $27=1 $22=1 $20=1";
 /// Position of the motors at the switches, in steps from power-up.
 const SWITCHES: i32 = 20;
-/// Number of waits for an answer before the program is abandoned, because it can contain an endless loop.
+/// Number of times that the target waits for an answer before it abandons the program, which can contain an endless
+/// loop.
 const MOST_WAITS: usize = 40;
 /// Maximum number of rounds without time passing before a line counts as a loop.
 const MOST_ROUNDS: usize = 600;
@@ -118,7 +119,7 @@ fn carry_out(board: &mut Board, text: &[u8], line: &[u8]) -> bool {
                 println!("{:?} {:?} {:?}", line.escape_ascii().to_string(), board.take_said(), board.motors);
             }
             if board.controller.alarm().is_some() {
-                // After a stop at speed the machine is not trusted, and soft limits do not apply.
+                // After a stop at speed the position is not trusted, and soft limits do not apply.
                 board.ask("$X");
                 if !board.controller.is_trusted() {
                     board.travel = None;
@@ -146,7 +147,7 @@ fn end(mut board: Board) {
             break;
         }
         board.pass(200_000, false);
-        // Resumes a hold.
+        // Resume, in case the machine is in a hold.
         board.command(Realtime::CycleStart);
     }
     let Some(travel) = board.travel.filter(|_| board.controller.is_idle()) else { return };

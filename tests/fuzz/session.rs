@@ -1,9 +1,9 @@
 //! A machine in the simulator with all kinds of events: text, realtime commands, inputs, hosts that connect and
 //! disconnect, power cuts while a record is written, and time.
 //!
-//! Invariants: `?` is always answered with a report; a reset ends every motion; of a line interrupted by a power cut
-//! either everything is stored or nothing; with inputs released, settings restored and a reset the machine is idle, and
-//! a jog makes exactly its steps and changes the reported position by them.
+//! Invariants: `?` is always answered with a report; a reset ends every motion; if a power cut interrupts a line,
+//! either everything of it is stored or nothing; once the inputs are released, the settings restored and a reset sent,
+//! the machine is idle, and a jog makes exactly its steps and changes the reported position by them.
 
 use super::board::shows;
 use arbitrary::{Arbitrary, Unstructured};
@@ -229,8 +229,8 @@ pub fn back_to_idle(mill: &mut Simulator, history: &str) {
     reset(mill);
     reset(mill);
     assert!(!mill.is_stepping(), "a reset ends every motion: {} {history}", status(mill));
-    // The empty line ends a line whose start was cut off by a reset. If a power cut has left what looks like damage,
-    // the controller accepts `$X` only some time after the settings have been listed.
+    // The empty line ends a line whose start was cut off by a reset. If the store looks damaged after a power cut, the
+    // controller accepts `$X` only some time after the settings have been listed.
     mill.take_output();
     mill.send("\n$X\n");
     mill.run_for(Duration::from_millis(100));

@@ -1,8 +1,8 @@
 //! `$` commands, and values of settings, startup lines, macros and build info in each dialect, with a store that works
 //! or fails, and power-ups in between. The first byte chooses the dialect.
 //!
-//! Invariants: each line is answered once; a rejected line leaves every listing unchanged; an accepted value reads back
-//! as it was set and changes nothing else; after a power-up everything is as before, if the store has accepted it.
+//! Invariants: each line is answered once; a rejected line leaves every listing unchanged; an accepted value is listed
+//! as it was set and changes nothing else; after a power-up, everything that the store has accepted is as before.
 
 use super::board::{Board, shows};
 use arbitrary::{Arbitrary, Unstructured};
@@ -96,7 +96,7 @@ const MOST_ACTIONS: usize = 16;
 const MOST_WAITS: usize = 4;
 
 thread_local! {
-    /// Machines after start-up, one per dialect.
+    /// Machines after start-up, one for each dialect.
     static STARTED: [Machine; 3] = ["$900=1", "$900=0", "$900=2"].map(|dialect| {
         let mut machine = Machine { board: Board::new(BTreeMap::new()), listed: Vec::new(), is_stored: true, is_busy: false };
         machine.board.ask(dialect);
@@ -180,10 +180,10 @@ impl Machine {
             self.reset();
         }
         let answers = answers(&said);
-        // A dwell or move that takes too long is interrupted below, and not answered.
+        // A dwell or move that takes too long is interrupted by the reset below, and not answered.
         let is_cut = answers.is_empty() && !self.board.controller.is_idle();
         assert!(answers.len() == 1 || is_cut, "{line:?}: {said}");
-        // Ends whatever the line has started, including checked lines (`$LC=ON`).
+        // The reset ends whatever the line has started, including the mode of checked lines (`$LC=ON`).
         let begins = said.contains("[MSG:Enabled]") || said.starts_with(':');
         if !self.board.controller.is_idle() || self.board.controller.alarm().is_some() || begins {
             self.reset();
@@ -213,8 +213,8 @@ impl Machine {
             self.go_on();
         }
         self.is_busy = !self.board.controller.is_idle();
-        // The empty line ends an unfinished line, and with it checked lines (`$LC=ON`): a reset ends these only at the
-        // next line end.
+        // The empty line ends an unfinished line, and the mode of checked lines (`$LC=ON`), which a reset ends only at
+        // the next line end.
         self.board.ask("");
         self.board.ask("$X");
     }
@@ -245,8 +245,8 @@ impl Machine {
             };
             let listed: f64 = entry.split(' ').next().unwrap_or_default().parse().expect("a number");
             let set: f64 = text.trim().parse().unwrap_or(f64::NAN);
-            // Whole numbers are truncated, spindle speeds are shown without decimals, a switch shows 1 for any value
-            // but 0, and others are shown with three decimals.
+            // How a value is listed: a whole number is truncated, a spindle speed has no decimals, a switch is 1 for
+            // any value but 0, and all others have three decimals.
             let whole = !entry.contains('.');
             let switched = listed == 1.0 && set.trunc() != 0.0;
             let near = if whole {

@@ -2,7 +2,7 @@
 //! or late, with stops in between.
 //!
 //! Invariants: no axis makes more than one step per tick; the reported position is that of the steps made; a complete
-//! block makes exactly its steps; after a stop or an underrun nothing moves until it is resumed.
+//! block makes exactly its steps; after a stop or an underrun nothing moves until motion is resumed.
 
 use super::work::at_most;
 use arbitrary::{Arbitrary, Unstructured};
@@ -114,7 +114,7 @@ impl Run {
             }
             flags = 0;
         }
-        // The rest of the block, in segments as coarse as possible.
+        // The rest of the block, in segments with as few ticks per step as possible.
         let rest =
             Cut { level: 0, ticks: 0, interval: 1 << 20, ramp: 0, wait: false, last: cuts.len().is_multiple_of(2) };
         while units < total {
@@ -126,7 +126,8 @@ impl Run {
         }
     }
 
-    /// Returns the units by which a tick can advance from here; a segment starts at a multiple of this value.
+    /// Returns the path units that one tick advances in a segment that starts at `units`: at most those of `level`, and
+    /// so few that `units` is a multiple of them.
     fn units_per_tick(&self, units: u32, level: u8) -> u32 {
         let mut per_tick = UNITS_PER_STEP >> (level % 5);
         while !units.is_multiple_of(per_tick) {

@@ -1,8 +1,8 @@
 //! Flash memory with arbitrary contents, and changes to it, each of which a power cut can interrupt.
 //!
-//! Invariants: opening never fails, whatever the contents; a key counts once; only erased words are written; a stored
-//! value is found, also after another power-up; of an interrupted change either everything is stored or nothing, and
-//! all other values stay.
+//! Invariants: opening never fails, whatever the contents; a key is never counted twice; only erased words are written;
+//! a stored value is found, also after another power-up; if a change is interrupted, either all of it is stored or
+//! nothing, and all other values stay.
 
 use super::work::at_most;
 use arbitrary::{Arbitrary, Unstructured};
@@ -47,7 +47,7 @@ impl Flash for Memory {
         let powered = self.spend();
         let slot = &mut self.sectors[sector as usize][address as usize / 4];
         assert_eq!(*slot, ERASED, "only erased words are programmed");
-        // When the power fails, half of the bits are still ones.
+        // When the power fails during the write, the lower half of the word is still erased.
         *slot = if powered { word } else { word | 0xFFFF };
         if powered { Ok(()) } else { Err(PowerCut) }
     }

@@ -4,7 +4,7 @@
 //! library are tested on the virtual board.
 //!
 //! Invariants: a line that is read is a whole line of a host; bytes that a host sends after its end are not read; in
-//! the end a host that opens the port is read.
+//! the end the lines of a host that opens the port are read.
 
 use super::board::shows;
 use super::hosts::MOST_WORK;
@@ -91,7 +91,7 @@ struct Bus {
     /// Letter of the connected host, or of the next one.
     letter: u8,
     closed_at: Option<u32>,
-    /// Number of letters of its unfinished line.
+    /// Number of letters of this host's unfinished line.
     begun: usize,
     /// Packets that have arrived and were not fetched.
     packets: VecDeque<Vec<u8>>,
@@ -198,7 +198,7 @@ impl Board {
                 *closed_at = Some(*now);
             }
             Action::Packet(bytes, end) if *plugged => {
-                // After a close, a host that sends without opening the port counts as another one only when no late
+                // After a close, a host that sends without opening the port counts as another host only when no late
                 // bytes of the previous host can arrive any more.
                 if !*dtr && is_late {
                     return;
@@ -214,7 +214,7 @@ impl Board {
             Action::Plugged(now_plugged) if now_plugged != *plugged => {
                 *plugged = now_plugged;
                 if now_plugged {
-                    // The driver clears DTR at the reset of the bus, not before.
+                    // The driver clears DTR only when the bus is reset.
                     *closed_at = dtr.then_some(*now);
                     *dtr = false;
                 } else {

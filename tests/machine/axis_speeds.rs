@@ -8,16 +8,17 @@
 //!
 //! **Allowed.** Between τ and τ+T the path turns from one direction to another by the angle t, in any number of
 //! vertices.
-//! - Acceleration: `a T` for the axis, along and across the path together, and [`RAMP`] more.
+//! - Acceleration: `a T` for the axis, where a covers the acceleration along and across the path together; and the
+//!   share [`RAMP`] more.
 //! - The junction rule passes a single vertex of turn t at `v² = a d s / (1 - s)`, where a is the acceleration across
 //!   the path, d the junction deviation and s = cos(t / 2). The axis speed then jumps by v times the difference of the
 //!   axis' two direction cosines. A turn made in several vertices is granted the jump of the *whole* turn once, not a
 //!   jump per vertex, because for the motor several vertices are no different from one. For a stretch of the path that
 //!   is L long and turns by t, the controller's rule is `v² <= a (L / t + d s / (1 - s))`. With L <= v T it follows
 //!   that the change of velocity is `v t <= a T + v_j t`, where v_j is the speed at a single vertex of turn t. So the
-//!   two terms here are this rule, for a path of any form. A jump per vertex would grant a multiple of that.
-//! - The grant falls to zero for a reversal, and has a limit for small turns: v_j t → √(8 a d). The feed bounds v as
-//!   well.
+//!   two terms here are this rule, for a path of any form. A jump per vertex would grant a multiple of the rule.
+//! - The granted jump falls to zero for a reversal, and has a limit for small turns: v_j t → √(8 a d). The feed also
+//!   bounds v.
 //! - Directions are those of the intended chords, before rounding to the program's digits, so that they carry no noise;
 //!   the position error due to rounding is a term of its own.
 //!
@@ -26,18 +27,18 @@
 //! - Steps: an axis steps half way between two positions, so its position is well known between two consecutive steps.
 //!   But a block starts and ends at whole steps, which adds half a step. If two steps are far apart, the axis can rest
 //!   or reverse between them, which adds another half: [`STEPS`].
-//! - Digits: each coordinate is off by up to half of the last digit, and the machine drives this noisy path. A
-//!   controller sees only these points and can take a curve to be flatter by the same amount: half a digit in each
-//!   coordinate, √3 times that in all three together ([`DIGITS`]). The direction of a stretch of length l is off by up
-//!   to 2 [`POINT`] / l, because both of its ends are off. A turn can be underestimated by the sum of the errors of its
-//!   two directions. So a reversal between two pieces not much longer than a digit can be mistaken for a corner. Nor
-//!   can a controller tell a vertex from a bend as wide as the noise of the points on both sides; such a bend is taken
-//!   at v² = a R.
+//! - Digits: each coordinate is off by up to half of a digit (the value of the program's last decimal place), and the
+//!   machine drives this noisy path. A controller sees only these points and can take a curve to be flatter by the same
+//!   amount: half a digit in each coordinate, √3 times that in all three together ([`DIGITS`]). The direction of a
+//!   stretch of length l is off by up to 2 [`POINT`] / l, because both of its ends are off. A turn can be
+//!   underestimated by the sum of the errors of its two directions. So a controller can mistake a reversal between two
+//!   pieces that are not much longer than a digit for a corner. Nor can a controller tell a vertex from a bend as wide
+//!   as the noise of the points on both sides; such a bend is taken at v² = a R.
 
 use super::estimator::Limits;
 use super::oracle::{AXES, Place, Pulse};
 
-/// Share by which the combined acceleration along and across the path may exceed that of the axis.
+/// Share by which the combined acceleration along and across the path may exceed the acceleration limit of the axis.
 pub const RAMP: f64 = 0.05;
 /// Uncertainty of a position, in steps: between two steps that are near each other, and otherwise.
 const STEPS: [f64; 2] = [0.6, 1.0];
@@ -63,8 +64,8 @@ pub struct Course {
     pub digit: f64,
     /// mm/s.
     pub feed: f64,
-    /// Whether the chords approximate a smooth curve. If so, jumps are granted only at vertices of more than
-    /// [`CORNER`], and one for each of these vertices.
+    /// Whether the chords approximate a smooth curve. If so, a jump is granted only at vertices that turn by more than
+    /// [`CORNER`], one for each of them.
     pub smooth: bool,
 }
 
@@ -109,8 +110,8 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// Effect of noise on a turn: the angle by which it can be underestimated, rad, and the radius of a bend that can
-/// replace a vertex, mm.
+/// Effect of noise on a turn: the angle by which a controller can underestimate the turn, rad, and the radius of a bend
+/// that it can take for the vertex, mm.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Unsure {
     turn: f64,
@@ -174,8 +175,8 @@ fn passed(places: &[(f64, Place)], course: &Course, limits: &Limits) -> Result<V
     Ok(times)
 }
 
-/// For evenly spaced times: the chord that the machine is on (the index of its direction), and the positions of the
-/// axes.
+/// State of the machine at evenly spaced times: the chord that it is on (the index of the chord's direction), and the
+/// positions of the axes.
 struct Reading {
     step: f64,
     directions: Vec<usize>,
@@ -234,8 +235,8 @@ fn read(places: &[(f64, Place)], passed: &[f64], step: f64) -> Reading {
     Reading { step, directions, places }
 }
 
-/// Returns the uncertainty of each chord's direction, rad: first as measured over the straight stretch that ends with
-/// the chord, then over the one that starts with it.
+/// Returns the uncertainty of each chord's direction, rad, twice: as measured over the straight stretch that ends with
+/// the chord, and over the straight stretch that starts with it.
 fn unsure(course: &Course, chords: &[[f64; AXES]]) -> [Vec<f64>; 2] {
     let length = |k: usize| norm(minus(course.meant[k + 1], course.meant[k]));
     let kept = |k: usize, others: &mut dyn Iterator<Item = usize>| {
@@ -266,7 +267,8 @@ fn grants(course: &Course, chords: &[[f64; AXES]], directions: &[usize], limits:
             corners.fold([0.0; AXES], |sum, one| std::array::from_fn(|axis| sum[axis] + one[axis]))
         })
         .collect();
-    // The time of passing a vertex is known to within a step, so take the maximum of the neighbours' grants.
+    // The time at which the machine passes a vertex is known only to within a step, so take the maximum of this
+    // reading's grant and those of its neighbours.
     (0..pairs.len())
         .map(|k| {
             let near = &pairs[k.saturating_sub(1)..pairs.len().min(k + 2)];

@@ -16,8 +16,7 @@ const STEPS: f64 = 400.0;
 const PLAY: [f64; AXES] = [0.05, 0.03, 0.0];
 const RATE: [f64; AXES] = [6000.0, 5000.0, 3000.0];
 const ACCELERATION: [f64; AXES] = [600.0, 500.0, 300.0];
-/// Edge of the cells in which nearby positions are looked up, mm: longer than the allowed distance of a carriage from
-/// its path.
+/// Edge of the cells in which nearby positions are looked up, mm: more than a carriage may be away from its path.
 const CELL: f64 = 0.1;
 const JUNCTION_DEVIATION: f64 = 0.01;
 
@@ -78,8 +77,8 @@ fn a_carriage_stands_where_it_is_reported() {
     }
 }
 
-/// The move of X before the plunge leaves some backlash to be taken up. This is not done while the drill plunges,
-/// because it would drag the drill sideways.
+/// The move of X before the plunge leaves some backlash to be taken up. The controller must not take it up while the
+/// drill plunges, because that would drag the drill sideways.
 #[test]
 fn a_plunge_drags_no_drill() {
     let mut mill = compensated("");
@@ -111,8 +110,8 @@ fn a_profile_is_not_interrupted() {
     assert!(seconds[1] < 1.02 * seconds[0], "{seconds:?}");
 }
 
-/// Moves shorter than the backlash, back and forth: the carriage has not followed the first move when the second
-/// starts.
+/// Moves shorter than the backlash, back and forth: when the second move starts, the carriage has not yet moved as far
+/// as the first one says.
 #[test]
 fn short_moves_back_and_forth_end_in_the_right_place() {
     for line in
@@ -292,8 +291,9 @@ fn a_slow_axis_takes_up_its_slack_no_faster_than_its_own_corners() {
 
 #[test]
 fn what_follows_the_last_of_the_slack_begins_at_rest() {
-    // The second move reverses X but is too short to take up the backlash, so the rest is taken up after it, at rest.
-    // For some of these times the third move arrives while the rest is being taken up.
+    // The second move reverses X but is too short to take up the backlash, so the rest of it is taken up after the
+    // move, while the other axes stand still. With some of these delays the third move arrives while the rest of the
+    // backlash is being taken up.
     let mut found = 0;
     for milliseconds in (70..190).step_by(2) {
         let mut mill = mill("$160=0.3\n", "");
@@ -424,8 +424,8 @@ fn home_is_true_and_parking_comes_back() {
     }
 }
 
-/// The belts of a CoreXY machine move X while one of them takes up its backlash during Y's homing cycle: X must be
-/// reported at the position where that cycle left it.
+/// On a CoreXY machine, a belt that takes up its backlash during Y's homing cycle also moves X: the reported X must be
+/// the position at which X is after that cycle.
 #[test]
 fn home_is_true_with_belts_that_have_slack() {
     const AT: [f64; AXES] = [4.0, 5.0, 3.0];

@@ -15,12 +15,13 @@ use std::collections::HashMap;
 type Point = [f64; AXES];
 
 /// Maximum distance of step positions from the driven path, in steps of each motor: half a step, and a fourteenth for
-/// the rounding of the path's ends (docs/motion.md). If the same run without a tolerance is farther off, its distance
-/// counts instead.
+/// the rounding of the path's ends (docs/motion.md). If the run without a tolerance is farther off the path, its
+/// distance is allowed instead.
 const STEP: f64 = 0.5 + 1.0 / 14.0;
-/// A job counts as slower if its duration exceeds the other by this factor, and also by [`NOTICEABLE_S`].
+/// A job with a tolerance counts as slower if it takes longer than without one by this factor and also by more than
+/// [`NOTICEABLE_S`].
 const SLOWER: f64 = 1.005;
-/// Differences below this, s, occur anyway between runs of short jobs.
+/// Smaller differences of duration, s, are ignored: they occur anyway between runs of short jobs.
 const NOTICEABLE_S: f64 = 0.012;
 /// Allowed ratio of the change of speed read by [`super::axis_speeds`] to the change allowed on the programmed path. It
 /// is above 1 because the corner that the tool drives lies beside the programmed one.
@@ -106,7 +107,7 @@ struct Outcome {
     change: f64,
 }
 
-/// One job, to be run with G-code words that set the tolerance.
+/// One job, and the G-code words (`words`) that set its tolerance.
 struct Job<'a> {
     points: &'a [Point],
     style: Style,
@@ -143,7 +144,7 @@ impl Job<'_> {
                 let changes: Result<Vec<_>, String> = [0.005, 0.020].into_iter().map(of).collect();
                 match changes {
                     Ok(changes) => changes.iter().map(|change| change.ratio).fold(0.0, f64::max),
-                    // The tool does not pass the vertices by which the changes are read: compare with the exact run
+                    // The tool does not pass the vertices that `greatest_change` needs: compare with the exact run
                     // instead.
                     Err(_) => against(&rig, &exact, self.steps_per_mm),
                 }
@@ -417,8 +418,8 @@ fn points_of(text: &str) -> Vec<Point> {
     points
 }
 
-/// A long finishing job, complete: it takes less time, and no step is farther than P from the path, nor any point of
-/// the path from the steps.
+/// A whole long finishing job: with G64 P it takes less time, no step is farther than P from the path, and no point of
+/// the path is farther than P from the steps.
 #[test]
 fn the_relief_of_the_examples_takes_less_time_and_stays_within_the_tolerance() {
     const P: f64 = 0.05;
@@ -439,7 +440,8 @@ fn the_relief_of_the_examples_takes_less_time_and_stays_within_the_tolerance() {
         seconds(&blended)
     );
     assert!(steps_exact.max(path_exact) <= 1.5 / CARVER_STEPS * 2.0_f64.sqrt(), "exact: {steps_exact} {path_exact}");
-    // Step rounding would be allowed on top of P, but moves this short never use all of P.
+    // The rounding to steps could be allowed on top of P. It is not needed, because moves this short never use all of
+    // P.
     assert!(steps.max(path_off) <= P, "{steps} and {path_off} mm, allowed {P}");
     assert!(seconds(&blended) < 0.99 * seconds(&exact), "{} s, exact {} s", seconds(&blended), seconds(&exact));
 }
@@ -497,8 +499,8 @@ fn against(rig: &Rig, exact: &Rig, steps_per_mm: f64) -> f64 {
 }
 
 /// The machine brakes for a bend even if the bend arrives late. On the exact path no axis changes its speed by more
-/// than allowed. With a tolerance the tool misses the vertices that this reading needs, so the change is compared with
-/// that on the exact path over the same link.
+/// than allowed. With a tolerance the tool misses the vertices that `greatest_change` needs, so the change of speed is
+/// compared with the one on the exact path over the same link.
 #[test]
 fn over_a_late_link_no_axis_changes_its_speed_faster() {
     let cases = std::env::var("OXMILL_BLENDED").ok().and_then(|cases| cases.parse().ok()).unwrap_or(25);

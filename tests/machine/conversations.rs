@@ -4,9 +4,9 @@
 //! # a remark
 //! -> G1 X10 F600      send this line and a line feed
 //! => G1\x18\r\n       send these bytes and nothing else; \xNN, \r, \n and \\ stand for bytes
-//! <- ok               the next line of the answer, after virtual time if need be
+//! <- ok               the next line of the answer; virtual time passes until it comes
 //! <- <Run|MPos:*      * stands for any text
-//! <~ ok               answers up to one of this form, whatever they are
+//! <~ ok               skips all answers before one of this form
 //! .. 0.5              half a second of virtual time passes
 //! .. idle             time passes until nothing moves and no answer is pending
 //! .. quiet            no answer is left unread, and none arrives within a tenth of a second

@@ -17,8 +17,8 @@ fn machine(scale: f64, rate: f64, acceleration: f64) -> Rig {
     Rig::with(&text)
 }
 
-/// A move of 0.2 nm, from one side of a step border to the other, makes one step. That step takes at least half of the
-/// time that a step takes at the axis' rate.
+/// A move of 0.2 nm crosses the position at which a coordinate is rounded to the next step, so it makes one step. That
+/// step takes at least half of the time that a step takes at the axis' rate.
 #[test]
 fn a_hairs_breadth_is_no_faster_than_its_axis() {
     let mut rig = machine(80.0, 100.0, 500.0);
@@ -51,7 +51,7 @@ fn coarse_steps_make_no_corners() {
     assert!(seconds < 2.3, "{seconds} s");
 }
 
-/// With G93, a tiny move that rounding makes a whole step takes its programmed time and no more.
+/// With G93, a tiny move that becomes a whole step by rounding takes its programmed time and no more.
 #[test]
 fn inverse_time_of_a_hairs_breadth() {
     let mut rig = machine(80.0, 100.0, 500.0);
@@ -60,8 +60,8 @@ fn inverse_time_of_a_hairs_breadth() {
     assert!(seconds > 2.0 && seconds < 3.5, "{seconds} s");
 }
 
-/// While Y makes moves shorter than a step, X waits. So X must brake to the speed of the corner before and accelerate
-/// from there afterwards.
+/// While Y makes moves shorter than a step, X waits. So X must first brake to the speed allowed at a corner, and
+/// accelerate from that speed afterwards.
 #[test]
 fn a_wait_for_crumbs_is_a_corner() {
     let mut rig = machine(80.0, 100.0, 500.0);
@@ -71,8 +71,8 @@ fn a_wait_for_crumbs_is_a_corner() {
     // The junction rule, v² = √2 a d s / (1 - s), allows 4.1 mm/s at a right angle; one step later it is 5.4 mm/s.
     let slowest = speeds[200..3000].iter().copied().fold(f64::MAX, f64::min);
     assert!(slowest < 6.0, "{slowest} mm/s");
-    // Means over 32 steps (0.4 mm), because single intervals jitter with the smoothing of steps. 1.2 times the
-    // acceleration is allowed, and 40 (mm/s)² for the corner.
+    // Mean speeds over 32 steps (0.4 mm), because single intervals jitter with the smoothing of steps. Their squares
+    // may differ by 1.2 times what the acceleration allows over 0.4 mm, and by 40 (mm/s)² more for the corner.
     let means: Vec<f64> = speeds.chunks(32).map(|w| w.len() as f64 / w.iter().map(|v| 1.0 / v).sum::<f64>()).collect();
     for pair in means.windows(2) {
         let change = (pair[1] * pair[1] - pair[0] * pair[0]).abs();
@@ -80,7 +80,8 @@ fn a_wait_for_crumbs_is_a_corner() {
     }
 }
 
-/// Corners between moves shorter than a digit, on a machine whose steps are shorter still.
+/// Corners between moves shorter than the last digit of usual programs (0.001 mm), on a machine whose steps are shorter
+/// still.
 #[test]
 fn corners_between_moves_shorter_than_a_digit() {
     let mut rig = machine(10_000.0, 10.0, 100.0);
@@ -88,8 +89,8 @@ fn corners_between_moves_shorter_than_a_digit() {
     rig.run_clean(&format!("G91 G1 F600\n{x}{y}"));
     let last = intervals(&rig, 0);
     let speed = 10.0 / 10_000.0 / last[last.len() - 10..].iter().sum::<f64>();
-    // The junction rule, v² = √2 a d s / (1 - s), allows 1.8 mm/s in a right angle. The rest is for the rounding of the
-    // short moves, which makes the turn uncertain.
+    // The junction rule, v² = √2 a d s / (1 - s), allows 1.8 mm/s in a right angle. The bound is higher, because the
+    // rounding of the short moves makes the turn uncertain.
     assert!(speed < 3.0, "{speed} mm/s into the corner");
     let back = "X-0.0004 Y0.0003\n".repeat(2000);
     let mut rig = machine(10_000.0, 10.0, 100.0);

@@ -1,6 +1,6 @@
-//! Smooth curves taken at changing speed: the same motors feel the acceleration across the path and the ramp along it
-//! at the same time, and the sum stays within the limit of each axis. Also compares the durations with the shortest
-//! possible time ([`super::optimum`]): `cargo test --test machine curves -- --nocapture` prints the table.
+//! Smooth curves taken at changing speed: each motor has to supply the acceleration across the path and the ramp along
+//! it at the same time, and the sum must stay within the limit of its axis. Also compares the durations with the
+//! shortest possible time ([`super::optimum`]): `cargo test --test machine curves -- --nocapture` prints the table.
 
 use super::axis_speeds::{Change, Course, Unsure, granted, greatest_change};
 use super::estimator::Limits;
@@ -270,7 +270,7 @@ fn ramps_on_curves_stay_within_the_acceleration_of_each_axis() {
 /// Percent by which a shape may take longer than the shortest time.
 const MOST_MORE: f64 = 15.0;
 
-/// Brakes with `commands` on a circle at the speed at which the circle uses all of the acceleration. Returns the
+/// Brakes by `commands` on a circle, from the speed at which the circle uses all of the acceleration. Returns the
 /// largest change of speed and the braking time, s.
 fn braked_on_a_circle(jerk: f64, after: f64, commands: &[Realtime]) -> (Change, f64) {
     let (text, course) = in_chords(&[arc(100.0, [0.0, 0.0], 20.0, [0.0, 2.0 * TAU])]);
@@ -283,7 +283,7 @@ fn braked_on_a_circle(jerk: f64, after: f64, commands: &[Realtime]) -> (Change, 
         rig.press(*command);
     }
     rig.run_for(3.0);
-    // At least the path speed: the steps of all axes together. 1000 steps of an axis are 1 mm.
+    // An upper bound of the path speed: the step rate of all axes together. 1000 steps of an axis are 1 mm.
     let speed = |pulses: &[super::oracle::Pulse]| {
         let ends = pulses[pulses.len() - 1].at - pulses[0].at;
         pulses.iter().map(|pulse| pulse.steps.count_ones()).sum::<u32>() as f64 / (ends as f64 / HZ as f64) / 1000.0
@@ -296,8 +296,8 @@ fn braked_on_a_circle(jerk: f64, after: f64, commands: &[Realtime]) -> (Change, 
     (greatest_change(&rig.trace, HZ as f64, &course, &LIMITS, WINDOW).unwrap(), took)
 }
 
-/// A lower override and a hold in a bend brake with the acceleration that the bend leaves. Braking from v² = a·R takes
-/// v/a times 1.31, the integral of 1/√(1 - x⁴) from 0 to 1; with a jerk limit it takes a/J longer.
+/// A lower override and a hold in a bend brake with the part of the acceleration that the bend does not use. Braking
+/// from v² = a·R takes v/a times 1.31, the integral of 1/√(1 - x⁴) from 0 to 1; with a jerk limit it takes a/J longer.
 #[test]
 fn braking_in_a_bend_stays_within_the_acceleration() {
     let lower = [Realtime::FeedDown10; 9];

@@ -7,12 +7,12 @@
 //! - Below 8000 steps/s the generator works on a finer grid, and a step comes up to 7/16 of a step earlier in the path
 //!   than at higher rates; where the grid changes, an interval is longer or shorter by that. Below this rate a speed is
 //!   measured over 16 steps, with an allowance of 7/16 of a step.
-//! - Acceleration is the change of that speed between two intervals, divided by the time between their middles: the
-//!   mean speed of an interval is the speed at its middle while the acceleration is constant, and otherwise a mean of
-//!   allowed values. Each interval is compared with those 1, 2, 4, 8, ... places later, so that neither a jump nor a
-//!   creeping excess is missed.
-//! - A change of acceleration takes effect only at the next whole step of the dominant axis and then catches up. So an
-//!   acceleration can seem to have acted for one step longer than the time between two intervals.
+//! - Acceleration is the change of that speed between two intervals, divided by the time between their middles. While
+//!   the acceleration is constant, the mean speed of an interval is the speed at its middle; otherwise the quotient is
+//!   a mean of accelerations that must all be allowed. Each interval is compared with the intervals 1, 2, 4, 8, ...
+//!   later, so that neither a jump nor a small lasting excess is missed.
+//! - A change of acceleration shows only at the next whole step of the dominant axis, which then contains the whole
+//!   effect. So an acceleration can seem to have acted for one step longer than the time between two intervals.
 //! - The ends of a move are rounded to steps, so its length, and with it its speeds, can be off by half a step.
 //! - Below one step per millisecond a single interval says little. A start from rest is checked instead: within a time
 //!   t after its first step, the machine moves by at most `v t + a t² / 2`, with `v² = 2 a` × one step, and one step
@@ -28,11 +28,11 @@
 //!   other points can see a bend start half a reach later and still brake within it, so v² may be larger by a·reach.
 //! - Short lines that continue each other can have been joined ([`Joins`]): then the trace follows the straight line
 //!   from the start of the first to the end of the last, and every point between is within half a step of this line.
-//!   The trace does not show which lines were joined: a few lines at the end can have been a move of their own, half a
-//!   step longer or shorter than they are. So the speed of joined lines is also measured over 16 steps, with an
-//!   allowance of half a step.
-//! - Programs carry half a digit of noise: two moves whose directions differ by no more than one digit over the length
-//!   of the shorter one count as straight on.
+//!   The trace does not show which lines were joined: the machine can have driven the last few lines as a separate
+//!   move, half a step longer or shorter than the lines are. So the speed of joined lines is also measured over 16
+//!   steps, with an allowance of half a step.
+//! - Programs carry half a digit of noise: if the directions of two moves differ by no more than one digit over the
+//!   length of the shorter move, the path counts as straight there.
 
 use super::oracle::{AXES, Place, Pulse, dominant, follow_line};
 use std::collections::BTreeSet;
@@ -54,7 +54,7 @@ const STRAIGHTNESS: f64 = 0.95;
 /// Maximum distance of a point from its intended position, mm: half a digit in two axes at once, rounded up.
 const NOISE: f64 = 0.0008;
 
-/// Step rate, steps/s, below which steps are placed on a finer grid.
+/// Step rate, steps/s, below which the controller places steps on a finer grid.
 const SMOOTHED: f64 = 8000.0;
 /// Maximum shift of a step by the finer grid, in steps.
 const SHIFT: f64 = 7.0 / 16.0;
@@ -126,7 +126,8 @@ impl Reading {
 }
 
 impl Limits {
-    /// Returns the maximum value along a direction at which no axis exceeds its own value.
+    /// Returns the maximum speed or acceleration along a direction (`unit`) at which no axis exceeds its own value in
+    /// `values`.
     fn along(&self, values: [f64; AXES], unit: [f64; AXES]) -> f64 {
         (0..AXES).filter(|&a| unit[a] != 0.0).map(|a| values[a] / unit[a].abs()).fold(f64::INFINITY, f64::min)
     }
@@ -178,7 +179,7 @@ fn passes(limits: &Limits, from: [f64; AXES], to: [f64; AXES], place: [f64; AXES
     least <= most
 }
 
-/// Enumerates the moves that the machine can have made by joining a program's lines.
+/// Finds the moves that the machine can have made of a program's lines by joining them.
 struct Joins<'a> {
     lines: &'a [Line],
     limits: &'a Limits,
@@ -266,7 +267,7 @@ fn moves(trace: &[Pulse], lines: &[Line], limits: &Limits) -> Result<Vec<Move>, 
     let mut moves = Vec::new();
     let mut next = 0;
     for (first, last, times) in (Joins { lines, limits }).follow(trace)? {
-        // Moves without steps pass their length on to the next move.
+        // The length of lines without a step is added to the next move.
         let skipped = &lines[next..first];
         let carried: f64 = skipped.iter().map(|line| norm(std::array::from_fn(|a| line.to[a] - line.from[a]))).sum();
         next = last + 1;
@@ -616,8 +617,8 @@ mod tests {
         assert!(run(50.0, a * 1.03).unwrap_err().contains("mm/s²"));
     }
 
-    /// Thirty lines of 14 um, in three versions: as one move; too fast; and with a few lines as a move of their own,
-    /// rounded to more steps than their length.
+    /// Thirty lines of 14 um, in three versions: driven as one move; too fast; and with a few lines driven as a
+    /// separate move, which rounding makes longer than it is.
     #[test]
     fn joined_lines_are_measured_over_several_steps() {
         let limits = Limits { steps_per_mm: [250.0; 3], acceleration: [9000.0; 3], ..limits() };
@@ -644,7 +645,7 @@ mod tests {
     fn a_jump_of_speed_is_seen() {
         let limits = limits();
         let smooth = trapezoid(LENGTH, 50.0, 400.0);
-        // From half of the path on everything happens 9 us later: one interval of 22 us is too long.
+        // From half of the path on, all steps come 9 us later, so one interval of 22 us is too long.
         let t = trace(&STRAIGHT, &limits, 0.0, |s| smooth(s) + if s > 0.5 { 9e-6 } else { 0.0 });
         assert!(check(&t, HZ, &[STRAIGHT], &limits).is_err());
         // Full speed from the first step on.

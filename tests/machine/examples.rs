@@ -47,7 +47,7 @@ fn run(name: &str, end: [f64; AXES], reach: [[f64; AXES]; 2]) -> Rig {
     assert_near(rig.place_mm(CARVER_STEPS), end, HALF_STEP);
     assert_near(rig.reported("MPos"), end, HALF_STEP + 0.0005);
     let [low, high] = extents(&places(&rig.trace, [0.0; AXES], [CARVER_STEPS; AXES]));
-    // Arcs can be off by a step and the arc tolerance.
+    // On an arc, the extent can be off by a step plus the arc tolerance.
     assert_near(low, reach[0], 0.02);
     assert_near(high, reach[1], 0.02);
     rig
@@ -63,7 +63,7 @@ fn house() {
 #[test]
 fn five_circles() {
     let rig = run("five_circles", [-2.0, -10.0, 0.0], [[-12.0, -11.0, -1.0], [10.0, 11.0, 0.0]]);
-    // The path at cutting depth, split at the rapids: one full circle each.
+    // The parts of the path at cutting depth, between the rapids: each is a full circle.
     let all = places(&rig.trace, [0.0; AXES], [CARVER_STEPS; AXES]);
     let cuts: Vec<&[[f64; AXES]]> = all.split(|p| p[2] != -1.0).filter(|cut| !cut.is_empty()).collect();
     assert_eq!(cuts.len(), 5);
@@ -75,7 +75,8 @@ fn five_circles() {
     }
 }
 
-/// The drilling program of chapter 4.5 of the original document, in the dialect that supports it.
+/// The drilling program of chapter 4.5 of the document on which this controller is based, in the dialect that has
+/// drilling cycles.
 #[test]
 fn drilling() {
     const INCH: f64 = 25.4;

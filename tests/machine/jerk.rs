@@ -74,7 +74,7 @@ impl Job {
     }
 }
 
-/// Returns the shortest time of a change of speed, and its length.
+/// Returns the shortest time of a change of speed, s, and the distance covered in it, mm.
 fn ramp(from: f64, to: f64, acceleration: f64, jerk: f64) -> (f64, f64) {
     let change = (to - from).abs();
     let time = if change * jerk >= acceleration * acceleration {
@@ -85,8 +85,8 @@ fn ramp(from: f64, to: f64, acceleration: f64, jerk: f64) -> (f64, f64) {
     (time, 0.5 * (from + to) * time)
 }
 
-/// Returns the shortest time of a distance with given speeds and zero acceleration at its ends, at no more than `most`:
-/// up to the highest speed from which it can still slow down to `to`. Found by bisection.
+/// Returns the shortest time for a distance, with speeds `from` and `to` and zero acceleration at its ends, at no more
+/// than `most`. The motion reaches the highest speed from which it can still slow down to `to`, found by bisection.
 fn least_time(length: f64, from: f64, to: f64, most: f64, acceleration: f64, jerk: f64) -> f64 {
     let needs = |top: f64| ramp(from, top, acceleration, jerk).1 + ramp(top, to, acceleration, jerk).1;
     let (mut low, mut high) = (from.max(to), most);
@@ -110,8 +110,8 @@ fn of_steps() -> f64 {
     2.0 * (6.0 * 0.5 / MACHINE.steps_per_mm[0] / JERK).cbrt()
 }
 
-/// Compares five jobs with their shortest times. Where a corner is passed or the feed changes, our rule makes the
-/// acceleration zero; the reference does the same.
+/// Compares five jobs with their shortest times. Where a corner is passed or the feed changes, the controller's rule
+/// makes the acceleration zero; so does the reference.
 #[test]
 fn jobs_take_little_more_than_the_shortest_time() {
     let a = MACHINE.acceleration[0];
@@ -176,8 +176,7 @@ fn borders_of_blocks_cost_no_time() {
     assert!((seconds / ideal - 1.0).abs() < 0.01, "{seconds} of {ideal} s");
 }
 
-/// Corners are passed no faster than by the rule that holds without a jerk limit, and the job takes longer than with
-/// the trapezoid.
+/// With a jerk limit, corners are passed no faster than the junction rule allows without one, and the job takes longer.
 #[test]
 fn corners_are_passed_no_faster() {
     for turn in [10.0_f64, 35.0, 90.0, 150.0] {
@@ -194,8 +193,8 @@ fn corners_are_passed_no_faster() {
     }
 }
 
-/// After the corner an axis allows less jerk and acceleration. The corner is passed within the limits, even if a hold
-/// or a lower feed acts shortly before it.
+/// After the corner Z moves, too, which has lower limits of jerk and acceleration. The machine must keep them, even if
+/// a hold or a lower feed acts shortly before the corner.
 #[test]
 fn a_corner_is_minded_by_what_brakes_before_it() {
     let limits = Limits { acceleration: [500.0, 400.0, 60.0], ..MACHINE };
@@ -240,7 +239,8 @@ fn a_late_ramp_lands_at_the_end() {
     }
 }
 
-/// The steps are so coarse that a ramp has few of them: the corner after the ramp is passed no faster than planned.
+/// The steps are so coarse that a ramp has only a few: still, the corner after the ramp must be passed no faster than
+/// planned.
 #[test]
 fn corners_behind_coarse_steps_are_minded() {
     for (scale, steps, jerk) in [(2000.0, 5.0, [500_000.0, 0.0, 10_000.0]), (3000.0, 20.0, [100_000.0, 0.0, 1000.0])] {
@@ -265,8 +265,8 @@ fn corners_behind_coarse_steps_are_minded() {
     }
 }
 
-/// A cycle start at any time around the end of a hold keeps the jerk limit, because a hold completes the ramp that it
-/// has started.
+/// The jerk limit is kept if a cycle start comes at any time around the end of a hold, because a hold always completes
+/// the ramp that it has started.
 #[test]
 fn a_start_right_behind_a_hold_keeps_the_limit() {
     for (feed, jerk) in [(8.0, 8000.0), (5.6, 8000.0), (8.0, 1500.0), (2.0, 1500.0), (40.0, 5000.0)] {
@@ -368,7 +368,7 @@ proptest! {
             rig.send(&[touch]);
         }
         for _ in 0..3 {
-            // Repeated, because a cycle start has no effect during the ramp of a hold.
+            // Send cycle start again, because the first one has no effect if it comes during the ramp of a hold.
             rig.run_for(1.5);
             rig.send(b"~");
         }

@@ -3,9 +3,9 @@
 //!
 //! Each test reads one quantity over time from the steps: the distance along an arc or the position of an axis. Between
 //! two steps it is interpolated, so it is up to a step off ([`UNCERTAIN`]; this includes the finer grid of slow moves).
-//! Its differences of first, second and third order over a time h are the means of speed, acceleration and jerk times
-//! h, h², h³. They are allowed to exceed the limit times h, h², h³ by 1 % per order, plus 2, 4 and 8 times the
-//! uncertainty of one position.
+//! Its differences of first, second and third order over a time h are the mean speed times h, the mean acceleration
+//! times h², and the mean jerk times h³. They may exceed the limits, times h, h² and h³, by 1 % per order plus 2, 4 and
+//! 8 times the uncertainty of one position.
 
 use super::estimator::TOLERANCE;
 use super::oracle::AXES;
@@ -68,7 +68,7 @@ fn check(course: &[(f64, f64)], bounds: impl Fn(f64) -> [f64; 3], exempt: impl F
     let (Some(first), Some(last)) = (course.first(), course.last()) else { return Err("nothing moves".into()) };
     let mut compared = 0;
     for (order, weights) in [[-1.0, 1.0, 0.0, 0.0], [1.0, -2.0, 1.0, 0.0], [-1.0, 3.0, -3.0, 1.0]].iter().enumerate() {
-        // h is so long that the effect of the uncertainty is a tenth of the limit for speed, a sixteenth for
+        // h is so long that the allowance for the uncertainty is a tenth of the limit for speed, a sixteenth for
         // acceleration, and a quarter for jerk.
         let h = [20.0 * PITCH / RATE, (64.0 * PITCH / ACCELERATION).sqrt(), (32.0 * PITCH / JERK).cbrt()][order];
         let mut time = first.0 - 3.0 * h;
@@ -300,7 +300,7 @@ fn jerk_is_bounded_while_slack_is_taken_up() {
 #[test]
 fn jerk_is_bounded_on_belts() {
     let mut mill = mill("kinematics = \"corexy\"", "$904=1\n");
-    // From rest to rest, because a corner would be exempt.
+    // Each move goes from rest to rest, because a corner would be exempt from the check.
     run(&mut mill, "G90 G1 X30 F6000\nX0\nY25\nY0\nG0 X20 Y20\nX0 Y0\nG1 X10 Y5\nX0 Y0");
     assert_eq!(mill.machine().position(), [0; AXES]);
     let axes: Vec<(f64, [f64; AXES])> =
@@ -308,8 +308,8 @@ fn jerk_is_bounded_on_belts() {
     check_axes(&axes, |_, _| false);
 }
 
-/// The start of a hold is computed back from its end: the shortest ramp down with bounded jerk takes v / A + A / J, or
-/// 2 √(v / J) if the full deceleration A is not reached. A hold must start within 25 ms of the command.
+/// The start of a hold is computed back from its end: the shortest ramp down with bounded jerk J takes v / A + A / J,
+/// or 2 √(v / J) if the ramp does not reach the full deceleration A. A hold must start within 25 ms of the command.
 #[test]
 fn a_hold_with_jerk_limit_begins_within_25_ms() {
     for (feed, milliseconds) in [(6000, 500), (6000, 611), (3000, 333), (3000, 402), (1500, 700)] {

@@ -54,7 +54,7 @@ fn belts_draw_the_same_picture() {
         let [a, b] = [0, 1].map(|i| f64::from(record.position[i]));
         let place = [0.5 * (a + b), 0.5 * (a - b)];
         let off = |p: &[f64; 2]| (p[0] - place[0]).hypot(p[1] - place[1]);
-        // Both machines run the same job in the same order: search near the previous match.
+        // Both machines pass the positions in the same order, so search near the previous match.
         let window = near.saturating_sub(200)..(near + 400).min(path.len());
         near = window.min_by(|i, k| off(&path[*i]).total_cmp(&off(&path[*k]))).unwrap();
         assert!(off(&path[near]) < 1.5, "{place:?} is off by {}", off(&path[near]));

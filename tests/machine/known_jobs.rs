@@ -1,5 +1,5 @@
-//! Twelve jobs whose end positions and steps are recorded. The steps are recorded as two digests: one with their times,
-//! one of their order alone. `cargo test-target` holds the firmware on QEMU to the same digests, so simulator and
+//! Twelve jobs whose end positions and steps are recorded. The steps are recorded as two digests: one covers their
+//! times, one only their order. `cargo test-target` holds the firmware on QEMU to the same digests, so simulator and
 //! firmware agree on them. After an intended change of motion, rewrite them:
 //! `OXMILL_WRITE_DIGESTS=1 cargo test --test machine known_jobs`.
 

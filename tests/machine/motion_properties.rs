@@ -168,7 +168,8 @@ impl Job {
     }
 }
 
-/// If a remnant of a move, shorter than a digit, lies in a corner, the machine still brakes for the corner.
+/// If a remnant of a move, shorter than the last digit of the program (0.001 mm), lies in a corner, the machine still
+/// brakes for the corner.
 #[test]
 fn a_remnant_hides_no_corner() {
     for job in ["X10.002 F500\nX10.0016\nX0", "X10.0018 F500\nX10.0022 Y0.0005\nY10"] {
@@ -300,8 +301,8 @@ proptest! {
         let step = limits.steps_per_mm.iter().map(|s| 1.0 / s).fold(0.0, f64::max);
         let places = places(&rig.trace, [0.0; AXES], limits.steps_per_mm);
         // Radial allowance: the arc tolerance, the last digit of start and end, and the steps. Each axis is within half
-        // a step of its position on the chord; the chord's ends are rounded to sevenths of a step, of which 3.5 count
-        // as 3. So an axis is off by 1/2 + 1/14 of a step, and both axes can be at their worst at once.
+        // a step of its position on the chord; the chord's ends are rounded to sevenths of a step; half a step (3.5
+        // sevenths) becomes 3. So an axis is off by 1/2 + 1/14 of a step, and both axes can be at their worst at once.
         let radial = 0.002 + std::f64::consts::SQRT_2 * 4.0 / 7.0 * step + 0.001;
         if let Err(fault) = circle.follows(&places, radial, 2.0 * step + 0.002) {
             return Err(TestCaseError::fail(format!("{fault}\n{text}")));
@@ -371,8 +372,8 @@ proptest! {
     }
 }
 
-/// 20,000 steps at constant speed take their time to the last tick of the step clock, whatever fraction of a tick a
-/// step takes.
+/// 20,000 steps at constant speed take exactly their time, to the tick of the step clock, even if the time of one step
+/// is no whole number of ticks.
 #[test]
 fn fractions_of_a_tick_add_up() {
     for feed in [3210.7, 5999.3, 7411.0] {
@@ -402,7 +403,7 @@ fn a_circle_of_short_chords_is_a_circle() {
         let angle = k as f64 * 0.02;
         [5.0 * angle.cos() - 5.0, 5.0 * angle.sin(), 0.0].map(|v| (v * 1000.0).round() as i64)
     };
-    // Into the circle along its tangent.
+    // The approach enters the circle along its tangent.
     job.to([0, -40_000, 0], true);
     for k in 0..=628 {
         job.to(point(k), false);

@@ -1,12 +1,12 @@
-//! Computes the shortest time of a path, in `f64`, with the whole path in view: what a controller with an endless queue
-//! and no rounding would do. Serves as a reference for times, and as a source of motion that is known to be within its
+//! Computes, in `f64`, the shortest time for a path that is known as a whole: the time of a controller with an endless
+//! queue and without rounding. Serves as a reference for times, and as a source of motion that is known to keep the
 //! limits.
 //!
 //! The path is given as pieces with their tangent x' and curvature x'' (by length). With speed v and acceleration u
-//! along the path each axis has the acceleration `x'' v² + x' u`, which stays within its limit. Backward pass from the
-//! end: the maximum v² at each knot from which the rest can still be driven. Forward pass: the maximum u that does not
-//! exceed this v². The set of (v², u) is convex and contains (0, 0), so the result is the optimum, except for the
-//! finite length of the pieces.
+//! along the path, each axis has the acceleration `x'' v² + x' u`, which must stay within the limit of the axis. A
+//! backward pass from the end finds for each knot (the border of two pieces) the maximum v² from which the rest of the
+//! path can still be driven. A forward pass then takes at each knot the maximum u that does not exceed this v². The set
+//! of (v², u) is convex and contains (0, 0), so the result is the optimum, except for the finite length of the pieces.
 
 use super::axis_speeds::{Course, Unsure, granted};
 use super::estimator::Limits;
@@ -37,7 +37,8 @@ pub enum Bound {
     Resultant,
 }
 
-/// Returns the range of accelerations along the path that the axes allow on a piece entered at speed² `v2`.
+/// Returns the minimum and the maximum acceleration along the path that the axes allow on a piece that is entered at
+/// speed² `v2`.
 fn range(piece: &Piece, v2: f64, limits: &Limits, bound: Bound) -> (f64, f64) {
     let twice = 2.0 * piece.length;
     // Brake at most to a stop at the end of the piece.
@@ -53,7 +54,7 @@ fn range(piece: &Piece, v2: f64, limits: &Limits, bound: Bound) -> (f64, f64) {
     }
     for axis in 0..AXES {
         let bend = piece.curvature[axis];
-        // At the beginning and at the end, where v² is v2 + 2 u length.
+        // The limits hold at the beginning of the piece and at its end, where v² is v2 + 2 u length.
         for share in [piece.tangent[axis], piece.tangent[axis] + twice * bend] {
             let most = limits.acceleration[axis];
             let (a, b) = ((-most - bend * v2) / share, (most - bend * v2) / share);

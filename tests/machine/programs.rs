@@ -6,9 +6,9 @@ use std::path::Path;
 
 /// Virtual seconds to wait for an answer or the end of motion before the test fails.
 const PATIENCE: f64 = 600.0;
-/// Maximum number of lines with axis words between two checks of the position, outside of O words.
+/// Maximum number of lines with axis words between two checks of the position; lines between O words do not count.
 const MOST_UNCHECKED: usize = 3;
-/// Maximum position error, mm: a step, and the last digit of the report.
+/// Maximum position error, mm: a step plus the last digit of the report.
 const TOLERANCE: f64 = 0.0011;
 /// A machine of usual speed with fine steps, and work positions in the reports.
 const SETTINGS: [&str; 12] = [
@@ -98,7 +98,7 @@ fn moves(line: &str) -> bool {
         && !["G10", "G51", "G52", "G68", "G92"].iter().any(|word| line.contains(word))
 }
 
-/// Returns the first line that is too many moves after the last check of the position.
+/// Returns the first line at which more than [`MOST_UNCHECKED`] moves have passed since the last check of the position.
 fn unchecked<'a>(lines: &[(usize, &'a str)]) -> Option<(usize, &'a str)> {
     let (mut since, mut depth) = (0, 0);
     for (i, (number, line)) in lines.iter().enumerate() {
@@ -143,7 +143,7 @@ fn play(reason: &str, lines: &[(usize, &str)]) -> Result<(), String> {
             let waits = lines.get(i + 1).is_some_and(|(_, next)| *next == "~");
             let before = refused.map(|_| player.position());
             if waits {
-                // The line of a pause is answered when the pause ends.
+                // The line that pauses the program is answered only when the pause ends.
                 player.rig.send(format!("{line}\n").as_bytes());
                 player.rig.run_for(5.0);
                 player.unread += &player.rig.take_output();

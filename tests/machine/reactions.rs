@@ -1,5 +1,5 @@
-//! Faults in every machine state, with every reaction that can be set: checks motion, spindle, messages, and whether
-//! the position is still trusted.
+//! Faults in every machine state, with every reaction that the settings offer: checks motion, spindle, messages, and
+//! whether the position is still trusted.
 
 use oxmill_controller::axes::Axis;
 use oxmill_controller::messages::SpindleDirection;
@@ -12,12 +12,12 @@ const ACCELERATION: f64 = 500.0;
 /// Feed of the job, mm/s.
 const FEED: f64 = 20.0;
 const PARKED_Z: f64 = -5.0;
-/// Distance covered at the feed before a fault is seen, mm: the pin's filter delay, and the time until the control task
-/// next runs.
+/// Distance, mm, that the machine moves at the feed before the controller sees a fault: the pin's filter delays it, and
+/// the control task does not run all the time.
 const LATE: f64 = 0.1;
 /// Host timeout, ms.
 const SILENCE: u64 = 500;
-/// Distance covered before a hold acts, mm: segments that are already queued for the step task.
+/// Distance, mm, that the machine moves before a hold acts: the segments that are already queued for the step task.
 const QUEUED: f64 = 0.02 * FEED;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,7 +55,7 @@ impl Fault {
             Fault::Driver => pin(mill, "fault 1"),
             Fault::Spindle => pin(mill, "at_speed 0"),
             Fault::Host => mill.disconnect(),
-            // Only time has to pass.
+            // This fault happens by itself when the host sends nothing.
             Fault::Silence => {}
         }
     }
@@ -398,7 +398,7 @@ impl Case {
         assert!(!self.said.contains("ALARM:"), "{name}");
     }
 
-    /// Checks that a job waiting for its host can be resumed and ends where it should.
+    /// Checks that a job that waits for its host can be resumed and ends at the right position.
     fn check_wait(self) {
         self.check_path();
         self.check_resumed();
@@ -422,7 +422,8 @@ impl Case {
         assert!((travelled - wanted).abs() < 0.003, "X has moved by {travelled}: {name}");
     }
 
-    /// Clears the faults and resets: the machine must be as usable as the controller claims.
+    /// Clears the faults and resets: the machine must be usable without homing exactly if the controller trusts the
+    /// position.
     fn check_reset(mut self) {
         let trusted = self.mill.controller().is_trusted();
         for line in ["limit y 0", "estop 0", "fault 0", "at_speed 1"] {
@@ -480,8 +481,8 @@ fn what_is_no_fault_in_a_state_changes_nothing() {
     let homed = homed();
     let mut cases = 0;
     for fault in Fault::ALL {
-        // Two kinds of cases are left to other tests. While the machine returns after a door, host and spindle are
-        // checked only when the job continues. A homing cycle expects limit switches to close.
+        // Other tests cover two kinds of cases. While the tool returns after a door, the controller checks host and
+        // spindle only when the job continues. In a homing cycle, limit switches are expected to close.
         let is_later = |state: State| match fault {
             Fault::Limit => state == State::Home,
             _ => state == State::DoorReturning,
@@ -533,7 +534,7 @@ fn a_host_that_goes_or_is_silent_on_the_way_back_stops_the_job_there() {
     for fault in [Fault::Host, Fault::Silence] {
         for reaction in fault.reactions() {
             let mut case = Case::run(&homed, fault, reaction, State::DoorReturning);
-            // Time to return, and to retract again.
+            // In this time the tool returns to the work, and retracts again.
             case.mill.run_for(Duration::from_secs(12));
             let name = case.name();
             let (x, _) = case.after_fault();
@@ -690,8 +691,8 @@ fn a_spindle_that_is_given_time_costs_no_time() {
     mill.send("$916=1\n$929=0.1\n$394=4\n");
     assert!(mill.run_until_idle());
     mill.take_output();
-    // The at-speed check ends before the spin-up does. The simulator must jump to the next event in time: if the
-    // spin-up were polled, each poll would advance the clock by one tick only.
+    // The at-speed check ends before the spin-up does. The simulator must jump to the next event in time: if it polled
+    // until the spin-up ends, each poll would advance the clock by only one tick.
     mill.send("M3 S500\n");
     let begun = mill.clock().now();
     let mut looks = 0;
@@ -714,7 +715,8 @@ fn the_heavier_of_two_faults_is_told_and_acts() {
     let said = mill.take_output();
     assert!(said.contains("ALARM:101\r") && !said.contains("ALARM:102"), "{said}");
     assert!(!mill.controller().is_trusted(), "a driver may have lost steps: {said}");
-    // The machine brakes for a slow spindle, which may stay on. A limit switch that stops at once still acts.
+    // The machine brakes because the spindle is too slow, and the spindle may stay on. A limit switch, which stops the
+    // machine at once, must still act during this.
     let mut mill = milling("$927=4\n");
     pin(&mut mill, "at_speed 0");
     mill.run_for(Duration::from_millis(55));
@@ -753,7 +755,7 @@ fn a_spindle_that_stays_on_keeps_its_speed() {
     }
 }
 
-/// After a reset, startup lines run although the host has left: they are not the job that it has left running.
+/// After a reset, startup lines run although the host has left: they are not part of the job that the host was running.
 #[test]
 fn a_reset_on_the_way_back_from_a_door_forgets_that_the_host_has_gone() {
     let mut mill = homed();
@@ -772,7 +774,8 @@ fn a_reset_on_the_way_back_from_a_door_forgets_that_the_host_has_gone() {
     assert!(status(&mut mill).contains("<Idle|"), "{}", mill.take_output());
 }
 
-/// A tool that is parked from rest needs the drivers; after the tool has returned they are switched off after `$1`.
+/// A tool that is parked while the machine is idle needs the drivers. When it has returned, they are switched off after
+/// the idle delay (`$1`).
 #[test]
 fn the_drivers_go_off_behind_a_door_that_parked_the_tool() {
     let mut mill = homed();

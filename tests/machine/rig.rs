@@ -8,7 +8,7 @@ use std::time::Duration;
 
 /// Step clock of the rig.
 pub const HZ: u64 = boards::DESK.step_clock_hz as u64;
-/// Number of pulses in the simulator's trace at which `run_until` counts and removes them.
+/// When the simulator's trace has this many pulses, `run_until` counts and removes them.
 const GATHER: usize = 4096;
 
 pub struct Rig {

@@ -1,5 +1,5 @@
 //! A rotary fourth axis, checked on the steps of the machine: it moves evenly with X, Y and Z, ends at its exact
-//! position, and F means what RS274NGC says (2.1.2.5 and 2.1.2.6).
+//! position, and F has the meaning that RS274NGC specifies (2.1.2.5 and 2.1.2.6).
 
 use oxmill_simulator::{Options, Simulator, boards};
 use proptest::prelude::*;
@@ -133,7 +133,8 @@ proptest! {
             let whole: [f64; 4] = std::array::from_fn(|axis| motors[axis] - from[axis]);
             let dominant = (0..4).max_by(|a, b| whole[*a].abs().total_cmp(&whole[*b].abs())).unwrap_or(0);
             for (_, steps) in course(&mill) {
-                // The dominant axis is itself up to half a step ahead or behind; so the allowance is a whole step.
+                // `part` comes from the dominant axis, which is itself up to half a step ahead or behind. So the
+                // allowance is a whole step.
                 let part = (steps[dominant] - from[dominant]) / whole[dominant];
                 for axis in 0..4 {
                     let meant = from[axis] + whole[axis] * part;
@@ -168,7 +169,7 @@ fn three_axes_are_as_without_it() {
     assert!(without.len() > 1000);
     assert_eq!((without.len(), place), (with.len(), other_place));
     for (one, other) in without.iter().zip(&with) {
-        // Earlier motion can leave a fraction of a tick.
+        // Motion before this job can leave a fraction of a tick, so times may differ by a tick.
         assert!(
             one.0.abs_diff(other.0) <= 1 && (one.1, one.2) == (other.1, other.2),
             "{one:?}, with A before: {other:?}"
@@ -216,8 +217,8 @@ fn links(feed: core::ops::Range<u32>, most_y: i32) -> impl Strategy<Value = Vec<
     prop::collection::vec((way, feed), 2..7)
 }
 
-/// Returns the ratio of a chain's duration to the nominal one, and the share of one step of X in the chain. The share
-/// allows for the time before the first step and after the last, which the trace does not cover.
+/// Returns the ratio of a chain's duration to the nominal one, and the length of one step of X as a share of the chain.
+/// This share is the tolerance for the time before the first step and after the last, which the trace does not cover.
 fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> (f64, f64) {
     let (text, meant) = chain(links, inverse_time);
     let mut mill = mill();
@@ -229,9 +230,9 @@ fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> (f64, f64) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, rng_seed: RngSeed::Fixed(931), ..ProptestConfig::default() })]
 
-    /// Moves too short for a step take their time together with the next move that makes a step, whatever A does and
-    /// however long each move takes. Y does not move, because lines that go back and forth in Y would be joined to a
-    /// straight one, which is shorter.
+    /// Moves too short for a step, together with the next move that makes a step, take the time that they have by F,
+    /// whatever A does and however long each move takes. Y does not move, because lines that go back and forth in Y
+    /// would be joined to a straight one, which is shorter.
     #[test]
     fn chains_of_moves_shorter_than_a_step_take_their_time(even in links(30..31, 0), odd in links(30..120, 0)) {
         for links in [even, odd] {

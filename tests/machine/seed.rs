@@ -64,7 +64,7 @@ fn chapter_2_2_1_another_system_between_moves() {
     }
 }
 
-/// G10 L20 applies to its line only; the offset that it sets stays.
+/// G10 L20 is not modal: it acts only in its own line, but the offset that it sets remains.
 #[test]
 fn chapter_2_2_1_g10_l20_is_of_its_line() {
     let mut rig = Rig::with(CARVER);
@@ -194,7 +194,7 @@ fn chapter_2_7_work_is_machine_less_system_less_g92() {
     let mut rig = Rig::with(CARVER);
     walk(&mut rig, &[("G10 L2 P1 X-100 Y-70", None), ("G53 G0 X-90 Y-60", Some([-90.0, -60.0, 0.0]))]);
     assert_near(work(&mut rig), [10.0, 10.0, 0.0], 0.0);
-    // An additional offset of (5, 5): the position that reads (10, 10) must read (5, 5).
+    // G92 adds an offset of (5, 5): the position that was reported as (10, 10) must then be reported as (5, 5).
     rig.carry_out("G92 X5 Y5");
     assert!(rig.ask("$#").contains(&"[G92:5.000,5.000,0.000]".to_string()));
     assert_near(work(&mut rig), [5.0, 5.0, 0.0], 0.0);
@@ -312,8 +312,9 @@ fn chapter_2_3_4_an_arc_to_a_point_off_the_circle() {
         .unwrap();
 }
 
-/// Figure 6.2 and the example of 7.1, on the step outputs of a machine with one step per millimetre. An axis this slow
-/// is smoothed: Y steps at the first sixteenth of a step of X after it is due, in the tick of the figure.
+/// Figure 6.2 and the example of 7.1, on the step outputs of a machine with one step per millimetre. The steps of an
+/// axis this slow are smoothed: a step of Y comes at the first sixteenth of a step of X after it is due, within the
+/// tick that the figure shows.
 #[test]
 fn chapters_6_and_7_the_steps_of_the_minor_axis() {
     // Step m of Y is due when X has made (m - 1/2) × X / Y; a step due exactly at a grid position waits for the next

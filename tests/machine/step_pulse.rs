@@ -51,7 +51,7 @@ fn tenths_are_kept_over_a_power_cycle() {
     let mut mill = power_up(boards::NUCLEO_F446RE, mill.store().power_cycled().unwrap());
     assert!(ask(&mut mill, "$$").starts_with("$0=0.5\r\n"));
     assert_eq!(pulse_tenths(&mill), 5);
-    // A board that cannot make this pulse reports it and does not move.
+    // A board that cannot make the stored pulse reports this and does not move.
     let mut mill = power_up(boards::BLACKPILL_F411, mill.store().power_cycled().unwrap());
     let refused = "[MSG:Motion is locked until this setting is mended: $0]\r\nerror:9\r\n";
     assert_eq!(ask(&mut mill, "G91 G0 X1"), refused);

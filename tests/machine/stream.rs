@@ -22,7 +22,7 @@ fn number(random: &mut Random) -> String {
 fn line(random: &mut Random) -> String {
     let mut line = String::new();
     match random.below(20) {
-        // Short moves and arcs: most of a job.
+        // Short moves and arcs, as most lines of a job are.
         0..=7 => {
             line += random.of(&["G0", "G1", "", "G1", "g1", "N7G1", "G53 G0", "G90 G0", "G91 G1"]);
             for letter in ["X", "Y", "Z"] {
@@ -123,7 +123,7 @@ fn line(random: &mut Random) -> String {
             line += &"X1".repeat(length / 2);
         }
         _ => {
-            // F is left out: at F0.01 the stream would take days of virtual time.
+            // No F words: at F0.01 the stream would take days of virtual time.
             for _ in 0..1 + random.below(6) {
                 line += random.of(&["G", "M", "X", "Y", "Z", "S", "P", "L", "I", "J", "K", "N", "R", "T", "(", ")"]);
                 line += &number(random);
@@ -196,7 +196,7 @@ impl Stream {
             if self.open.is_empty() {
                 return;
             }
-            // The machine waits in a hold or after M0.
+            // Not all lines are answered: the machine waits in a hold or after M0, so resume it.
             self.rig.send(b"~");
         }
         panic!("{} lines are never answered: {}", self.open.len(), self.rig.status());
@@ -314,8 +314,7 @@ fn a_million_thousandths_make_a_thousand() {
     assert_eq!(answers, 1_000_001);
     assert_eq!(rig.place, [80_000, 0, 0]);
     assert!(rig.status().starts_with("<Idle|MPos:1000.000,0.000,0.000|"));
-    // The position is exact, not only rounded to the nearest step, because the return move has the same number of
-    // steps.
+    // The position is exact and not only rounded to the nearest step: the return move makes the same number of steps.
     rig.carry_out("G90 X0");
     assert_eq!(rig.place, [0, 0, 0]);
 }

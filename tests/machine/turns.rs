@@ -1,5 +1,5 @@
-//! Turns that a program makes of short chords must be taken no faster than the same turn in one vertex or as an arc,
-//! and no slower. [`super::axis_speeds`] explains how axis speeds are read and what is allowed.
+//! If a program approximates a turn by short chords, the machine must take it as fast as the same turn in one vertex or
+//! as an arc, neither faster nor slower. [`super::axis_speeds`] explains how axis speeds are read and what is allowed.
 
 use super::axis_speeds::{Change, Course, greatest_change};
 use super::estimator::Limits;
@@ -135,7 +135,8 @@ fn line(pieces: u32) -> Vec<[f64; AXES]> {
         .collect()
 }
 
-/// A remnant of a move in a right angle makes it two corners of 45 degrees; for the motors nothing changes.
+/// A remnant of a move in a right angle turns it into two corners of 45 degrees. For the motors nothing changes, so the
+/// machine must not be faster.
 #[test]
 fn a_remnant_in_a_right_angle_makes_it_no_faster() {
     let settings = settings(&limits(1000.0), 0.0);
@@ -181,7 +182,7 @@ fn a_straight_line_in_coarse_digits_keeps_its_time() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// Rounding noise does not make a circle tighter, either.
+/// Rounding noise does not make a circle seem tighter, either: the circle takes no longer with coarse digits.
 #[test]
 fn a_circle_in_coarse_digits_keeps_its_time() {
     let mut faults = Vec::new();
@@ -254,7 +255,7 @@ enum Shape {
     Fillets(Vec<(f64, f64)>),
     /// Rows joined by half circles, alternately to both sides.
     Rows(Vec<f64>),
-    /// Tips of two turns each, all equal.
+    /// A star: each tip consists of two turns, and all tips are equal.
     Star { tips: u32, side: f64, sharp: f64 },
     /// Half circles, each larger than the one before by this factor.
     Spiral { halves: u32, growth: f64 },
@@ -471,7 +472,7 @@ fn no_axis_changes_its_speed_by_more_than_a_whole_turn_is_granted() {
 /// Maximum number of vertices of jobs that are compared with the rule in `f64`, which examines all spans.
 const MOST_VERTICES: usize = 300;
 
-/// Turns are not slower than the rule, either: rounding noise costs no time.
+/// Turns are not slower than the rule for turns allows, either: rounding noise costs no time.
 #[test]
 fn no_turn_takes_longer_than_the_rule_needs() {
     let mut faults = Vec::new();
@@ -497,9 +498,8 @@ const SLOWER: f64 = 1.15;
 /// Allowance for the first and the last step, s.
 const UNSEEN: f64 = 0.01;
 
-/// Checks the measurement itself: it accepts motion by the rule, at its limit everywhere and in any shape. A rule that
-/// allows 1.5 times the speed is detected on some jobs, those with fine steps and digits, and 2 times the speed on
-/// most.
+/// Checks the measurement itself: it must accept motion at the limit of the rule, in any shape. It must detect motion
+/// at 1.5 times this speed on some jobs (those with fine steps and digits), and at 2 times on most.
 #[test]
 fn the_measure_accepts_the_rule_and_sees_a_broken_one() {
     let (mut compared, mut seen) = (0, [0, 0]);

@@ -2,12 +2,12 @@
 
 use proptest::prelude::*;
 
-/// A line of a host; each variant is answered by the protocol in its own way.
+/// A line of a host. The variants are those that the protocol answers differently.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Line {
     Empty,
-    /// Longer than the 79 characters of Grbl. In Oxmill's dialect, where longer lines are allowed, its repeated word is
-    /// an error.
+    /// Longer than Grbl's maximum of 79 characters. In Oxmill's dialect, which allows longer lines, the line is
+    /// rejected because it repeats a word.
     TooLong,
     /// A straight move in absolute coordinates: axis and target in mm. `true`: at [`FEED`], else a rapid.
     Move(usize, i8, bool),
@@ -28,7 +28,7 @@ pub enum Line {
     Tool(u8, bool),
     /// A jog of an axis by a distance in mm.
     Jog(usize, i8),
-    /// A jog to a position that soft limits forbid; without them, a long jog.
+    /// A jog to a position that soft limits forbid; without soft limits it is just a long jog.
     JogOutside,
     /// A jog with an invalid text, and its error number.
     WrongJog(&'static str, u8),
@@ -198,7 +198,7 @@ pub struct Setup {
     pub soft_limits: bool,
     /// `$918=1`.
     pub tool_changes: bool,
-    /// `$922` and `$923`.
+    /// `$922` and `$923`: the host timeouts during a job and during a jog.
     pub watch: bool,
     /// `$915`: the spindle has an at-speed signal.
     pub at_speed: bool,
@@ -206,7 +206,7 @@ pub struct Setup {
     pub reactions: Option<u8>,
 }
 
-/// Alarm for a silent or disconnected host, where that is a fault.
+/// Alarm for a silent or disconnected host, in states in which that is a fault.
 pub const HOST: u8 = 3;
 /// Alarm for a spindle that has lost its speed.
 pub const SLOW: u8 = 14;
@@ -260,7 +260,8 @@ impl Setup {
     }
 }
 
-/// Host timeout during a job, s. Not a sum of the times that actions, dwells or delays take.
+/// Host timeout during a job, s. It is not a sum of the times that actions, dwells or delays take, so it never expires
+/// together with one of them.
 pub const JOB_SILENCE: f64 = 1.13;
 /// Host timeout during a jog, s; chosen in the same way.
 pub const JOG_SILENCE: f64 = 0.31;
@@ -341,8 +342,8 @@ fn one() -> impl Strategy<Value = Action> {
     ]
 }
 
-/// Durations of [`Action::Pass`], s. No sum of a few of them equals that of a dwell or a delay, so nothing ends exactly
-/// at a report.
+/// Durations of [`Action::Pass`], s. No sum of a few of them equals the duration of a dwell or a delay, so nothing ends
+/// exactly at a report.
 const PASSES: [f64; 6] = [0.0023, 0.0317, 0.2129, 0.6151, 2.0377, 7.1213];
 
 /// A homing cycle by hand: each switch is touched twice, first Z, then X and Y.
@@ -402,8 +403,8 @@ fn resumed_job() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
-/// Generates a job with an input fault, in which the spindle can have been stopped, and events while the machine
-/// brakes.
+/// Generates a job with an input fault and events while the machine brakes. The operator can have stopped the spindle
+/// before.
 fn job_with_a_fault() -> impl Strategy<Value = Vec<Action>> {
     let before = prop::sample::select(vec![
         vec![],
@@ -440,7 +441,8 @@ fn job_with_a_fault() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
-/// Generates a job whose spindle loses its speed repeatedly, and events that can give it time to spin up.
+/// Generates a job whose spindle loses its speed repeatedly, and events after which the controller may allow the
+/// spindle time to reach its speed.
 fn job_with_a_slow_spindle() -> impl Strategy<Value = Vec<Action>> {
     let slow =
         || prop::sample::select(vec![0.0317, 0.1601, 0.1799, 0.2601, 0.2901, 2.0377]).prop_map(Action::SlowSpindle);
@@ -482,13 +484,13 @@ fn some() -> impl Strategy<Value = Vec<Action>> {
         40 => one().prop_map(|action| vec![action]),
         2 => sequence(vec![Action::Byte(RESET), Action::Line(Line::Unlock)]),
         1 => sequence(homed_by_hand()),
-        // Jogs that meet an action that ends jogs, and lines that wait.
+        // A jog or another line, perhaps with a jog waiting behind it, and then an action that ends jogs.
         3 => ended_jog().prop_flat_map(sequence),
         1 => resumed_job().prop_flat_map(sequence),
         1 => job_with_a_fault().prop_flat_map(sequence),
         1 => tools().prop_flat_map(sequence),
         1 => job_with_a_slow_spindle().prop_flat_map(sequence),
-        // The first actions of a homing cycle.
+        // A homing cycle by hand that is not completed.
         1 => (0..18_usize).prop_map(|count| homed_by_hand().into_iter().take(count).collect()),
     ]
 }

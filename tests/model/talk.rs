@@ -171,8 +171,9 @@ fn is_line(pattern: &str, line: &str) -> bool {
 /// Number of times that each state has been reported after an action.
 pub type States = BTreeMap<String, u64>;
 
-/// Plays a conversation with a machine of `setup` and with the model of a machine of `told`. The two setups differ only
-/// in the tests that check this test. Returns the states that were reported, or the disagreement.
+/// Plays a conversation with a machine of `setup` and with the model of a machine of `told`. `told` differs from
+/// `setup` only where the tests check that a disagreement is found. Returns the states that were reported, or the
+/// disagreement.
 pub fn play(setup: Setup, told: Setup, actions: &[Action]) -> Result<States, String> {
     let mut talk = Talk::started(setup);
     let mut models = vec![Model::new(told)];

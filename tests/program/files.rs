@@ -1,4 +1,5 @@
-//! Files that the program reads and writes: what is no job, what must not be overwritten, outputs that fail.
+//! Files that the program reads and writes: files that are not jobs, files that must not be overwritten, outputs that
+//! fail.
 
 use super::{file, json, oxmill, run, text};
 use std::fs;
@@ -80,7 +81,7 @@ fn no_file_is_written_over_another() {
     let job = file("kept.nc", program);
     let settings = file("kept.txt", "$100=80\n");
     let linked = Path::new(env!("CARGO_TARGET_TMPDIR")).join("linked.svg");
-    // The link of an earlier run is removed, because it cannot be made again.
+    // Remove the link of an earlier run of the test: otherwise it could not be made again.
     let _ = fs::remove_file(&linked);
     fs::hard_link(&job, &linked).expect("a link can be made");
     let roundabout = job.parent().expect("a folder").join(".").join("kept.nc");
@@ -176,7 +177,8 @@ fn nothing_that_cannot_be_said_is_a_crash() {
     assert_eq!(mute.status.code(), Some(2));
 }
 
-/// Endless files are not read to the end, and a file too long for its purpose is rejected by name.
+/// Endless files are not read to the end, and a file that is too long for its purpose is rejected, with its name in the
+/// message.
 #[cfg(unix)]
 #[test]
 fn files_are_read_with_a_bound() {

@@ -64,7 +64,7 @@ fn a_recorded_job_with_a_very_long_dwell_is_played_again() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// Errors that prevent a run are found before an older recording is overwritten.
+/// If an error prevents a run, an older recording must not have been overwritten.
 #[test]
 fn a_recording_is_kept_until_there_is_a_new_one() {
     let job = file("kept.nc", "G0 X1\n");
@@ -141,7 +141,7 @@ fn a_recorded_conversation_is_played_again() {
     assert!(String::from_utf8_lossy(&played.stderr).is_empty(), "the same steps");
 }
 
-/// Recordings of machines: each once revealed a fault, or shows behaviour that must not change.
+/// Recordings from real machines: each one once revealed a fault, or shows behaviour that must not change.
 #[test]
 fn recordings_from_the_field() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/recordings/field");

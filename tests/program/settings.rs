@@ -38,7 +38,7 @@ fn settings_are_those_of_the_dialect() {
     let dump = file("dump_of_grbl.txt", "$20=1\n$22=1\n$0=2.5\n");
     let output = run(&["check", text(&job), "--dialect", "grbl", "--settings", text(&dump)]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // A rejected value is not tried again if a later value for the same setting follows.
+    // A rejected value is normally tried again after all others, but not if a later value for the same setting follows.
     let twice = ["check", text(&job), "--dialect", "grbl", "--set", "32=2", "--set", "32=0"];
     let output = run(&twice);
     assert!(output.status.code() == Some(2) && String::from_utf8_lossy(&output.stderr).contains("--set 32=2"));

@@ -10,7 +10,7 @@ pub struct Difference {
     pub why: &'static str,
 }
 
-/// Returns the answers to `$#` when only G92 has been set.
+/// Returns the answer lines to `$#` of a machine on which only G92 has been set.
 const fn parameters(g92: &'static str) -> [&'static str; 12] {
     [
         "[G54:0.000,0.000,0.000]",

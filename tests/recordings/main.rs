@@ -1,7 +1,7 @@
 //! Repeats conversations recorded from Grbl 1.1h with the simulator in Grbl's dialect.
 //!
 //! Each group starts with a fresh machine. Every answer must be equal byte for byte, or be listed in
-//! [`differences::DIFFERENCES`] with the reason, or be equal by one of the rules of [`rules`], which cover what depends
+//! [`differences::DIFFERENCES`] with the reason, or be equal by one of the rules of [`rules`] for answers that depend
 //! on the wall time of the recording. The test prints the number of each.
 
 mod differences;
@@ -39,7 +39,7 @@ fn power_up(group: &str) -> Simulator {
     mill.send("$900=0\n");
     mill.run_until_idle();
     assert!(mill.take_output().ends_with("ok\r\n"));
-    // After this reset the machine is a fresh one, except for the dialect.
+    // After this reset the machine is as after power-up, except for the dialect.
     mill.send([0x18]);
     mill.run_until_idle();
     mill

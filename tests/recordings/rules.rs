@@ -31,7 +31,8 @@ fn touch(recorded: &str, answered: &str) -> bool {
 
 /// Status reports: state and pins must be equal; buffer sizes differ between the controllers. During motion, or after a
 /// stop by the host, positions may differ by a millimetre, and speeds may lie between rest and the recorded machine's
-/// 500 mm/min. Fields that appear only in some reports depend on the number of reports so far, which polling changes.
+/// 500 mm/min. Fields that appear only in every few reports are compared if both reports have them: when they appear
+/// depends on how often the host has polled.
 fn report(stopped: bool, recorded: &str, answered: &str) -> bool {
     let (Some(a), Some(b)) = (Report::read(recorded), Report::read(answered)) else { return false };
     let moving = stopped || matches!(a.state.as_str(), "Run" | "Jog" | "Home" | "Hold:1" | "Door:2" | "Door:3");

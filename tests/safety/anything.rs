@@ -1,6 +1,6 @@
 //! Random sessions of everything a person can type, press and move: lines of every kind and garbage, settings, realtime
 //! bytes at any position, pins, pauses. The machine must not panic or hang, must answer every line once, report the
-//! position that the pulses make, and always have a way back to Idle.
+//! position that the pulses make, and must always be able to return to Idle.
 //!
 //! `OXMILL_FUZZ=N` plays N sessions instead of the default few; `OXMILL_FUZZ_SEED` sets the first seed.
 
@@ -115,7 +115,7 @@ fn line(random: &mut Random) -> String {
             .unwrap();
         }
         10 | 11 => {
-            // Settings other than resolution, rates and accelerations, so that a session stays short.
+            // No resolution, rates or accelerations, so that a session stays short.
             let setting = random.of(&[
                 "0", "1", "2", "3", "4", "5", "6", "10", "11", "12", "13", "20", "21", "22", "23", "26", "27", "30",
                 "31", "32", "40", "41", "42", "43", "44", "45", "46", "56", "58", "900", "901", "902", "903", "999",
@@ -126,7 +126,7 @@ fn line(random: &mut Random) -> String {
             for _ in 0..random.below(100) {
                 line.push(char::from(b' ' + random.below(95) as u8));
             }
-            // A random setting, feed or dwell can take days: remove the letters of these words.
+            // With a random setting, feed or dwell a session could take days: remove the letters of these words.
             line.retain(|c| !matches!(c, '$' | 'F' | 'f' | 'P' | 'p' | 'Q'));
         }
         13 => line += &"G1X1".repeat(random.below(90) as usize),
@@ -160,8 +160,8 @@ fn session(seed: u64) {
                     };
                     bytes.insert(at, byte);
                 }
-                // Only if the bytes fit, as a sender that counts characters does. So no realtime command has to wait
-                // behind a line that does not fit.
+                // Send the bytes only if they fit, as a sender that counts characters does. So no realtime command has
+                // to wait behind a line that does not fit.
                 if bench.mill.unread() + bytes.len() <= bench.mill.board().received_bytes {
                     write!(history, "{:?} ", String::from_utf8_lossy(&bytes)).unwrap();
                     bench.send(&bytes);

@@ -141,7 +141,8 @@ impl Bench {
     }
 }
 
-/// Asserts that two positions in steps are equal; a report of three decimals shows a step of 0.004 mm exactly.
+/// Asserts that two positions in steps are equal. They can be compared exactly, because a report with three decimals
+/// shows a step of 0.004 mm exactly.
 #[track_caller]
 pub fn assert_place(reported: [f64; AXES], steps: [i32; AXES], what: &str) {
     for axis in 0..AXES {

@@ -1,7 +1,7 @@
-//! Machines of every kind (belts, backlash, two motors on an axis, a rotary axis, jerk limits, laser, parking) that are
-//! homed, and interrupted while they home, jog, probe and run programs. The reported position is the tool's position,
-//! the travel is kept, a machine at rest makes no steps, every state has a way out, and at the end the machine can be
-//! homed and moved.
+//! Machines of every kind (belts, backlash, two motors on an axis, a rotary axis, jerk limits, laser, parking) home,
+//! jog, probe and run programs, and are interrupted while they do. The reported position must be the tool's position,
+//! no move may leave the travel, a machine at rest must make no steps, every state must have a way out, and at the end
+//! the machine must home and move.
 //!
 //! `OXMILL_COMBINED=N` plays N sessions on each machine instead of the default few; `OXMILL_COMBINED_SEED` sets the
 //! first seed.
@@ -36,7 +36,7 @@ const SLACK: &str = "backlash_mm = [0.1, 0.06, 0.08, 0]\n";
 const TAKEN_UP: &str = "$160=0.1 $161=0.06 $162=0.08";
 const TURNS: &str = "$930=4 $103=250 $113=9000 $123=900 $133=0";
 const PARKS: &str = "$41=1 $56=0.3 $57=900 $58=-3 $59=2000";
-/// The second motor of X starts ahead of the first, and has its own switch.
+/// The second motor of X starts 0.3 mm ahead of the first, and has its own switch.
 const RACKED: &str = "racked_mm = 0.3\n";
 const SECOND: &str = "[[switch]]\naxis = \"x\"\nat_mm = 2\nside = \"positive\"\nsecond_motor = true\n";
 /// Machines: the TOML text before and after [`SWITCHES`], and the settings.
@@ -148,7 +148,7 @@ impl Mill {
     }
 
     /// Compares the positions at rest. They can differ by backlash that was not taken up when a motion was stopped, and
-    /// on belts by half a step of the two motors at homing.
+    /// on machines with belts by the half step to which the two motors are homed.
     fn assert_place(&mut self) {
         let ((reported, status), tool) = (self.reported(), self.tool());
         let off = if self.slack { 0.1701 } else { [0.0021, 0.0101][usize::from(self.belts)] };
@@ -157,7 +157,8 @@ impl Mill {
         }
     }
 
-    /// A belt that takes up its backlash moves the other axis along, by up to half of the backlash.
+    /// Checks that the tool is within its travel. A belt that takes up its backlash also moves the other axis, by up to
+    /// half of the backlash.
     fn assert_in_travel(&mut self) {
         let drag = if self.belts && self.slack { 0.08 } else { 0.0 } + 0.003;
         let (reported, status) = self.reported();

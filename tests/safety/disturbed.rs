@@ -24,7 +24,8 @@ const BELTS: &str = "$904=1";
 const TURNS: &str = "$930=4";
 /// Maximum backlash of `$160` to `$162` below, steps.
 const MOST_SLACK: f64 = 10.0;
-/// Settings of each machine, and whether it parks: parking moves leave the path.
+/// Settings of each machine, and whether it parks its tool: the moves to and from the parking position are not on the
+/// path.
 const MACHINES: [(&str, bool); 11] = [
     ("", false),
     ("$220=9000 $221=8000 $222=7000", false),
@@ -43,10 +44,11 @@ const BEGIN: [&str; 4] = ["G10 L2 P1 X-30 Y-30 Z-20", "G10 L2 P2 X-28 Y-31 Z-21"
 const LINES: usize = 40;
 /// Maximum duration of a line, s.
 const LONGEST: f64 = 30.0;
-/// Edge of the cells by which paths are compared, steps: each position must lie in a cell of the other path, or in a
-/// neighbour of one. Large enough for the stop of a probe, which depends on its speed.
+/// Edge of the cells by which paths are compared, steps: each position of one path must lie in a cell that the other
+/// path passes, or in a neighbouring cell. The edge is long enough for the braking distance of a probe, which depends
+/// on its speed.
 const CELL: i32 = 10;
-/// The same for rounded paths, which are off by up to 0.1 mm.
+/// The same for paths with rounded corners, which differ by up to 0.1 mm.
 const ROUNDED_CELL: i32 = 30;
 
 const TOOLS_AND_PLACES: &str =
@@ -91,7 +93,7 @@ fn more_lines(r: &mut Random, a: &str, feed: u64) -> Vec<String> {
     text.split('|').map(str::to_string).collect()
 }
 
-/// Returns lines that belong together. Some of them fail on this machine; `program` leaves those out.
+/// Returns lines that belong together. Some of them can fail on this machine; `program` omits these.
 fn lines(random: &mut Random, turns: bool) -> Vec<String> {
     let r = random;
     let a = if turns && r.below(2) == 0 { format!(" A{:.2}", mm(r, 40)) } else { String::new() };
@@ -220,8 +222,8 @@ impl Mill {
         matches!(self.bench.state().as_str(), "Hold:0" | "Door:0")
     }
 
-    /// Compares the reported position with the steps. With belts the tool can be at a half step, and backlash can be
-    /// partly taken up.
+    /// Compares the reported position with the steps. They can differ: with belts the tool can be at a half step, and
+    /// backlash can be taken up only in part.
     fn assert_place(&mut self) {
         let (reported, place) = (self.bench.reported(), tool(&self.bench, self.settings));
         let half = if self.settings.contains(BELTS) { 0.51 } else { 0.01 };

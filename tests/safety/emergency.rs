@@ -21,7 +21,7 @@ fn press(pin: &str, alarm: u8, error: u8, drivers_off: bool, moment: f64) {
     bench.send(JOB);
     bench.wait(moment);
     let what = format!("{pin} at {moment} s, $913={drivers_off}");
-    // At rest, `$1` has switched the drivers off already, and an emergency does not switch them on.
+    // At rest, the drivers are already off (`$1`), and an emergency must not switch them on.
     let (moving, drivers) = (bench.mill.is_stepping(), bench.mill.outputs().is_some_and(|o| o.drivers));
     bench.read();
     bench.pin(&format!("{pin} 1"));
@@ -92,8 +92,8 @@ fn a_limit_switch_stops_only_where_hard_limits_are_on() {
     );
 }
 
-/// A switch pressed during an alarm stops a machine that is already at rest: the alarm stays the same, and the ways out
-/// of it still work.
+/// A limit switch that closes during an alarm changes nothing, because the machine is already at rest: the alarm stays
+/// the same, and `$X` still ends it.
 #[test]
 fn a_limit_switch_in_an_alarm_changes_nothing() {
     let mut bench = Bench::new("", "$21=1");
@@ -114,7 +114,7 @@ fn a_limit_switch_in_an_alarm_changes_nothing() {
     assert_eq!(bench.place()[0], before[0] + 100);
 }
 
-/// Two emergencies with the reset button between them: every stop is acknowledged, and the machine moves again.
+/// Several stops and the reset button overlap: afterwards the machine can be unlocked and moves again.
 #[test]
 fn stops_on_top_of_each_other() {
     let mut bench = Bench::new("", "$21=1 $120=200");

@@ -11,7 +11,8 @@ const TRAVEL: f64 = 12.0;
 
 const SETTINGS: &str = "$22=1 $24=60 $25=480 $26=20 $27=1.5 $120=100 $121=100 $122=100 $130=12 $131=12 $132=12";
 
-/// Returns a machine with switches at [`AT`], mirrored for the axes of the mask, which home in negative direction.
+/// Returns a machine with switches at [`AT`]. For the axes of the mask `to_negative`, which home in negative direction,
+/// the position is mirrored.
 fn machine(to_negative: u8, bounce_us: u32) -> String {
     let mut text = format!("steps_per_mm = [{STEPS}, {STEPS}, {STEPS}]\n");
     for (axis, letter) in ["x", "y", "z"].into_iter().enumerate() {
@@ -78,7 +79,7 @@ fn one_axis_alone_is_homed_alone() {
 
 #[test]
 fn homing_begins_on_a_switch_that_is_closed_already() {
-    // The switch of X already closes 1 mm before the power-up position: the pull-off opens it.
+    // The switch of X is at -1 mm, so it is already closed at power-up: the pull-off must open it.
     let text = machine(0, 700).replace(&format!("at_mm = {}", f64::from(AT[0]) / STEPS), "at_mm = -1.0");
     let mut bench = Bench::new(&text, SETTINGS);
     // The input filter delays by 0.4 ms.
@@ -102,7 +103,8 @@ fn assert_failed(bench: &mut Bench, said: &[String], alarm: u8, what: &str) {
     let reported = bench.reported();
     bench.wait(1.0);
     assert_eq!(bench.place(), place, "{what}: it goes on after the alarm");
-    // The position is counted from the power-up position, or from the switch for an axis whose cycle was complete.
+    // The position of an axis is counted from its switch if its homing cycle was complete, otherwise from the power-up
+    // position.
     let place = std::array::from_fn(|axis| {
         let homed = place[axis] - AT[axis];
         if (reported[axis] - f64::from(homed)).abs() < 0.01 { homed } else { place[axis] }
@@ -168,7 +170,8 @@ fn homing_is_broken_off_at_any_moment() {
         (7, "door pin", |b| b.pin("door 1")),
     ];
     for (number, (alarm, what, act)) in breaks.into_iter().enumerate() {
-        // The interval between the moments fits no phase exactly, so each phase is hit at different points.
+        // The duration of no phase is a multiple of the interval between the moments, so each phase is interrupted at
+        // different points.
         let mut moment = 0.003 + number as f64 * 0.017;
         let mut moments = 0;
         while moment < cycle {
@@ -240,7 +243,7 @@ fn nothing_else_disturbs_homing() {
                 break;
             }
             bench.send(&bytes);
-            // Lines wait until homing is over; one is enough.
+            // Lines wait until homing has ended, so one line is enough.
             if bytes.ends_with(b"\n") {
                 break;
             }

@@ -1,5 +1,5 @@
-//! Three jobs, each interrupted in every segment of the step task. The position is the one that the pulses make, the
-//! state is the expected one, and a job that is allowed to continue ends at the same position by the same path.
+//! Three jobs, each interrupted in every segment of the step task. The position must be the one that the pulses make,
+//! the state must be the expected one, and a job that may continue must end at the same position by the same path.
 
 use super::bench::{AXES, Bench, HZ, STEPS, assert_place};
 use oxmill_controller::messages::SpindleDirection;
@@ -75,7 +75,7 @@ fn reference(job: &Job) -> Reference {
     let mut moments: Vec<u64> = (0..end / (HZ / 250)).map(|n| n * (HZ / 250)).collect();
     for (index, begin) in begins.iter().enumerate() {
         let next = begins.get(index + 1).copied().unwrap_or(begin + HZ / 10_000);
-        // A moment at the start of the segment or within its first millisecond, at another fraction for each segment.
+        // A moment within the first millisecond of the segment, at another fraction for each segment.
         let length = (next - begin).min(HZ / 1000);
         moments.push(begin - run.begin + length * (index as u64 * 37 % 100) / 100);
     }
@@ -87,7 +87,8 @@ fn reference(job: &Job) -> Reference {
 }
 
 /// Asserts that a path is that of the reference: each axis makes the same steps in the same order, and the machine is
-/// never more than one step off the path. Smoothing can put the step of a slow axis between two steps of the fast one.
+/// never more than one step off the path. The order of steps of different axes can differ, because smoothing can place
+/// the step of a slow axis between two steps of the fast one.
 fn assert_same_path(found: &[Place], reference: &[Place], what: &str) {
     for axis in 0..AXES {
         let steps = |path: &[Place]| -> Vec<i32> {
@@ -145,7 +146,7 @@ fn answers(said: &[String]) -> usize {
 /// Asserts that the machine has braked to rest: in its last 3 ms it moves no farther than its acceleration allows.
 fn assert_braked(run: &Run, what: &str) {
     const SPAN: f64 = 0.003;
-    // The acceleration of all axes together, mm/s². Two steps of each axis are allowed for motion between the ticks.
+    // The acceleration of all axes together, mm/s². Two more steps of each axis are allowed for rounding.
     let greatest = f64::hypot(f64::hypot(1500.0, 1200.0), 900.0);
     let allowed = greatest * SPAN * SPAN / 2.0 + 2.0 * 3.0_f64.sqrt() / STEPS;
     let kept = run.bench.mill.trace().kept();
@@ -155,13 +156,13 @@ fn assert_braked(run: &Run, what: &str) {
     assert!(square.sqrt() <= allowed, "{what}: {} mm in the last {SPAN} s", square.sqrt());
 }
 
-/// Interrupts a job at every time of the reference by `act` (bytes or a pin) and runs the check.
+/// At every time of the reference, interrupts a new run of the job by `act` (bytes or a pin) and runs the check.
 fn at_every_moment(job: &Job, what: &str, act: fn(&mut Bench), check: impl Fn(&mut Run, &Reference, bool, &str)) {
     let reference = reference(job);
     for moment in &reference.moments {
         let mut run = Run::at(job, *moment);
         let what = format!("{what} after {:.3} ms", *moment as f64 * 1000.0 / HZ as f64);
-        // Queued work that has not started does not count as motion.
+        // The machine moves only if it has started a segment: work that is merely queued does not count.
         let stepping = run.bench.mill.is_stepping() && !run.bench.mill.trace().segments().is_empty();
         act(&mut run.bench);
         check(&mut run, &reference, stepping, &what);

@@ -1,5 +1,6 @@
-//! An event that ends jogs arrives after each byte of two pending jogs. A jog of which a byte arrived before the event
-//! does not move, every jog is answered, and a jog sent later moves.
+//! Two jogs are sent, and an event that ends jogs arrives after their first byte, their second byte, and so on. A jog
+//! of which at least one byte arrived before the event must not move, every jog must be answered, and a jog sent later
+//! must move.
 
 use super::bench::Bench;
 use oxmill_simulator::trace::Csv;
@@ -8,7 +9,8 @@ use std::cell::RefCell;
 use std::io::{self, Write};
 use std::rc::Rc;
 
-/// What the machine does when the jogs arrive: name, lines, and the resulting X in steps, if known.
+/// What the machine does when the jogs arrive: a name, the lines that make it do so, and X in steps after them, if
+/// known.
 const BEFORE: [(&str, &str, Option<i32>); 5] = [
     ("idle", "", Some(0)),
     ("dwell", "G4 P0.3\n", Some(0)),

@@ -84,13 +84,14 @@ fn the_step_of_contact_is_latched() {
                 }
                 let (said, contact) = probe(&mut bench, case, &format!("G38.2 {} F{feed}", words(case.way)), true);
                 let contact = assert_latched(&mut bench, &said, contact, &what);
-                // Maximum braking distance: the axes' own deceleration along the path is at least `acceleration`.
+                // Maximum braking distance: the deceleration that the axes allow along the path is at least
+                // `acceleration`.
                 let way = length(&contact, &bench.place());
                 let step = 1.0 / STEPS * f64::from(AXES as u32).sqrt();
                 let allowed = f64::powi(feed / 60.0, 2) / (2.0 * acceleration) + step;
                 assert!(way <= allowed, "{what}: {way} mm beyond the contact, {allowed} allowed");
 
-                // Off the plate again: checks the step at which the contact opens.
+                // Move off the plate again, and check the step at which the contact opens.
                 let (said, contact) = probe(&mut bench, case, "G38.4 X0 Y0 Z0", false);
                 assert_latched(&mut bench, &said, contact, &what);
                 bench.carry_out("G0 X1 Y1 Z1");
@@ -157,7 +158,7 @@ fn the_four_words() {
             assert_eq!(bench.place(), [0; AXES], "{line}");
         }
     }
-    // With the tool on the plate already.
+    // The tool already touches the plate.
     for (line, said) in [("G38.2 Z-8", "ALARM:4"), ("G38.3 Z-8", "ALARM:4"), ("G38.4 Z-4.2", "ALARM:5")] {
         let mut bench = Bench::new(&machine(case), SETTINGS);
         bench.carry_out("G1 Z-5 F500");
@@ -224,7 +225,7 @@ fn a_probe_is_broken_off_at_any_moment() {
 }
 
 /// The door opens during a probe and the tool is parked ($41). A contact while the tool retracts, is parked or returns
-/// does not count: its position would be taken for that of the plate.
+/// must not count: the controller would report its position as that of the plate.
 #[test]
 fn a_parked_tool_makes_no_contact() {
     let switches: String =

@@ -1,5 +1,4 @@
-//! Digital outputs of programs (M62 to M65): the time at which they change, and that they are off whenever the machine
-//! is locked.
+//! Digital outputs of programs (M62 to M65): they change at the right time, and are off whenever the machine is locked.
 
 use super::bench::Bench;
 

@@ -15,8 +15,8 @@ const TEXT: [&str; 22] = [
 const WORDS: [&str; 8] = ["G1 X0.5", "G0 Y1", "G21", "", "G90", "N20 G1 Z-0.1", "F600", "S100"];
 /// Reported once for nested parentheses.
 const NESTED: &str = "[MSG:Parentheses within a remark are part of it; Grbl ends it at the first one]";
-/// Realtime commands that act anywhere except in a comment: there `~` is text, and `!` is text if another byte follows
-/// within 20 ms.
+/// Realtime commands. They act anywhere, with two exceptions in a comment: `~` is text there, and `!` is text if
+/// another byte follows within 20 ms.
 const STOPS: [u8; 5] = [0x84, b'!', 0x18, 0x19, b'~'];
 
 /// The bytes of a conversation, the number of its lines, and its stop byte.
@@ -28,7 +28,7 @@ struct Conversation {
     at: usize,
     /// Whether that position is in a comment.
     is_in_remark: bool,
-    /// Whether the stop byte splits a character; the remaining bytes may then act as commands.
+    /// Whether the stop byte splits a character. If so, the remaining bytes of the character may act as commands.
     breaks: bool,
 }
 
@@ -54,7 +54,8 @@ impl Conversation {
         }
         let stop = (random.below(2) == 0).then(|| STOPS[random.below(STOPS.len() as u64) as usize]);
         let mut at = random.below(text.len() as u64) as usize;
-        // A stop byte beyond ASCII within a character could form another character.
+        // A stop byte beyond ASCII in the middle of a character could form another character with it, so move it to the
+        // character's start.
         while stop.is_some_and(|stop| !stop.is_ascii() || stop == b'~') && !text.is_char_boundary(at) {
             at -= 1;
         }
@@ -69,7 +70,7 @@ impl Conversation {
         Self { bytes, lines, stop, at, is_in_remark, breaks }
     }
 
-    /// Plays the conversation on a machine that moves for some seconds more.
+    /// Plays the conversation on a machine that is in motion for some seconds more.
     fn play(&self, mut bench: Bench, sending: Sending, what: &str) {
         let what = format!("{what}, {sending:?}: {:?}", self.bytes.escape_ascii().to_string());
         let (first, rest) = self.bytes.split_at(if sending == Sending::Stops { self.at + 1 } else { self.bytes.len() });

@@ -1,5 +1,5 @@
-//! Settings that cannot be run lock motion, and a message names the wrong setting. A sender may restore a whole set of
-//! settings in any order.
+//! A set of settings with which the machine cannot run locks motion, and a message names the wrong setting. A sender
+//! may restore a whole set of settings in any order.
 
 use super::bench::{Bench, locking};
 use oxmill_controller::settings::{Kind, PER_AXIS, SCALARS};
@@ -80,14 +80,15 @@ fn read(listing: &[String]) -> Set {
         .collect()
 }
 
-/// Sends settings one by one. The same setting must not be named twice in a row, unless it is the one that is sent.
+/// Sends settings one by one. A setting must not be named twice in a row, unless it is the one that is being sent.
 fn send_all(bench: &mut Bench, lines: &[String]) {
     let mut named = None;
     for line in lines {
         let locked = bench.set(line);
         let own = locked.as_ref().is_some_and(|name| line.starts_with(&format!("{name}=")));
         assert!(own || locked.is_none() || locked != named, "{line}: {locked:?} again");
-        // A setting that affects the step rate can have corrected the fault; if it returns later, it is named again.
+        // A setting that affects the step rate can correct the fault for a while; if the fault comes back later, its
+        // setting is named again.
         let number = line.trim_start_matches('$').split('=').next().and_then(|n| n.parse::<u32>().ok());
         let mends = matches!(number, Some(0 | 29 | 100..=102 | 110..=112 | 904 | 905));
         named = if mends { locked } else { locked.or(named) };
@@ -100,8 +101,8 @@ fn shuffle<T>(random: &mut Random, items: &mut [T]) {
     }
 }
 
-/// Returns the setting that locks motion, if any. A move is refused with the reason once, and from then on with the
-/// error alone.
+/// Returns the setting that locks motion, if any. The first move is refused with a message that names the setting,
+/// later moves only with the error.
 fn locked_by(bench: &mut Bench) -> Option<String> {
     let place = bench.place();
     let said = bench.ask("$J=G91 X0 F100");
@@ -124,7 +125,7 @@ fn a_set_is_restored_in_any_order() {
         let listed = read(&listing(&mut Bench::new("", "")));
         let mut target = Bench::new("", "");
         let set = any_set(&mut random, &listed);
-        // First in the order of `$$`.
+        // First, restore the set in the order of `$$`.
         let mut lines: Vec<String> = set.iter().map(|(number, value)| format!("${number}={}", text(*value))).collect();
         send_all(&mut target, &lines);
         if locked_by(&mut target).is_some() {

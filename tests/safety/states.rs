@@ -3,15 +3,15 @@
 //!
 //! States have the names of the status report, plus `Critical` for an Alarm that only a reset ends. The search
 //! distinguishes states that have the same name but continue differently (moving or not, spindle on, a line waiting, a
-//! pin active, the position trusted; see [`Key`]). They share a column of the table.
+//! pin active, the position trusted; see [`Key`]). States with the same name share a column of the table.
 
 use super::bench::Bench;
 use oxmill_controller::messages::SpindleDirection;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
 /// Immediate effect of each event (row) in each state (column). `.` means unchanged; `/` separates alternatives that
-/// depend on whether the machine moves, parks, or has a pin active. `-` means impossible, for example a door that opens
-/// while it is open.
+/// depend on whether the machine moves, whether it parks, or whether a pin is active. `-` means impossible, for example
+/// that a door opens while it is open.
 ///
 /// The table is Grbl's, with four additions: 0x19 brakes and drops the job; a limit switch ends every state except Home
 /// and alarms; an emergency stop and a driver fault end every state; `?` is always answered. Lines sent during a hold
@@ -81,11 +81,12 @@ const SETS: [(&str, &[&str]); 7] = [
     ("BehindDoor", &[".", "Door:0", "Door:1", "Sleep"]),
     // Alarm (locked) if the machine was moving or is on a limit switch.
     ("Reset", &["Idle", "Alarm"]),
-    // The same if the door is open, which can be detected after the reset.
+    // The same, if the door is open; the door can be detected only after the reset.
     ("ResetDoor", &["Idle", "Alarm", "Door:1", "Door:2"]),
-    // A hold has come to rest; or a stop has come to rest, and the line after it starts.
+    // The machine has come to rest: after a hold; or after a stop, and then the next line starts.
     ("Braked", &[".", "Hold:0", "Idle", "Run"]),
-    // The end of a program's motion, a pause, a probe, or a forbidden target.
+    // The machine has come to rest at the end of a program's motion, at a pause, after a probe, or before a forbidden
+    // target.
     ("Rests", &[".", "Idle", "Hold:0", "Alarm", "Critical"]),
 ];
 
@@ -216,7 +217,7 @@ struct Key {
     flood: bool,
     waiting: bool,
     busy: bool,
-    /// A stop, a sleep or a pause that has not yet taken effect.
+    /// Which of a stop, a sleep or a pause has been requested and has not yet taken effect.
     mark: &'static str,
 }
 
@@ -227,7 +228,7 @@ struct Machine {
     mark: &'static str,
     /// Number of lines that must still be answered.
     lines: usize,
-    /// Whether an event has occurred that drops lines.
+    /// Whether an event that drops lines has occurred.
     dropped: bool,
 }
 
@@ -317,8 +318,8 @@ impl Machine {
         }
     }
 
-    /// Returns to Idle as an operator would: releases pins, sends `~`, then `$X` or `$C`; and a reset only where the
-    /// table has no other way.
+    /// Returns to Idle as an operator would: releases the pins, sends `~`, then `$X` or `$C`. Sends a reset only in
+    /// states from which the table has no other way.
     fn way_to_idle(&mut self, what: &str) {
         for text in ["door 0", "hold 0", "start 0", "reset 0", "limit x 0", "probe 0", "estop 0", "fault 0"] {
             self.bench.pin(text);
@@ -475,8 +476,8 @@ fn search(kind: usize, table: &Table) -> Found {
                     .or_insert_with(|| names(event.row));
             }
             if is_line && !read {
-                // The line waits for the current activity; the search goes on with only one kind of waiting line, the
-                // move. Where only a reset helps, the line is dropped.
+                // The line waits for the end of the current activity. The search continues with only one kind of
+                // waiting line, the move. In states that only a reset ends, the line is dropped.
                 let is_dropped = machine.bench.mill.unread() == 0;
                 assert!(!is_dropped || ["Critical", "Sleep"].contains(&to.state.as_str()), "{}", names(event.row));
                 if is_dropped || event.row != "move" {

@@ -1,5 +1,5 @@
-//! Tool changes with a tool setter (`$918=2`), and interruptions at any time. Away from the work only a probing move
-//! goes down, the spindle is off there, and no unmeasured tool counts as measured.
+//! Tool changes with a tool setter (`$918=2`), and interruptions at any time. Away from the work, only a probing move
+//! may go down and the spindle must be off. No unmeasured tool may count as measured.
 
 use super::bench::{AXES, Bench, STEPS, assert_place};
 
@@ -158,13 +158,13 @@ impl Mill {
         assert_place(reported, place, what);
     }
 
-    /// Checks the state after an interrupted change: the position is right or not trusted, and no unmeasured tool
-    /// counts as measured.
+    /// Checks the state after an interrupted change: the position must be right or not trusted, and no unmeasured tool
+    /// may count as measured.
     fn assert_safe(&mut self, what: &str) {
         self.bench.wait(2.0);
         self.said.extend(self.bench.read());
         let place = self.place();
-        // After 0x19 the spindle is as it was before: off, unless the tool is back over the work.
+        // 0x19 does not change the spindle. It was off, unless the tool was already back over the work.
         let is_back = what.starts_with("soft") && (place[0] - WORK[0]).abs() < EXACT && self.tool_length() > 1.0;
         assert!(is_back || self.spindle() == "0", "{what}: {}", self.bench.status());
         let trusted = self.bench.mill.controller().is_trusted();
@@ -181,7 +181,7 @@ impl Mill {
         if !trusted {
             let said = self.bench.ask("T2 M6");
             assert!(said.iter().any(|line| line == "ok" || line == "error:130"), "{what}: {said:?}");
-            // A message that the job was ended can follow the error.
+            // After the error, a message that the job was ended can arrive.
             self.bench.wait(0.1);
             self.bench.read();
             assert_eq!(self.bench.ask("$H"), ["ok"], "{what}");

@@ -1,5 +1,5 @@
-//! Hosts that send lines without counting characters, more than the machine has room for. Where only a reset ends the
-//! machine's wait, the reset acts however many lines precede it.
+//! Hosts send lines without counting characters, more than the machine has room for. If the machine is in a state that
+//! only a reset ends, the reset must act however many lines precede it.
 
 use super::bench::Bench;
 use oxmill_fuzz::session::{MACHINE, SETTINGS};
@@ -28,7 +28,7 @@ fn locked(way: usize) -> (Bench, String) {
     match name {
         "hard limit" => bench.pin("limit x 1"),
         "hard limit, lines in work" => {
-            // The dwell is in progress and will never end.
+            // Motion, a dwell of 60 s and another move are in progress or queued.
             bench.send("G91 G1 X-1 F600\nG4 P60\nG1 X1\n");
             bench.wait(0.05);
             bench.pin("limit x 1");
@@ -86,8 +86,8 @@ fn a_reset_acts_behind_any_number_of_lines_where_it_is_all_that_helps() {
     }
 }
 
-/// Where lines wait for an operator or for the end of a motion, closing the port helps: the machine holds its motion
-/// and drops unread lines.
+/// If lines wait for an operator or for the end of a motion, a reset behind them does not act. Closing the port helps:
+/// the machine holds its motion and drops unread lines, and the next host's reset acts.
 #[test]
 fn closing_the_port_makes_room_for_a_reset() {
     for (name, lines, byte) in [("moving", "", 0), ("held", "", b'!'), ("door open", "", 0x84), ("homing", "$H\n", 0)] {

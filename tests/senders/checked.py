@@ -43,9 +43,9 @@ JOBS += [f"examples/{name}.nc" for name in ["pcb_isolation", "pocket_inch", "poc
 SESSION = "QKNP"
 # Delay of a late byte, s: long enough to have an effect, short enough not to cause a timeout.
 LATE = 0.02
-# Number of consecutive timeouts, 2 s each, after which a sender without checks gives up.
+# Number of consecutive timeouts of 2 s after which a sender without checks gives up.
 GIVEN_UP = 20
-# Maximum difference, in steps, in the order of two motors.
+# Maximum difference, in steps, between two runs in the order in which two motors step.
 ORDER = 1
 
 
@@ -162,7 +162,7 @@ class StepTrace:
     def __init__(self, file):
         names = file.readline().strip().split(",")
         motors = range(len(names) - 5)
-        # For each motor: the direction of each step, and the number of steps of each motor at that time.
+        # For each motor: the direction of each of its steps, and the step counts of all motors at that step.
         self.steps = [array("b") for _ in motors]
         self.others = [[array("l") for _ in motors] for _ in motors]
         self.outputs = []

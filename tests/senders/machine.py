@@ -57,7 +57,7 @@ class Machine:
         pins = self.process.stderr.readline().split()[-1].rsplit(":", 1)
         self.pins = socket.create_connection((pins[0], int(pins[1])), timeout=PATIENCE)
         self.answers = self.pins.makefile()
-        # A first request, because the server closes a connection that sends nothing for a minute.
+        # Send a first request now, because the server closes a connection that has sent nothing for a minute.
         self.steps()
 
     def __enter__(self):
@@ -102,7 +102,7 @@ class Wire:
         self.master, end = os.openpty()
         tty.setraw(end)
         self.port = os.ttyname(end)
-        # Close this end: the machine's port is open only while the sender has it open.
+        # Close this end of the pseudo terminal: the machine's port must be open only while the sender has it open.
         os.close(end)
         self.lock = threading.Lock()
         self.is_open = False
@@ -160,7 +160,7 @@ class Wire:
             if byte in REALTIME:
                 self.realtime.append(byte)
                 if byte == 0x18:
-                    # Lines sent before are not answered any more, nor is the line that was started.
+                    # The machine will not answer the lines sent before the reset, nor the unfinished line.
                     self.resets += 1
                     self.owed = 0
                     self.partial["sent"] = b""
@@ -262,9 +262,9 @@ class Scenario:
         return place is None or all(abs(a - b) < 0.0006 for a, b in zip(place, self.expected["position_mm"], strict=True))
 
     def reset(self):
-        """Resets during a job, with the machine reported as running; returns whether it was moving. Afterwards the machine must be
-        ready for the next job. With a slow sender on a busy host the machine can be waiting for lines; a reset between two
-        moves raises no alarm."""
+        """Resets during a job, while reports show the machine running; returns whether it was moving. Afterwards the
+        machine must be ready for the next job. With a slow sender on a busy host the machine can be between two moves,
+        waiting for lines; a reset at that time raises no alarm."""
         before = self.wire.mark()
         self.sender.reset()
         self.machine.rest()

@@ -72,7 +72,7 @@ class Streamer:
     def hear(self, line):
         if line == "ok" or line.startswith("error"):
             with self.lock:
-                # Fails if no answer is pending: that would be one answer too many.
+                # Raises an exception if no answer is pending: this would be one answer too many.
                 self.under_way.popleft()
                 self.answered += 1
         elif line.startswith("<"):

@@ -13,7 +13,7 @@ import time
 import machine
 from grbl_streamer import GrblStreamer
 
-# Lies between two feeds of the job, so it is not one of the job's own F words.
+# This feed lies between two feeds of the job, so it is not one of the job's own F words.
 FEED = "F123.0"
 
 
@@ -38,7 +38,7 @@ class Library:
         elif name == "on_read" and data[0].startswith("$N1="):
             self.is_next_ok_the_last = self.starts
         elif name == "on_rx_buffer_percent" and self.is_next_ok_the_last:
-            # The last `ok` has been handled.
+            # The library has handled the last `ok`.
             self.starts = self.is_next_ok_the_last = False
             self.streamer.job_run()
 

@@ -47,7 +47,7 @@ impl Program {
             let to = (self.place[axis] + by).clamp(-REACH, REACH);
             let steps = if self.relative { to - self.place[axis] } else { to };
             self.place[axis] = to;
-            // Exact to the third decimal.
+            // A position in whole steps needs exactly three decimals.
             let _ = write!(words, "{letter}{}{}.{:03}", sign(steps), steps.abs() * 4 / 1000, steps.abs() * 4 % 1000);
         }
         words
@@ -97,7 +97,7 @@ impl Program {
                 }
             }
             17 => {
-                // A cycle, which changes only X and Y.
+                // A drilling cycle. After it, only X and Y have changed.
                 if self.relative {
                     return;
                 }

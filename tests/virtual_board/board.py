@@ -1,13 +1,13 @@
 """A board that runs an unmodified image: processor, memory, peripherals, pins and time.
 
 Every access to something that is not modelled fails with the position in the program. Every change of an output is
-recorded with its time in core cycles. The registers are in models/, the cost of instructions is in core.py; the cases
+recorded with its time in core cycles. The folder models/ has the registers, core.py the cost of instructions; the cases
 and host.py emulate the devices at the pins.
 
-Exceptions take 12 cycles to enter, 12 to leave, 6 from one to the next. Flash wait states multiply the cost of
-instructions: by 1.1 in the step interrupt, whose code is usually cached, by 1.3 elsewhere. Reading a register on an APB
-bus stalls the processor for two clocks of that bus (the two phases of an APB transfer); a write does not stall it.
-Accesses to AHB registers cost nothing beyond the instruction.
+Entering an exception takes 12 cycles, leaving it 12, going from one directly to the next 6. Flash wait states multiply
+the cost of instructions by 1.1 in the step interrupt, whose code is usually cached, and by 1.3 elsewhere. Reading a
+register on an APB bus stalls the processor for two clocks of that bus (the two phases of an APB transfer); a write does
+not stall it. Accesses to AHB registers cost nothing beyond the instruction.
 """
 
 import bisect
@@ -40,7 +40,8 @@ HOT, COLD = round(1.1 * 256), round(1.3 * 256)
 FILL = b"\xa5"
 """Contents of RAM at power-up."""
 PAINTS = (4 * FILL, (0xA5C3_5A3C).to_bytes(4, "little"))
-"""Values of an unused stack word: the emulation's fill of RAM, and the firmware's own stack paint."""
+"""The two values of a stack word that was never used: the emulation's fill of RAM, and the pattern with which the
+firmware marks unused stack (its stack paint)."""
 
 
 WORD = struct.Struct("<I")
@@ -124,17 +125,18 @@ class Board:
         self._fixes = []
         self._vectors = {}
         self.has_debugger = False
-        """A debug probe is connected; it notices when the program ends itself by semihosting."""
+        """Whether a debug probe is connected: without one, a semihosting call that ends the program is a fault."""
         self.ended = None
-        """The status with which the program has ended itself."""
+        """The status with which the program has ended itself; None while it runs."""
         self.step_runs = []
         """(cycle of entry, cycle after the return) of each run of the step interrupt."""
         self.serial = 16 + wiring.serial_irq
         """Exception number of the serial task's interrupt."""
         self.begins = {SYSTICK: [], self.serial: []}
-        """Cycles of entry into the samples of the inputs and into the runs of the serial task."""
+        """Cycles at which the input samples (SysTick) and the runs of the serial task began, by exception number."""
         self.held = False
-        """No interrupt is taken, as if code had masked all of them. Independent of the program's own masks."""
+        """While true, no interrupt is taken, as if code had masked all of them. Independent of the program's own
+        masks."""
         self._asleep = False
         self._next_due = None
         self._map()
@@ -146,7 +148,7 @@ class Board:
     def _map(self):
         uc, part = self.core.uc, self.part
         uc.mem_map(part.flash_start, part.flash_kib * 1024, UC_PROT_ALL)
-        # RAM is memory of this process instead of unicorn's, so that DMA accesses it without calling unicorn.
+        # RAM is memory of this process and not of unicorn, so that DMA accesses it without calling unicorn.
         self.ram = (ctypes.c_char * (part.ram_kib * 1024))()
         uc.mem_map_ptr(part.ram_start, part.ram_kib * 1024, UC_PROT_ALL, ctypes.addressof(self.ram))
         self.write_memory(part.flash_start, b"\xff" * part.flash_kib * 1024)
@@ -201,8 +203,8 @@ class Board:
         self.iwdg = fit(0x4000_3000, Iwdg("IWDG", self))
         self.usart = self.peripherals[self.wiring.usart]
         self._timed = [p for p in self.peripherals.values() if type(p).advance is not Peripheral.advance]
-        # DWT_CTRL, DWT_CYCCNT; DBGMCU_IDCODE, CR and the two freeze registers: plain words, as no debugger halts this
-        # processor.
+        # DWT_CTRL, DWT_CYCCNT; DBGMCU_IDCODE, CR and the two freeze registers: they only store what is written, because
+        # no debugger halts this processor.
         self.plain = {0x1000: 0x4000_0001, 0x1004: 0, 0x4_2000: 0x1000_0431, 0x4_2004: 0, 0x4_2008: 0, 0x4_200C: 0}
 
     def _add(self, base, peripheral):
@@ -290,7 +292,7 @@ class Board:
         self.state.deadline = 0
 
     def stand(self, seconds):
-        """Stalls the processor in the middle of a register access. Everything else that happens during the stall comes
+        """Stalls the processor in the middle of a register access. All events of the models during the stall happen
         before the access takes effect."""
         self.stall(seconds)
         self._advance()
@@ -321,8 +323,8 @@ class Board:
         self.flash.check(hclk)
 
     def power_left(self, _):
-        """Counts a flash operation towards a power cut that a case has requested. Returns whether there is still
-        power."""
+        """Called before each flash operation: counts down to the power cut that a case has requested. Returns whether
+        there is still power."""
         if self.operations_left is None:
             return True
         self.operations_left -= 1
@@ -333,7 +335,7 @@ class Board:
         return True
 
     def set_supply(self, volts):
-        """Changes the supply voltage. Below 1.7 V the chip would be reset; that is left to the case."""
+        """Changes the supply voltage. Below 1.7 V a real chip would be reset; here the case must do that."""
         self.supply_v = volts
         self.peripherals["PWR"].supply_changed()
 
@@ -409,15 +411,15 @@ class Board:
         return bool(self.peripherals["TIM1"].values[SMCR] & 7)
 
     def store_by_dma(self, address, value, at):
-        """Writes a word for a DMA stream, at cycle `at`, which may be one instruction ago."""
+        """Writes a word for a DMA stream, at cycle `at`, which can be up to one instruction before now."""
         if address >> 28 == 2:
             WORD.pack_into(self.ram, self._ram_at(address), value)
         else:
             self._at(address).store_by_dma(address & 0x3FC, value, at)
 
     def _read_otg(self, uc, offset, size, _):
-        # OTG_FS is on AHB2, so an access does not wait for a slower bus. The receive FIFO is read at endpoint 0's
-        # address.
+        # OTG_FS is on AHB2, so an access does not wait for a slower bus. The firmware reads the receive FIFO at
+        # endpoint 0's address.
         return self._otg_on().read(offset)
 
     def _write_otg(self, uc, offset, size, value, _):
@@ -495,9 +497,9 @@ class Board:
     # Running.
 
     def run(self, cycles=None, seconds=None, until=None, limit=None):
-        """Runs for `cycles` or for `seconds`, or, if `until` is given, until `until()` is true, but for at most `limit`
-        seconds. `until()` is checked after each event. Returns whether the time has passed or, if `until` is given,
-        whether it has become true. Returns False if the board loses power or the program ends itself."""
+        """Runs for `cycles` or for `seconds`, and returns True. If `until` is given, runs until `until()` is true, at
+        most for `limit` seconds, and returns whether it became true; `until()` is checked after each event. In both
+        cases returns False if the board loses power or the program ends itself."""
         state = self.state
         seconds = limit if seconds is None else seconds
         stop = None if seconds is None else self.seconds() + seconds
@@ -640,8 +642,8 @@ class Board:
     # What remains in memory.
 
     def stack_used(self):
-        """Returns the number of stack bytes that have been in use, and the stack's size. The firmware's own paint does
-        not count as use."""
+        """Returns the number of stack bytes that have been in use, and the stack's size. Words that still hold one of
+        `PAINTS` count as unused."""
         bottom, top = self.image.symbols["_stack_end"], self.image.symbols["_stack_start"]
         stack = self.read_memory(bottom, top - bottom)
         free = 0

@@ -1,7 +1,7 @@
 """The processor: unicorn's Cortex-M4F, with time and exceptions added.
 
-Computes the cost of each instruction (below) and gives access to the state in core.c. core.c does the work that each
-executed instruction needs; board.py decides when to stop and what to do then.
+Computes the cost of each instruction (below) and gives access to the state in core.c. core.c does the work that is
+needed for every executed instruction; board.py decides when to stop the emulation and what to do then.
 
 Cost in core cycles at zero wait states, an estimate after ARM DDI 0439 (Cortex-M4 TRM), table 3-1: 1 for most; load 2;
 store 1, with a register offset 2; load or store of n registers 1+n; division 7 (really 2 to 12, depending on its
@@ -103,7 +103,8 @@ def cost_of(instruction):
 
 @functools.cache
 def compiled():
-    """Compiles and loads core.c, once per process. The decoded instructions in it outlive a Core."""
+    """Compiles and loads core.c, once per process. The library keeps its decoded instructions when a `Core` is replaced
+    by a new one."""
     source = Path(__file__).with_name("core.c")
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "core.so"
@@ -182,7 +183,8 @@ class Core:
                     half = int.from_bytes(self.uc.mem_read(at, 2), "little")
                     at += 4 if half >> 11 in (0x1D, 0x1E, 0x1F) else 2
                     seen += 1
-                # The second half of a wide instruction can look like an IT. Such a mistake only delays an interrupt.
+                # The second half of a wide instruction can look like an IT. If it is mistaken for one, an interrupt is
+                # only delayed.
                 if at == address and seen < length:
                     return True
         return False

@@ -7,7 +7,7 @@ WINDOW = 127
 
 
 FRAMES = 8
-"""Number of past bytes whose levels on the line are kept."""
+"""Number of past bytes that are kept to compute the levels of the line."""
 
 
 class Host:
@@ -48,7 +48,8 @@ class Host:
         return 1
 
     def next_fall(self, cycle):
-        """Returns the cycle of the line's first falling edge at or after `cycle`; None if it is not known yet."""
+        """Returns the cycle of the line's first falling edge at or after `cycle`; None if no byte with such an edge is
+        on the line yet."""
         for start, bit, byte in self.frames:
             word = byte << 1 | 1 << 9
             for place in range(10):

@@ -70,7 +70,8 @@ def run(wiring, image, elf, wires, late=None):
         log.extend(data[read:written] if read <= written else data[read:] + data[:written])
         board.write_memory(block + READ, written.to_bytes(4, "little"))
 
-    # The time does not begin at 0, because the emulated processor's clock continues from one board to the next.
+    # `board.seconds()` does not begin at 0, because the emulated processor's clock continues from one board to the
+    # next.
     start = board.seconds()
     while board.ended is None and board.seconds() - start < LONGEST_S:
         end = board.now + board.cycles(0.001)

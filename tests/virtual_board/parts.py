@@ -1,5 +1,5 @@
-"""Properties of the parts and boards, written independently from data sheets and from the drawings in boards/: the
-emulation must not take its pins from the code that it checks."""
+"""Properties of the parts and boards, taken from data sheets and from the drawings in boards/ and not from the
+firmware: the emulation must not take its pins from the code that it checks."""
 
 import re
 from dataclasses import dataclass, replace
@@ -29,8 +29,9 @@ class Part:
     interrupts: int
     """Number of interrupt vectors."""
     asleep: tuple
-    """RCC_AHB1LPENR, AHB2LPENR, APB1LPENR and APB2LPENR after a reset, from the manuals: whose clocks run while the
-    processor sleeps. On the F401 and F411 the clocks of TIM1, GPIOE and GPIOH stop."""
+    """RCC_AHB1LPENR, AHB2LPENR, APB1LPENR and APB2LPENR after a reset, from the manuals: a set bit means that the
+    peripheral's clock runs while the processor sleeps. On the F401 and F411 the clocks of TIM1, GPIOE and GPIOH
+    stop."""
     vco_hz: int = 100 * MHZ
     """Minimum frequency of the PLL's oscillator (RCC_PLLCFGR; 192 MHz in RM0368)."""
     flash_kib: int = 512

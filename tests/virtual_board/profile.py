@@ -1,8 +1,9 @@
 """Profiles the cycles of a case, by exception and by function.
 
 Counts the cycles of each instruction, including waits for registers, from the call of `begin`. Excludes entries into
-exceptions, returns, and sleep. An exception has the name of its vector (src/firmware/main.rs has the task of each
-vector; handlers with the same code share a name). Inlined functions count for the function around them.
+exceptions, returns, and sleep. An exception is shown by the name of its vector: src/firmware/main.rs tells which task a
+vector runs. Handlers with the same code share a name. The cycles of an inlined function count for the function that
+contains it.
 """
 
 import collections
@@ -26,7 +27,8 @@ def begin():
 
 
 def readable(symbol):
-    """Returns the source name for a symbol mangled by rustc; without generic arguments if the symbol has none."""
+    """Returns the source name for a symbol mangled by rustc. Generic arguments are shown only if the symbol contains
+    them."""
     if not (match := re.fullmatch(r"_ZN(.*)17h[0-9a-f]{16}E", symbol)):
         return symbol
     left, parts = match[1], []

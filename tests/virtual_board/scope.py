@@ -82,9 +82,9 @@ class Scope:
 
 
 def steady(steps, hz, period_s, ramp):
-    """For steps at a constant nominal period, excluding `ramp` steps at each end: returns the maximum error of a
-    period, and the error of the last step's time, which shows accumulated errors; both in s. None if there are too few
-    steps."""
+    """Compares steps, without `ramp` steps at each end, with a constant nominal period. Returns the maximum error of a
+    single period, and the error of the last step's time, which shows accumulated errors; both in s. Returns None if
+    there are too few steps."""
     times = [step.at / hz for step in steps[ramp : len(steps) - ramp]]
     periods = [b - a for a, b in pairwise(times)]
     if len(periods) < 20:

@@ -76,7 +76,7 @@ class Bench:
         self.resets.append((self.now, flags, why))
 
     def until(self, model, cycle):
-        """Advances time, calling the model as the board does."""
+        """Advances time and calls the model at its due times, as the board does."""
         while model.due <= cycle:
             self.now = model.due
             model.advance(self.now)
@@ -552,15 +552,15 @@ class UsartTraces(unittest.TestCase):
 
     def test_other_baud_rates(self):
         self.assertEqual(self.heard(115_200, 833, b"$?"), [(0x24, False), (0x3F, False)])
-        # Each run of zeros, including the start bit, is read as a byte of zeros; if it is longer than nine of the
-        # receiver's bits, the stop bit is missing.
+        # The receiver reads each run of zeros, including the start bit, as a byte of zeros. If the run is longer than
+        # nine of the receiver's bits, the stop bit is missing.
         self.assertEqual(self.heard(115_200, 96, b"?"), [(0, False), (0, True)])
         self.assertEqual(self.heard(115_200, 96, b"\n"), [(0, True), (0, False), (0, True)])
         # At twice the rate each bit is read as two.
         self.assertEqual(self.heard(115_200, 417, b"?"), [(0xFE, False), (0xF8, False)])
         self.assertEqual(self.heard(115_200, 417, b"$"), [(0x60, True), (0xF8, False)])
-        # Bytes that are much faster than the receiver are too short for a start bit, or give a start bit and little
-        # else.
+        # Bits that are much faster than the receiver's are too short for a start bit, or a whole byte of them gives a
+        # start bit and little else.
         self.assertEqual(self.heard(1_000_000, 833, b"\x18"), [])
         self.assertEqual(self.heard(1_000_000, 833, b"\0"), [(0xFF, False)])
 
@@ -653,8 +653,8 @@ class DmaTraces(unittest.TestCase):
 
     def test_a_processor_that_stands_loses_no_byte(self):
         self.receiving(8)
-        # The emulation handles all events later, but in their order, so each byte is fetched before the next one
-        # arrives.
+        # After the stall, the emulation handles all events in the order of their times, so each byte is fetched before
+        # the next one arrives.
         self.bench.now = 60_000
         while min(model.due for model in (self.port, self.model)) <= self.bench.now:
             min((self.port, self.model), key=lambda model: model.due).advance(self.bench.now)
@@ -831,10 +831,10 @@ class ChainTraces(unittest.TestCase):
         self.until(999)
         self.assertTrue(self.dma1.ask_for_usart("USART2", 0x4000_4404, "pclk1", 999, lambda _, at: 0x41))
         self.until(5000)
-        # Without the byte, the first time would be written 16 cycles after the match. The byte occupies the controller
-        # until 15 cycles after it, and the time is written 8 cycles later.
+        # Without the byte, the first event time would be written 16 cycles after the match. The byte occupies the
+        # controller until 15 cycles after the match, and the time is written 8 cycles after that.
         self.assertEqual(stores[:2], [(1023, 1200), (1216, 1500)])
-        # DMA2 writes the edges, and has nothing to wait for.
+        # DMA2, which writes the edges, does not have to wait: the byte occupies only DMA1.
         self.assertEqual([at for at, _, _, level in self.bench.edges if level], [1017, 1517])
 
     def test_a_stream_that_is_switched_off_ends_its_transfer(self):
@@ -909,7 +909,7 @@ class ChainTraces(unittest.TestCase):
         readings.choose("counted-at-fetch")
         base = 0x10 + 0x18 * 2
         self.begin([1000, 1200, 1500, 1499], [2, 2, 2, 2])
-        # One word has been written, the next one fetched.
+        # The stream has written one word and fetched the next.
         self.assertEqual(self.dma1.read(base + dma.NDTR), 2)
         self.until(1300)
         # The fourth word is fetched, and the count restarts.
@@ -1007,7 +1007,7 @@ class BeamTraces(unittest.TestCase):
             # The request is under way.
             self.tim5.write(timer.DIER, 8)
         with self.assertRaises(Misuse):
-            # The manuals do not say whether the request stays without its flag.
+            # The manuals do not say whether a request stays pending when its flag is cleared.
             self.tim5.write(timer.SR, ~8 & 0x1E1F)
         self.until(1050)
         self.bench.write_memory(self.POWER, (100).to_bytes(4, "little"))
@@ -1020,7 +1020,8 @@ class BeamTraces(unittest.TestCase):
         with self.assertRaises(Misuse):
             # The manuals do not say whether a set flag causes a request at once.
             self.tim5.write(timer.DIER, 1 << 11 | 8)
-        # If the stream is switched off, its request stays pending and would output the next power at once.
+        # If the stream is off at the event, the request stays pending, and a stream that is switched on later would
+        # output the next power at once.
         self.arm(200, 2000)
         self.until(1990)
         self.dma1.write(self.STREAM + dma.CR, 0)
@@ -1207,8 +1208,8 @@ class NvicTraces(unittest.TestCase):
         model.begin(16 + 28)
         model.level(28, False)
         self.assertEqual(model.end(), 16 + 28)
-        # Interrupt 28 is done, because its line has fallen. Interrupt 37 becomes pending again at its end, because its
-        # line is still high.
+        # Interrupt 28 does not become pending again, because its line has fallen. Interrupt 37 does when it returns,
+        # because its line is still high.
         self.assertEqual(model.takeable(0, 0), (None, False))
         self.assertEqual(model.end(), 16 + 37)
         self.assertEqual(model.takeable(0, 0), (16 + 37, False))

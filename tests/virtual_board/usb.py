@@ -1,8 +1,8 @@
 """A host at the USB port: enumerates the device as a CDC-ACM serial port and exchanges bytes.
 
 Transactions follow each other as on a real bus without other devices: 60 us for a transaction with 64 bytes, even if
-NAK answers it, and 10 us for a short one. While the port is open, the host polls the IN endpoint continuously; polls
-that would only be answered by NAK, because nothing has changed since the last one, are not emulated. Packets of the
+NAK answers it, and 10 us for a short one. While the port is open, the host polls the IN endpoint continuously; a poll
+that would only be answered by NAK, because nothing has changed since the last poll, is not emulated. Packets of the
 control endpoint are assumed to have up to 64 bytes, as the device declares.
 """
 
@@ -16,8 +16,8 @@ SHORT_S, LONG_S = 10e-6, 60e-6
 DATA_OUT, DATA_IN = 1, 2
 """Numbers of the data endpoints."""
 WAITING = 8
-"""After this many NAKs in a row (half a millisecond), the device is taken to have no space; fewer only show that it is
-busy with the previous packet."""
+"""After this many NAKs in a row (half a millisecond), this host assumes that the device has no space; fewer NAKs only
+show that the device is busy with the previous packet."""
 
 
 class UsbHost(Host):
@@ -38,8 +38,8 @@ class UsbHost(Host):
         self._toggle_out = self._toggle_in = 0
         """Toggle of the next data packet: 0 for DATA0."""
         self.waits = self._naks = 0
-        """`waits`: how often the device has refused a packet for longer than it takes to fetch one. `_naks`: NAKs in a
-        row."""
+        """`waits`: how often the device has refused a packet `WAITING` times in a row, that is, for longer than it
+        takes to fetch a packet. `_naks`: NAKs in a row."""
         self._work = None
         self._orders = deque()
         self._idle_since = None
@@ -48,7 +48,7 @@ class UsbHost(Host):
     # The bus.
 
     def look(self):
-        """Starts the host's side if the device has connected."""
+        """Starts this host's work if the device has connected."""
         if self.otg.connected and self._work is None:
             self._work = self._life()
             self.due = self.board.now + self.board.cycles(1e-3)

@@ -260,8 +260,8 @@ def dwells(machine, _):
     begin = machine.sim.time
     machine.until(b"ok\r\n", 0.02)
     took = machine.sim.time - begin
-    # The tolerances are needed, because the output is checked only every 0.2 ms, and because the time includes reading
-    # and planning the line.
+    # There are two tolerances: the output is checked only every 0.2 ms, and the time includes reading and planning the
+    # line.
     if not DWELL_S - 0.0002 <= took <= DWELL_S + 0.0006:
         raise Broken(f"it took {took * 1000:.2f} ms")
     return f"{took * 1000:.2f} ms"
@@ -294,8 +294,8 @@ def stores(machine, _):
 
 @belief("flash is unlocked by these two keys in this order", FIELDS, "RM0383 3.5.1")
 def keys(machine, _):
-    # The registers of the flash interface are plain memory in this machine, as labwired requires no key: a value
-    # written to KEYR can be read back.
+    # The registers of the flash interface are plain memory in this machine, because labwired requires no key: so a
+    # value written to KEYR can be read back.
     register = machine.address("flash_ctrl", "KEYR")
     # At its first start the firmware writes to flash. Run in steps of 20 us until the first key has been written,
     # return to the last state before that, and continue in small steps.
@@ -307,7 +307,7 @@ def keys(machine, _):
         if machine.sim.time > 0.04:
             raise Broken("no key is written")
     machine.sim.restore(before)
-    # `restore` does not restore this memory.
+    # `restore` does not restore the plain memory, so clear the register.
     machine.sim.write_u32(register, 0)
     written = [0]
     for _ in range(2000):
@@ -367,8 +367,9 @@ def chain_is_watched(machine, _):
 @belief("the streams of the edges read memory as a peripheral that counts up and write BSRR; channel 6 is TIM1's", FIELDS, "RM0383 chapter 9, DMA2 request mapping, GPIOx_BSRR")
 def edges(machine, board):
     ports = sorted({pin[0] for pin in board.step + board.direction + (board.second_step, board.second_direction)})
-    # Streams of the rising edge (True) and of the end of the pulse (False), by number of ports. The requests come from
-    # TIM1: channel 1 serves stream 1, channel 2 stream 2, channel 3 stream 6, channel 4 stream 4.
+    # By the number of ports with step pins: the DMA2 streams that output the rising edge (True) and the end of the
+    # pulse (False). The requests come from TIM1: channel 1 serves stream 1, channel 2 stream 2, channel 3 stream 6,
+    # channel 4 stream 4.
     streams = {1: {1: True, 4: False}, 2: {1: True, 2: False, 6: True, 4: False}}[len(ports)]
     told = []
     for stream, counts in streams.items():

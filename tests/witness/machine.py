@@ -25,7 +25,7 @@ STEP_S = 0.0002
 STREAMS = {"usart2": ("dma1", 5, 6)}
 """For a UART with DMA: controller, receiving stream, sending stream."""
 LOOK_S = 0.000_02
-"""Interval at which the sending stream is checked: the firmware does not start it twice within this time."""
+"""Interval, s, at which the sending stream is checked: the firmware never starts the stream twice within this time."""
 
 
 class Broken(Exception):
@@ -43,7 +43,7 @@ class Machine:
         self.forget()
 
     def forget(self):
-        """Clears the record of received and sent bytes, for a new start of the chip."""
+        """Clears the records of received and sent bytes, because the chip starts anew."""
         self.sim.read_uart_bytes()
         self.said, self.slots, self.ends = b"", None, 0
 
@@ -100,8 +100,8 @@ class Machine:
                 self.fetch(len(out))
 
     def fetch(self, starts):
-        """Reads the bytes that DMA sends. `starts`: how often labwired's stream has started since the last check,
-        including the starts that the last `fetch` itself caused (`ends`)."""
+        """Reads the bytes that DMA sends. `starts`: how often labwired's sending stream has started since the last
+        check. This includes starts that the last `fetch` itself caused (`ends`), which do not count."""
         starts, self.ends = starts - self.ends, 0
         if starts == 0:
             return

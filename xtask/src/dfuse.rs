@@ -1,5 +1,5 @@
-//! DfuSe files (`.dfu`, ST's UM0391): the input of the USB boot loader in an STM32's ROM. They contain the address of
-//! each stretch of flash, so one command writes all stretches in the order of the file.
+//! DfuSe files (`.dfu`, ST's UM0391): the input of the USB boot loader in an STM32's ROM. A file contains the address
+//! of each stretch of flash, so one command of a flashing tool writes all stretches, in the order of the file.
 
 use crate::Failure;
 use crate::flashable::Stretch;
@@ -14,9 +14,9 @@ const NAME: usize = 255;
 /// format, the signature, and the length of the suffix.
 const SUFFIX: [u8; 12] = [0xFF, 0xFF, 0x11, 0xDF, 0x83, 0x04, 0x1A, 0x01, b'U', b'F', b'D', 16];
 
-/// Returns a file with one target. Its elements are the stretches in the order of falling addresses, so the stretch
-/// with the vector table is last. Tools write elements in file order, so a blank chip without a vector table cannot
-/// start a half-written program.
+/// Returns a file with one target. Its elements are the stretches, highest address first, so the stretch with the
+/// vector table is last. Tools write elements in file order: until the last one is written, a blank chip has no vector
+/// table and cannot start the half-written program.
 pub fn file(name: &str, stretches: &[Stretch]) -> Vec<u8> {
     let mut ordered: Vec<&Stretch> = stretches.iter().collect();
     ordered.sort_by_key(|stretch| std::cmp::Reverse(stretch.address));
@@ -91,8 +91,8 @@ fn element(bytes: &[u8]) -> Option<(Stretch, &[u8])> {
     Some((Stretch { address, bytes: bytes.to_vec() }, rest))
 }
 
-/// Checks that a file has exactly these stretches, and that of two stretches the one with the vector table, at
-/// `vectors`, is last.
+/// Checks that a file has exactly these stretches, that there are two of them, and that the one with the vector table,
+/// at `vectors`, is last.
 pub fn check(file: &[u8], stretches: &[Stretch], vectors: u32) -> Result<(), Failure> {
     let elements = parse(file)?;
     let mut sorted = elements.clone();

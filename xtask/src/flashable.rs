@@ -1,6 +1,6 @@
 //! Splits an image into the stretches of flash that a flashing tool writes, and writes them as Intel HEX, which most
-//! tools accept. The settings sectors lie between the two stretches of an image, and no file has a byte for them: new
-//! firmware keeps the settings.
+//! tools accept. The settings sectors lie between the two stretches of an image. No file has a byte for them, so the
+//! settings survive when new firmware is flashed.
 //!
 //! ```text
 //!  sector 0   vector table      ┐

@@ -10,20 +10,20 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Mutex;
 
-/// Compiler flags that libFuzzer needs: a pass that counts edges, and a call at each edge, by which a target counts its
-/// work.
+/// Compiler flags that libFuzzer needs: a pass that counts edges (branches taken in the code), and a call at each edge,
+/// by which a target counts its work.
 const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-pc -Clink-arg=-Wl,--wrap=__sanitizer_cov_trace_pc -Ccodegen-units=1";
-/// Optional flags: record both sides of each comparison. They let libFuzzer find values that random inputs would not,
-/// but the recording takes two thirds of the time.
+/// Optional flags: record both sides of each comparison. With them libFuzzer finds values that random inputs would
+/// miss, but recording takes two thirds of the time.
 const COMPARISONS: &str = " -Cllvm-args=-sanitizer-coverage-trace-compares";
 /// Minimum number of edges of a working target.
 const LEAST_EDGES: u64 = 100;
 /// Maximum input length of a search by time, bytes.
 const LONGEST: u64 = 2048;
-/// For each target: its share of all executions in per mille, roughly by its speed, and its maximum input length in
-/// bytes in a search by number of executions. Short inputs allow many executions.
+/// For each target: its share of all executions in per mille (a faster target has a larger share), and its maximum
+/// input length in bytes in a search by number of executions. Short inputs allow many executions.
 const SHARES: [(&str, u64, u64); 9] = [
     ("hosts", 320, 96),
     ("lines", 240, 128),
@@ -39,16 +39,17 @@ const SHARES: [(&str, u64, u64); 9] = [
 /// Amount of fuzzing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Amount {
-    /// This many seconds, with the comparisons.
+    /// This many seconds for all targets together, with [`COMPARISONS`] recorded.
     Seconds(u64),
-    /// This many executions, without the comparisons.
+    /// This many executions for all targets together, without [`COMPARISONS`].
     Executions(u64),
-    /// This many executions from a seed and only the corpora of the tree: the same on every machine.
+    /// This many executions, and the seed of their random numbers; starts only from the corpora of the tree, so the run
+    /// is the same on every machine.
     Repeated(u64, u64),
 }
 
 impl Amount {
-    /// Returns libFuzzer's options for one target's part of the amount.
+    /// Returns libFuzzer's options for `target`'s part of the amount.
     fn options(self, target: &str, targets: &[&str], workers: u64) -> Vec<String> {
         match self {
             Amount::Seconds(seconds) => {
@@ -120,8 +121,9 @@ pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
     report(rows.into_inner().expect("no thread panics"))
 }
 
-/// Runs the complete inputs of the tree and counts their work, because a search truncates long ones. Then runs what
-/// earlier searches have found: an input fails as long as its fault is not corrected, and is then deleted.
+/// Runs the inputs of the tree in full length, because a search truncates long ones, and counts their work. Then runs
+/// the inputs that earlier searches have found: as long as one still fails, its fault is not corrected; an input that
+/// passes is deleted.
 fn replay(program: &Path, target: &str) -> Result<(), Failure> {
     let mut inputs = files(&seeds(target)?)?;
     inputs.extend(files(&finds(target)?)?);
@@ -252,7 +254,8 @@ fn seeds(target: &str) -> Result<PathBuf, Failure> {
     unpacked("seeds", target, &text)
 }
 
-/// Unpacks inputs that once showed a fault, since corrected; most targets have none. `minimise` does not touch them.
+/// Unpacks inputs that once showed a fault that has been corrected; most targets have none. `minimise` does not touch
+/// them.
 fn finds(target: &str) -> Result<PathBuf, Failure> {
     let path = root().join("tests/fuzz/finds").join(format!("{target}.txt"));
     let text = if path.exists() { fs::read_to_string(&path) } else { Ok(String::new()) };

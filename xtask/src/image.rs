@@ -13,8 +13,8 @@ use std::path::{Path, PathBuf};
 /// Minimum size of the code, bytes: an image with less cannot contain the controller.
 const LEAST_CODE: u64 = 16 * 1024;
 
-/// Maximum size of `.data`, bytes: statics that do not start as 0. If there is more, a part of the controller is among
-/// them, although it should be in memory that is lent to the controller.
+/// Maximum size of `.data` (statics that do not start as 0), bytes. If `.data` is larger, it contains a part of the
+/// controller, which should be in the memory that the firmware lends to the controller.
 const MOST_DATA: u64 = 2 * 1024;
 /// Number of bytes at the start of a function in which it reserves stack for its variables.
 const PROLOGUE: u32 = 32;
@@ -24,13 +24,13 @@ fn step_handler(board: &str) -> &'static str {
     if board == QEMU_BOARD { "TIMER0" } else { "TIM5" }
 }
 
-/// Calls through registers that the step interrupt may make: a queue or signal wakes `control`, and the waker pends the
-/// interrupt of its dispatcher.
+/// Calls through registers that the step interrupt may make: a queue or signal wakes the task `control`, and the waker
+/// sets the interrupt of that task's dispatcher pending.
 const STEP_CALLS: [Allowed; 6] = [
     Allowed { function: "step_timer::", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "channel::Receiver<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "executor::waker_wake", targets: &["FnOnce"] },
-    // Images built for size make the same calls from these functions, which are not inlined there.
+    // Images built for size make the same calls, but from these functions, because they are not inlined.
     Allowed { function: "wait_queue::DoublyLinkedList<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "signal::SignalWriter<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed {
@@ -150,8 +150,8 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     if let Some((name, frame)) = largest_frame(&elf).filter(|(_, frame)| *frame > stack / 8 * 5) {
         return fail(&format!("has a function that takes {frame} of the {stack} bytes of stack: {name}"));
     }
-    // Only the flash after the last section counts as free: the rest of the vector table's sector holds nothing but the
-    // sections that the linker script assigns to it.
+    // Only the flash after the last section counts as free: the linker fills the rest of the vector table's sector only
+    // with the sections that its script assigns to that sector.
     let top = in_flash.iter().map(|s| s.end).max().unwrap_or(chip.code);
     let memory = elf.sections().filter_map(|section| elf::memory(&section));
     let in_ram: Vec<Range<u32>> = memory.filter(|s| (chip.ram..chip.ram + chip.ram_size).contains(&s.start)).collect();
@@ -213,7 +213,7 @@ impl Chip {
         self.settings..self.code
     }
 
-    /// Whether a tool that loads a segment writes to the settings sectors.
+    /// Returns whether a tool that loads a segment of `size` bytes to address `stored` writes to the settings sectors.
     fn is_in_settings(&self, stored: u32, size: u32) -> bool {
         stored < self.code && stored + size > self.settings
     }

@@ -3,9 +3,9 @@
 //! * preloaded: the job lies in RAM, so its bytes are never late. The digest over times, step and direction bits must
 //!   equal the simulator's, and the time that the motors were busy must equal its forecast, to the tick.
 //! * streamed: the job is sent over a TCP port, with character counting as a sender does it. The speed at a moment then
-//!   depends on when lines arrive, so only answers and final position must equal the simulator's. The order of steps
-//!   must be the same where one axis moves at a time. Elsewhere it can differ if one run is slow enough for a finer
-//!   smoothing and the other is not, so this result is printed, but not required.
+//!   depends on when lines arrive, so only answers and final position must equal the simulator's. In the job in which
+//!   one axis moves at a time, the order of steps must also be the same. In other jobs it can differ if one of the two
+//!   runs is slow enough for a finer smoothing; so the result of this comparison is printed, but not required.
 
 use crate::qemu::{self, Preload};
 use crate::{Failure, QEMU_BOARD, cargo, image, root};
@@ -34,7 +34,7 @@ struct Steps {
     time: String,
     order: String,
     net: [i64; 3],
-    /// Duration in ticks of the step clock; for the simulator: its forecast.
+    /// Duration in ticks of the step clock. In the simulator's result this is its forecast.
     busy: u64,
 }
 
@@ -58,7 +58,7 @@ pub fn compare_all() -> Result<(), Failure> {
     // preloaded, because they take minutes of machine time.
     let made = job_files("tests/jobs", u64::MAX);
     let mut examples = job_files("examples", LARGEST_EXAMPLE);
-    // Needs the dialect of `$900=2`; jobs here run with the default settings.
+    // This example needs the dialect of `$900=2`, but the jobs here run with the default settings.
     examples.retain(|file| !file.ends_with("drilling.nc"));
     let files: Vec<(&PathBuf, bool)> =
         made.iter().map(|f| (f, true)).chain(examples.iter().map(|f| (f, false))).collect();

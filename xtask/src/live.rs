@@ -192,7 +192,7 @@ fn recorded_failure(lines: &mut Lines) -> Result<(), Failure> {
     lines.stand.write_all(b"P").map_err(|error| error.to_string())?;
     let welcome = lines.expect("to unlock]\r\n")?;
     hold_on(welcome.contains("line 50") && welcome.contains("$REC what came in"), || welcome.clone())?;
-    // A host that has not noticed the failure, and one that queries and jogs, do not change the recording.
+    // The recording must not change if a host has not noticed the failure and continues, or if it queries and jogs.
     lines.send(b"X5\n$RC\n$X\n")?;
     let unlocked = |text: &str| text.contains("Caution: Unlocked") && text.ends_with("ok\r\n");
     let told = read_until(&mut lines.host, LIMIT, unlocked)?;
@@ -249,7 +249,7 @@ fn everything_hangs(lines: &mut Lines) -> Result<(), Failure> {
     failure(lines, b"H", "(watchdog)", &["[RESET:watchdog]\r\nok"])
 }
 
-/// Each kind of line takes another path through the controller, and some paths need much stack.
+/// Each kind of line takes a different path through the controller, and some paths need much stack.
 fn every_kind(lines: &mut Lines) -> Result<(), Failure> {
     let kinds = [
         ("$$", "ok"),
@@ -321,7 +321,8 @@ fn flood(lines: &mut Lines) -> Result<(), Failure> {
     hold_on(!answers.contains("error") && !answers.contains("lost"), || format!("answers: {answers}"))
 }
 
-/// Writes more records than both sectors hold together, so the log has moved from one sector to the other and back.
+/// Writes more settings records than both sectors hold together, so that the log moves from one sector to the other and
+/// back.
 fn settings(lines: &mut Lines) -> Result<(), Failure> {
     const RECORDS: usize = 3_000;
     let mut text = b"$N1=G17\n$I=mill 7\nG10L2P2X1.5Y-2\n$100=123.5\n".to_vec();
@@ -360,7 +361,7 @@ fn hold_and_resume(lines: &mut Lines) -> Result<(), Failure> {
     hold_on(report.contains("steps=2000,500,0"), || report)
 }
 
-/// Any byte restarts the host timeout, even a meaningless one.
+/// Any byte restarts the host timeout, even a byte without a meaning.
 fn silence(lines: &mut Lines) -> Result<(), Failure> {
     lines.send(b"$922=2\n")?;
     lines.expect("ok\r\n")?;
@@ -406,7 +407,7 @@ fn reset_in_motion(lines: &mut Lines) -> Result<(), Failure> {
     lines.expect("ok\r\nok")?;
     wait_until_idle(&mut lines.host)?;
     let report = lines.report()?;
-    // The reset has restored G90: the absolute target is reached from any position.
+    // The reset has restored G90, so the machine must reach the absolute target, wherever it started.
     hold_on(report.contains("steps=-250,0,0"), || format!("{second} {report}"))
 }
 

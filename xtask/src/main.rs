@@ -169,7 +169,7 @@ fn generate(name: &str) -> Result<(), Failure> {
     }
 }
 
-/// Environment variable: another copy of the tree to work in.
+/// Environment variable with the path of another copy of the tree, to work in that copy.
 const TREE: &str = "OXMILL_TREE";
 
 /// Returns the folder of the workspace.
@@ -181,7 +181,8 @@ fn root() -> PathBuf {
 }
 
 /// Returns a cargo command that runs in the workspace. It always builds into `target`, whatever the environment says,
-/// because the results are looked up there: otherwise the results of an earlier build would be taken for new ones.
+/// because this program looks for the results there: if cargo built elsewhere, it would take the results of an earlier
+/// build for new ones.
 fn cargo() -> Command {
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     cargo.current_dir(root()).env("CARGO_TARGET_DIR", root().join("target")).env_remove("CARGO_BUILD_TARGET");

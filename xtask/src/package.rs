@@ -5,7 +5,7 @@ use flate2::read::GzDecoder;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Packages that are used only within the workspace.
+/// Packages that are used only within this workspace and not published.
 const OWN: [&str; 4] = ["xtask", "oxmill-fuzz", "oxmill-test-support", "oxmill-on-target"];
 
 /// The board whose image is built from the packages.
@@ -14,8 +14,8 @@ const BOARD: &str = "blackpill_f411";
 /// Paths that no package may contain.
 const UNWANTED: [&str; 5] = ["target/", "node_modules/", "docs/", ".ci/", ".github/"];
 
-/// Manifest of a workspace that consists of the packages alone; dependencies between them are taken from this
-/// workspace.
+/// Manifest of a workspace that consists of the packages alone. It takes the dependencies of the packages on each other
+/// from itself and not from a registry.
 const MANIFEST: &str = "[workspace]\nmembers = [\"*\"]\nresolver = \"3\"\n\n\
                         [profile.release]\nopt-level = \"s\"\nlto = \"fat\"\ncodegen-units = 1\n\n[patch.crates-io]\n";
 
@@ -27,11 +27,11 @@ pub fn list() -> Result<(), Failure> {
     Ok(())
 }
 
-/// Packs all crates, unpacks them into a workspace of their own, and there builds the program, the module and an STM32
-/// image.
+/// Packs all crates, unpacks them into a workspace of their own, and builds the program, the WebAssembly module and an
+/// STM32 image in it.
 pub fn build() -> Result<(), Failure> {
     let folder = root().join("target/packaged");
-    // Earlier build results may stay; the lock file is the one of the tree.
+    // Earlier build results may stay in the folder; the lock file is copied from the tree.
     let failed = |error: std::io::Error| format!("{}: {error}", folder.display());
     let packages = folder.join("packages");
     if packages.exists() {

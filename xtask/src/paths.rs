@@ -1,5 +1,6 @@
-//! Configures cargo for releases: builds do not depend on the paths of the machine, so the same sources give the same
-//! bytes in any folder. Builds for boards also get the flags of their profile.
+//! Configures cargo for releases: paths of the machine do not get into the results, so the same sources give the same
+//! bytes in any folder. Builds for boards also get the compiler flags for their cargo profile (built for speed or for
+//! size).
 //!
 //! rustc replaces each machine-dependent folder by a fixed name: the workspace, cargo's copies of dependencies, and the
 //! sources of the standard library.
@@ -11,10 +12,10 @@ use std::process::Command;
 
 /// Extra compiler flags for images built for speed: schedule instructions for the processor of all boards, and limit
 /// the cost (by LLVM's measure) of functions that are inlined without `#[inline]`. LLVM's default limit is about twice
-/// as high: it makes images larger and hardly any path faster (docs/cost.md, "Small parts").
+/// as high; with it, images are larger and hardly any path is faster (docs/cost.md, "Small parts").
 const FOR_SPEED: [&str; 2] = ["-Ctarget-cpu=cortex-m4", "-Cllvm-args=-inline-threshold=120"];
 
-/// The inlining limit for images built for size, also below the compiler's default for these.
+/// The inlining limit for images built for size; it, too, is below the compiler's default for such builds.
 const FOR_SIZE: [&str; 1] = ["-Cllvm-args=-inline-threshold=30"];
 
 /// Returns a cargo command for release files, in the workspace. `RUSTFLAGS` of the environment do not affect it.
@@ -27,7 +28,7 @@ pub fn cargo_for_boards(command: &str, profile: &str) -> Result<Command, Failure
     cargo_for(command, profile, TARGET)
 }
 
-/// The same for another target, without the flags for the boards' processor.
+/// Like [`cargo_for_boards`], for another target and without the flags for the boards' processor.
 pub fn cargo_for(command: &str, profile: &str, target: &str) -> Result<Command, Failure> {
     let flags: &[&str] = if profile == boards::FAST { &FOR_SPEED } else { &FOR_SIZE };
     let flags: Vec<&str> =
@@ -95,7 +96,7 @@ fn names(
     compiler: &Compiler,
 ) -> Result<impl Iterator<Item = (PathBuf, String)> + use<>, Failure> {
     // There is one folder per registry, whose name depends on how the registry is accessed. Xtask itself has
-    // dependencies, so the registries in use are there.
+    // dependencies, so the folders of the registries in use exist.
     let registries = cargo_home.join("registry/src");
     let entries = fs::read_dir(&registries).map_err(|error| format!("{}: {error}", registries.display()))?;
     let mut sources: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
@@ -103,7 +104,8 @@ fn names(
     let library = (compiler.sysroot.join("lib/rustlib/src/rust"), format!("/rustc/{}", compiler.commit));
     let registries = sources.into_iter().map(|source| (source, "/registry".to_owned()));
     let all = [(workspace.to_owned(), "/oxmill".to_owned()), library].into_iter().chain(registries);
-    // A folder behind a symbolic link occurs under both names, because compilers run in it by its real name.
+    // If a folder is reached through a symbolic link, builds contain both of its names, because compilers run in it
+    // under its real name.
     Ok(all.flat_map(|(from, to)| {
         let real = from.canonicalize().ok().filter(|real| *real != from);
         [Some((from, to.clone())), real.map(|real| (real, to))].into_iter().flatten()

@@ -48,8 +48,8 @@ fn on_one_processor() -> Command {
     }
 }
 
-/// Returns the command line that all runs share. An instruction takes 8 ns, so virtual time depends only on the
-/// instructions executed.
+/// Returns the command line that all runs share. Each instruction takes 8 ns of virtual time, so this time depends only
+/// on the instructions executed.
 fn machine(elf: &Path, rest_is_skipped: bool) -> Command {
     let mut qemu = on_one_processor();
     let sleep = if rest_is_skipped { "shift=3,sleep=off" } else { "shift=3,sleep=on" };
@@ -107,13 +107,14 @@ fn connect(port: u16) -> Result<TcpStream, Failure> {
 }
 
 /// Starts the firmware with its two connections. Idle time is skipped, so the machine finishes all its work before the
-/// host's next bytes arrive: a link that starves the look-ahead every time.
+/// host's next bytes arrive: the look-ahead runs empty every time.
 pub fn streamed(elf: &Path) -> Result<Running, Failure> {
     running(machine(elf, true))
 }
 
-/// The same with a processor that never sleeps, so that a host can intervene during a motion: virtual time follows the
-/// instructions executed, about as fast as real time, and stands still while QEMU does not get processor time.
+/// Like [`streamed`], but the processor never sleeps, so that a host can intervene during a motion: virtual time
+/// advances with the instructions executed, about as fast as real time. It stands still while QEMU gets no processor
+/// time.
 pub fn live(elf: &Path) -> Result<Running, Failure> {
     let mut qemu = machine(elf, true);
     let mark = u32::from_le_bytes(*b"BUSY");
@@ -133,7 +134,7 @@ fn running(mut qemu: Command) -> Result<Running, Failure> {
     Ok((qemu, connect(host)?, connect(stand)?))
 }
 
-/// Contents of RAM at power-up; boards/qemu_mps2 has the same marks.
+/// What RAM contains at power-up; boards/qemu_mps2 has the same marks for it.
 #[derive(Clone, Copy)]
 pub enum Preload {
     /// A job.

@@ -45,7 +45,7 @@ struct Program<'a> {
     elf: &'a Elf<'a>,
     /// Functions by address.
     functions: BTreeMap<u32, Function<'a>>,
-    /// Where code (`true`) or data begins.
+    /// Addresses at which code (`true`) or data (`false`) begins.
     marks: BTreeMap<u32, bool>,
 }
 
@@ -68,7 +68,7 @@ impl<'a> Program<'a> {
         Some(decode(address, elf::half(self.elf, address)?, second))
     }
 
-    /// The function that an address lies in, and where it ends.
+    /// Returns the function that contains an address, and the function's end.
     fn function(&self, address: u32) -> Option<(&Function<'a>, u32)> {
         let (start, symbol) = self.functions.range(..=address).next_back()?;
         let next = self.functions.range(start + 1..).next().map_or(u32::MAX, |(next, _)| *next);
@@ -150,8 +150,8 @@ pub fn check(elf: &Elf<'_>, handler: &str, allowed: &[Allowed]) -> Result<Vec<St
     }
 }
 
-/// Returns whether a name matches a forbidden part. Names of runtime routines are plain: their parts must not match
-/// within a Rust path.
+/// Returns whether a name matches a forbidden part. Names of the compiler's runtime routines are not Rust paths: the
+/// parts for them must not match within a Rust path.
 fn forbids(part: &str, name: &str) -> bool {
     let routine = !name.contains("::");
     match part {

@@ -1,5 +1,5 @@
 //! Repeats the recorded conversations with Grbl 1.1h on the firmware in QEMU: all groups that change no input pin, each
-//! from a fresh start, with the rules and the list of differences that also apply to the simulator
+//! after a new power-up, with the rules and the list of allowed differences that also apply to the simulator
 //! (`tests/recordings`).
 //!
 //! A script inside the machine (`boards/qemu_mps2/script.rs`) plays the host, so the state of the machine when a byte
@@ -69,7 +69,8 @@ pub fn replay_all(only: &[&str]) -> Result<(), Failure> {
 /// Runs a group on a machine that has just been powered up.
 fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Result<(), Failure> {
     let mut script = Script::default();
-    // Before the first record: the greeting, the dialect, and a reset, whose greeting belongs to the recording.
+    // Before the first record: wait for the greeting, set the dialect, and reset. The greeting after the reset belongs
+    // to the recording.
     script.wait(SILENCE);
     script.send(b"$900=0\n");
     script.answers(1);
@@ -78,7 +79,7 @@ fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Res
     script.send(&[0x18]);
     script.wait(SILENCE);
     for record in records {
-        // If the listed difference is that nothing is answered, do not wait for an answer.
+        // If the list of differences says that this firmware does not answer here, do not wait for an answer.
         let listed = differences::DIFFERENCES.iter().find(|d| d.group == group && d.n == record.n);
         let silent = listed.is_some_and(|d| d.answers.is_some_and(|answers| answers.is_empty()));
         hold(&mut script, record, silent)?;
@@ -96,14 +97,14 @@ fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Res
     }
     for (record, ends) in records.iter().zip(marks.windows(2)) {
         let said = said.get(ends[0]..ends[1]).ok_or_else(|| format!("{group} {}: nothing was said", record.n))?;
-        // Of several reports while waiting for Idle, the last one counts.
+        // If several reports arrived while waiting for Idle, compare the last one.
         let from = if record.kind == "idle" { said.rfind('<').unwrap_or(0) } else { 0 };
         tally.judge(group, record, &said[from..]);
     }
     Ok(())
 }
 
-/// Adds the actions of the recording host to the script.
+/// Adds to the script what the recording host did for this record.
 fn hold(script: &mut Script, record: &Record, silent: bool) -> Result<(), Failure> {
     match record.kind.as_str() {
         "boot" => {}

@@ -1,5 +1,5 @@
-//! Script of a host inside a machine, as byte codes: `boards/qemu_mps2/script.rs` executes them in QEMU, and
-//! `tests/virtual_board/soak.py` beside a virtual board.
+//! Script of what a host does, as byte codes: `boards/qemu_mps2/script.rs` executes them inside the machine in QEMU,
+//! and `tests/virtual_board/soak.py` beside a virtual board.
 
 /// A script.
 #[derive(Default)]
@@ -23,7 +23,7 @@ impl Script {
         self.0.extend(bytes);
     }
 
-    /// Waits until this many answers have arrived since the last record.
+    /// Waits until this many answers have arrived since the last record ended.
     pub fn answers(&mut self, count: u32) {
         self.code(b'A', count);
     }

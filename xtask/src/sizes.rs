@@ -31,7 +31,7 @@ fn expected(text: &str, board: &str) -> Option<(u32, u32)> {
     Some((words.next()?.parse().ok()?, words.next()?.parse().ok()?))
 }
 
-/// Returns a message if flash or RAM have grown too much.
+/// Returns a message if flash or RAM have grown by more than [`TOLERANCE`], or if the file has no row for the board.
 fn compare(text: &str, board: &str, flash: u32, ram: u32) -> Option<String> {
     let accept = format!("if that is right: {MODE}=accept cargo fw {board}");
     let Some((flash_before, ram_before)) = expected(text, board) else {

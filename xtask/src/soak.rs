@@ -1,5 +1,6 @@
-//! Long runs of the firmware: a job of any length with holds, doors, overrides, reports, stops, resets and hosts that
-//! close their port, on QEMU or on a virtual board. `tests/soak.rs` does the same with the simulator.
+//! Long runs of the firmware: a job of any length with holds, door openings, overrides, status reports, stops, resets,
+//! and times in which the host has closed its port, on QEMU or on a virtual board. `tests/soak.rs` does the same with
+//! the simulator.
 //!
 //! At each rest every line must have been answered once, the motors must have made exactly the steps of the program,
 //! and the reported position must match them. The maximum stack use is printed at the start, in the middle and at the
@@ -16,18 +17,19 @@ use std::time::{Duration, Instant};
 
 /// Maximum number of unanswered lines when the next one is sent: together they fit into the receive queue.
 const ON_THEIR_WAY: usize = 4;
-/// Number of lines per second; higher than a machine can carry out.
+/// Number of lines generated per second of the run: more than a machine can carry out, so the script does not end
+/// early.
 const LINES_PER_SECOND: u64 = 25;
 /// Maximum wall time per second of machine time in QEMU, s.
 const SLOWEST: u64 = 10;
 
-/// Events of a record other than lines, and its expected end.
+/// A part of the job up to a rest or an interruption: the number of events other than lines, and the expected end.
 struct Record {
     sent: Sent,
     end: End,
 }
 
-/// Numbers of events other than lines.
+/// Numbers of events other than lines in one record.
 #[derive(Clone, Copy, Default)]
 struct Sent {
     holds: u64,
@@ -47,7 +49,7 @@ const LONGEST: u64 = u32::MAX as u64 / 1_000;
 /// Duration of a run, ms, in which every random event should occur.
 const LONG_MS: u64 = 600_000;
 
-/// Numbers of events of the job.
+/// Numbers of events in the whole job.
 #[derive(Default, Debug)]
 struct Counts {
     lines: u64,
@@ -121,8 +123,7 @@ impl Job {
         }
         self.script.answers(sent as u32);
         if self.has_port && self.random.below(4) == 0 {
-            // The host can close its port while the machine still moves; the machine then brakes, and resumes on
-            // command.
+            // The machine may still move when the host closes its port: it then brakes, and resumes on command.
             self.script.reopen(self.random.below(100) as u32);
             self.sent.hosts += 1;
             self.resume();

@@ -2,9 +2,9 @@
 //! Cortex-M4F. Results of arithmetic are not computed.
 //!
 //! Cycles follow the table of ARM DDI 0439 (3.3.1) for memory without wait states. Where the table leaves a range,
-//! these values are used: a taken branch costs 2 on top of its own cycle; a division 7 (of 2 to 12); a load after
-//! another access whose result is not its address costs 1 instead of 2; reading a floating-point result in the next
-//! instruction costs 1 more.
+//! these values are used: a taken branch costs 2 on top of its own cycle; a division 7 (of 2 to 12); a load right after
+//! another memory access costs 1 instead of 2, unless its address is the result of that access; reading a
+//! floating-point result in the next instruction costs 1 more.
 
 /// Effect of an instruction on control flow and memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

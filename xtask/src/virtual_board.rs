@@ -19,7 +19,7 @@ const BOARDS: [(&str, &[&str]); 5] = [
     ("nucleo_f401re", SIBLING),
 ];
 
-/// The cases that take longest. A board excludes them if another board with the same chain of timers runs them;
+/// The cases that take longest. A board excludes them if a board that outputs steps with the same timers runs them;
 /// `.ci/nightly` runs them on all boards.
 const LONGEST: &[&str] = &["-bursts of overrides", "-late starts", "-lines at stops", "-tight pulses"];
 
@@ -55,8 +55,8 @@ const READINGS: [(&str, &str, &[&str]); 5] = [
     ("flags-by-dma", "nucleo_f446re", &["disturbed line"]),
 ];
 
-/// Runs the cases of one board or of all boards, two at a time, some cases under alternative readings, and the
-/// loop-back suite; or only the named cases.
+/// Runs the cases of one board or of all boards, two processes at a time; also some cases under alternative readings,
+/// and the loop-back suite. If `cases` names some, runs only these.
 pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     let boards: Vec<(&str, &[&str])> =
         BOARDS.into_iter().filter(|(name, _)| board.is_none_or(|board| board == *name)).collect();
@@ -92,8 +92,8 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     if failed.is_empty() { Ok(()) } else { Err(format!("the virtual board failed:\n{}", failed.join("\n"))) }
 }
 
-/// Runs a script on one board, with `wall` up to the first rest after this many seconds. Returns the board's output and
-/// the notes of its test stand.
+/// Runs a script on one board; with `wall`, only up to the first rest after this many seconds of real time. Returns the
+/// board's output and the notes of its test stand.
 pub fn soak(board: &str, elf: &Path, script: &Path, wall: Option<u64>) -> Result<(String, String), Failure> {
     if !BOARDS.iter().any(|(name, _)| *name == board) {
         return Err(format!("there is no such virtual board: {board}"));
@@ -142,8 +142,8 @@ fn two_at_a_time(runs: Vec<(&str, Command)>) -> Vec<String> {
     failed.into_inner().expect("no worker panics with the lock")
 }
 
-/// Returns the failed cases of a report, each with the following line, which has the reason; and the last line of an
-/// exception.
+/// Returns the failed cases of a report, each with the line after it, which has the reason, and the last line of
+/// `errors`, which names an exception.
 fn failures(report: &str, errors: &str) -> String {
     let mut lines = report.lines();
     let mut found = Vec::new();

@@ -90,7 +90,7 @@ mod tests {
         serde_json::from_str(&fs::read_to_string(page().join(name)).unwrap()).unwrap()
     }
 
-    /// Returns the newest version that a range such as `>=18` or `6.* || >= 10.*` starts with.
+    /// Returns the lowest major version in the last part of a range: 18 for `>=18`, 10 for `6.* || >= 10.*`.
     fn newest_of(range: &str) -> u32 {
         let last = range.rsplit("||").next().unwrap_or_default();
         let last = last.trim_start_matches(|c: char| !c.is_ascii_digit());

@@ -1,6 +1,6 @@
-//! Runs the firmware on labwired, an independent emulator (`tests/witness`), and prints for each belief whether it was
-//! confirmed. The image is the shipped one built for a Cortex-M3, because labwired lacks the DSP instructions and some
-//! of the floating-point instructions of a Cortex-M4F.
+//! Runs the firmware on labwired, an independent emulator (`tests/witness`), and prints for each belief (a fact about
+//! the hardware on which the firmware relies) whether it was confirmed. The image is the shipped one built for a
+//! Cortex-M3, because labwired lacks the DSP instructions and some of the floating-point instructions of a Cortex-M4F.
 
 use crate::paths::cargo_for;
 use crate::python::{environment, module};
@@ -10,10 +10,11 @@ use std::path::PathBuf;
 use std::process::Command;
 
 const TARGET: &str = "thumbv7m-none-eabi";
-/// A Nucleo, whose host is on `USART2`, and a Black Pill, whose host is on `USART1` here.
+/// A Nucleo, whose host is on `USART2`, and a Black Pill, whose host is here on `USART1` and not on USB.
 const BOARDS: [&str; 2] = ["nucleo_f411re", "blackpill_f411"];
 
-/// Checks every belief on both boards; or, by option, the faults, each of which must be detected.
+/// Checks every belief on both boards; or, depending on the options, puts faults into the image, each of which must be
+/// detected.
 pub fn witness(options: &[&str]) -> Result<(), Failure> {
     require_target()?;
     let python = environment("witness", "witness")?;

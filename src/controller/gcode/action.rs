@@ -1,6 +1,6 @@
 //! [`Action`] is the result of checking a line: its effects, as plain data. The controller executes them (spindle,
 //! coolant, tool, dwell, outputs, and the [`MotionCommand`] in machine coordinates), and the interpreter adopts the new
-//! modal state when the line is committed. Checking has no other effect.
+//! modal state when the line is committed. Checking itself changes nothing.
 
 use super::REASONS;
 use super::control_points::Addition;
@@ -39,12 +39,13 @@ pub struct Action<const N: usize> {
     /// The line goes to a machine position or stores one (G53, G28, G30, G28.1, G30.1), so it needs a valid machine
     /// position.
     pub uses_machine_place: bool,
-    /// The stored position that gets a new value at the commit, or the tool that is removed from the table.
+    /// The stored position or tool that changes at the commit. For a tool, the change is a new offset or its removal
+    /// from the table.
     pub store: Option<StoredOffset>,
     /// The motion.
     pub motion: MotionCommand<N>,
-    /// Value of the last digit of the axis words, in mm. It is limited to 0.01 mm or 0.001 inch, because programs often
-    /// omit trailing zeros, and is 0 if the words are exact.
+    /// Value of the last decimal place of the axis words, in mm: 0.001 for `X1.234`. It is at most 0.01 mm or 0.001
+    /// inch, because programs often omit trailing zeros, and 0 if the words are exact.
     pub digit: f32,
     /// What the program does after the motion.
     pub flow: Flow,
@@ -65,7 +66,7 @@ pub(super) struct Afterwards {
     pub(super) spindle_tool: u32,
     /// The line has M3, M4 or M5.
     pub(super) spindle_word: bool,
-    /// M6 is on a line without axis words, tool length words, G28.1 and G30.1.
+    /// See [`Action::is_tool_change_alone`]; valid only on a line with M6.
     pub(super) tool_alone: bool,
     /// See [`Action::moves_only`].
     pub(super) moves_only: bool,
@@ -117,7 +118,7 @@ impl<const N: usize> Action<N> {
         &self.modal
     }
 
-    /// Whether the line changes outputs or stores a record.
+    /// Whether the line changes outputs, stores a record, or has one of the words M62 to M68.
     pub fn changes_outputs(&self) -> bool {
         self.spindle.is_some()
             || self.coolant.is_some()

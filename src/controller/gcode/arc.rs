@@ -106,8 +106,9 @@ pub(super) fn centre_by_radius(
     Ok(Vector { first: divided(x * along + y * across, 2 * along), second: divided(y * along - x * across, 2 * along) })
 }
 
-/// Returns by how much a chord may exceed twice the radius if all words of the arc are rounded to `digit`. R is off by
-/// up to half a digit, and each end of the chord by up to half a digit along both axes: 1 + sqrt(2) digits in all.
+/// Returns by how much a chord may exceed twice the radius if all words of the arc are rounded to `digit`, the value of
+/// their last decimal place. R is off by up to half a digit, and each end of the chord by up to half a digit along both
+/// axes: 1 + sqrt(2) digits in all.
 pub(super) fn rounding_of_diameter(digit: Coordinate) -> Coordinate {
     Coordinate(digit.0 * 12 / 5)
 }

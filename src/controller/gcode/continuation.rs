@@ -57,14 +57,15 @@ impl<const N: usize> Interpreter<N> {
         self.control_points.first().filter(|points| waits && points.begin_at(in_xy(&self.position)))
     }
 
-    /// Returns the vector by which a G5 without I and J would leave the present position.
+    /// Returns the vector from the present position to the first control point of a G5 without I and J; `None` if no G5
+    /// ended here.
     fn next_way(&self) -> Option<[Coordinate; 2]> {
         let last = self.tangent.iter().flatten().find(|tangent| tangent.place == in_xy(&self.position));
         last.map(|tangent| tangent.way)
     }
 }
 
-/// Returns the modal state without the parts that no line can notice. The last F of G94 has no effect with G93, nor
+/// Returns the modal state without the parts that affect no later line. The last F of G94 has no effect with G93, nor
 /// with G94 while F is undefined.
 fn meant(modal: &Modal) -> Modal {
     let is_speed = modal.feed_mode == FeedMode::PerMinute && modal.feed > Decimal::ZERO;

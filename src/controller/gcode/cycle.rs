@@ -11,7 +11,7 @@
 //! ```
 //! All levels are coordinates of the axis normal to the selected plane. If the tool starts below R, it first rises to R
 //! without moving in the plane. The clear level is R with G99; with G98 it is the level at which the series of cycles
-//! began, or R if that is higher. Order and levels are those of RS274NGC.
+//! began, or R if R is higher. The levels and the order of the moves are those of RS274NGC.
 
 use super::modal::{CycleKind, Plane, PlaneAxes};
 use super::values::along;

@@ -8,7 +8,7 @@ pub enum Direction {
     Check,
     /// Nothing: the line belongs to a condition, which has been evaluated.
     Done,
-    /// Nothing: the line was skipped or recorded. Its message is not sent.
+    /// Nothing: the line was skipped or recorded. The message in its comment is not sent.
     LeftOut,
     /// Run the subroutine that the line calls: [`Interpreter::next_held`](super::Interpreter::next_held).
     Call,
@@ -19,7 +19,7 @@ pub enum Direction {
 /// Next item of held text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Held {
-    /// Check and execute this line.
+    /// The next held line has been read: check and execute it.
     Line,
     /// An O word of the held text has been processed; request the next line.
     Again,

@@ -63,7 +63,8 @@ impl<const N: usize> Interpreter<N> {
         self.offsets = before.unwrap_or(self.offsets);
     }
 
-    /// Ends every modal state that the new dialect may have no word to end.
+    /// Ends the modal states that a program in the new dialect might be unable to end, because the dialect lacks the
+    /// word.
     pub fn change_dialect(&mut self) {
         self.end_cycles();
         if matches!(self.modal.motion, MotionMode::Spline(_)) {
@@ -97,7 +98,7 @@ impl<const N: usize> Interpreter<N> {
         check::check(self, &parsed, dialect, Purpose::Program, action)
     }
 
-    /// Checks a jog: the text after `$J=`. The motion of the result is a jog. A commit of it changes only the position.
+    /// Checks a jog: the text after `$J=`. Committing the result changes only the position.
     #[cfg(feature = "alloc")]
     pub fn check_jog(&self, line: &[u8], dialect: Dialect) -> Result<Action<N>, Error> {
         let mut action = Action::NOTHING;

@@ -70,17 +70,17 @@ pub const REASONS: bool = cfg!(feature = "reasons");
 /// Explanation of what is wrong with a refused line; takes no memory in a build without reasons.
 pub type Reason = heapless::Vec<u8, { if REASONS { 128 } else { 0 } }>;
 
-/// Decides which control's meaning the words of a program have.
+/// The CNC control for which a program is written. It decides what the words mean.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Dialect {
-    /// As Grbl 1.1h, without the extensions: eight digits count in a number, there are six coordinate systems, T is
-    /// forgotten after its line, axis words are refused under a modal G80, and M7, M56, G90.1 and turns of an arc do
-    /// not exist.
+    /// As Grbl 1.1h, without the extensions: only the first eight digits of a number count, there are six coordinate
+    /// systems, T is forgotten after its line, axis words are refused under a modal G80, and M7, M56, G90.1 and turns
+    /// of an arc do not exist.
     Grbl,
     /// All words of Grbl with Grbl's meaning, and further words.
     #[default]
     Oxmill,
-    /// As Oxmill, except that axis words after G80 move by the last G0 or G1, and that an arc whose end point is off
-    /// its circle ends where the ray from the centre to that point crosses the circle.
+    /// As Oxmill, except that axis words after G80 move the axes in the mode of the last G0 or G1, and that an arc
+    /// whose end point is off its circle ends where the ray from the centre to that point crosses the circle.
     Seed,
 }

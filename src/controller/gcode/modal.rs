@@ -116,7 +116,7 @@ pub enum Plane {
     Yz,
 }
 
-/// The axes of a plane, in the order in which G3 turns from the first to the second.
+/// The axes of a plane, in such an order that G3 turns from the first axis towards the second.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlaneAxes {
     /// First axis of the plane.
@@ -235,7 +235,7 @@ pub enum PathControl {
 pub struct PathTolerance {
     /// P of G64, greater than 0: the total distance.
     pub path: u32,
-    /// Q of G64: the part of it that the merging of moves may use.
+    /// Q of G64: the part of `path` that the merging of moves may use.
     pub merging: u32,
 }
 
@@ -321,8 +321,8 @@ pub struct Modal {
     pub plane: Plane,
     /// Unit of lengths.
     pub units: Units,
-    /// G99: canned cycles end at R. With G98 (`false`) they end at the level where their series began, or at R if that
-    /// is higher.
+    /// G99: canned cycles end at R. With G98 (`false`) they end at the level where their series began, or at R if R is
+    /// higher.
     pub retract_to_r: bool,
     /// Distance mode.
     pub distance: Distance,
@@ -347,8 +347,8 @@ pub struct Modal {
     /// F of G94 in mm/s, as moves use it. It is stored because most lines keep the F in force and so need not convert
     /// it again.
     pub feed_per_second: f32,
-    /// F was written in inches per minute. A move of rotary axes alone takes the number as it was written as degrees
-    /// per minute.
+    /// F was written in inches per minute. For a move of rotary axes alone, the written number means degrees per
+    /// minute.
     pub feed_in_inches: bool,
     /// S, in revolutions per minute.
     pub speed: f32,
@@ -386,7 +386,7 @@ impl Modal {
         feed.to_f32()
     }
 
-    /// Resets the modes that words beyond Grbl have set.
+    /// Resets all modes that a word unknown to Grbl may have set.
     pub(super) fn forget_extended(&mut self) {
         self.retract_to_r = false;
         self.arc_distance = ArcDistance::default();
@@ -406,7 +406,7 @@ impl Modal {
         self.distance = Distance::default();
         self.arc_distance = ArcDistance::default();
         if self.feed_mode == FeedMode::InverseTime {
-            // The number of moves per minute must not become a speed.
+            // This F of G93 is a number of moves per minute; with G94 it would be taken for a speed.
             self.feed = Decimal::ZERO;
         }
         self.feed_mode = FeedMode::default();

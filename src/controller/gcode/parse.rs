@@ -88,7 +88,7 @@ pub(super) struct Parsed<const N: usize> {
     /// Axes that have a word.
     pub axes: AxisMask,
     pub axis: PerAxis<Decimal, N>,
-    /// Maximum number of decimal places of an axis word.
+    /// The largest number of decimal places that an axis word of the line has.
     pub places: u8,
     value_words: ValueWords,
 }
@@ -185,7 +185,8 @@ impl<const N: usize> Parsed<N> {
         !self.extended.any && self.groups.within(Groups::OF_MOVES) && !self.values.has_any(Letters::of(b"ST"))
     }
 
-    /// Returns the value of a letter other than an axis, G or M; 0 if the line has no such word ([`Parsed::values`]).
+    /// Returns the value of a letter other than an axis, G or M; 0 if the line lacks the word. [`Parsed::values`] has
+    /// the letters that the line has.
     pub fn value(&self, letter: u8) -> Decimal {
         let found = self.value_words.iter().find(|(of, _)| *of == letter);
         found.map_or(Decimal::ZERO, |(_, value)| *value)

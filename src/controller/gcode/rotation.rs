@@ -56,7 +56,7 @@ impl Angle {
     /// nearest multiple of 90 degrees.
     fn cosine_and_sine(self) -> (i64, i64) {
         const QUARTER: i64 = Angle::HALF_TURN / 2;
-        /// Radians in a unit, times 2^96.
+        /// One unit of an angle in radians, times 2^96.
         const RADIANS: i128 = 138_279_229_617_906_158_461;
         let quarters = (self.degrees().0 + QUARTER / 2).div_euclid(QUARTER);
         let rest = self.degrees().0 - quarters * QUARTER;

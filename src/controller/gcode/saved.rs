@@ -27,7 +27,7 @@ pub(super) struct Saved<const N: usize> {
     pub level: u8,
     /// M73: the state is restored at the end of its call.
     pub until_return: bool,
-    /// M71: the state is not restored any more, until another state is saved in its place.
+    /// M71: the state is never restored. It keeps its place in the list until another state is saved at its level.
     pub is_forgotten: bool,
 }
 
@@ -85,7 +85,8 @@ impl<const N: usize> SavedStates<N> {
         }
     }
 
-    /// Ends all calls above `level`. Returns whether one of their states must be restored because of M73.
+    /// Ends all calls that are nested deeper than `level`. Returns whether M73 saved a state of one of them, which must
+    /// be restored now.
     #[cfg_attr(not(feature = "full"), allow(dead_code, reason = "there are no calls"))]
     pub fn leave(&mut self, level: u8) -> bool {
         let mut restores = false;
@@ -101,8 +102,8 @@ impl<const N: usize> SavedStates<N> {
         restores
     }
 
-    /// Drops the states of all calls above `level`, because these calls were aborted, or have returned and their states
-    /// were restored.
+    /// Drops the states of all calls nested deeper than `level`, because these calls were aborted, or have returned and
+    /// their states were restored.
     pub fn abandon(&mut self, level: u8) {
         self.0.retain(|saved| saved.level <= level);
     }

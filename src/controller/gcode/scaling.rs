@@ -116,8 +116,8 @@ impl Scaling {
         }
     }
 
-    /// Returns the smallest absolute factor. Scaling multiplies the last digit of a program's words by this factor or
-    /// more.
+    /// Returns the smallest absolute factor. Scaling multiplies the last decimal place of a program's words by this
+    /// factor or more.
     #[inline(never)]
     pub(super) fn least(&self) -> f32 {
         self.factors.iter().map(|factor| Decimal(factor.0.saturating_abs()).to_f32()).fold(f32::INFINITY, f32::min)

@@ -150,7 +150,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Ends a series of canned cycles, as G80 does. Call this after homing or another change of the machine
-    /// coordinates, which makes the level that G98 returns to wrong.
+    /// coordinates; otherwise G98 would return to a wrong level.
     pub fn end_cycles(&mut self) {
         if matches!(self.modal.motion, MotionMode::Cycle(_)) {
             self.modal.motion = MotionMode::Cancelled;
@@ -199,8 +199,8 @@ impl<const N: usize> Interpreter<N> {
         is_first
     }
 
-    /// Assumes, in check mode, that the tool was measured. The first measured tool leaves Z at the height of G30, or
-    /// higher if Z is above it already.
+    /// Assumes, in check mode, that the tool was measured. The first measurement leaves Z at the height of G30, or
+    /// where it is if that is higher.
     pub fn assume_measured(&mut self) {
         if !self.measured.assumed && self.measured.is_first() {
             let height = self.offsets.stored(StoredOffset::G30).get(TOOL_AXIS);
@@ -209,7 +209,8 @@ impl<const N: usize> Interpreter<N> {
         self.measured.assumed = true;
     }
 
-    /// Returns the measured offset of tool `number` if it is in the spindle; its other axes come from the table.
+    /// Returns the measured offset of tool `number` if this tool is in the spindle. The measurement gives only the
+    /// offset along Z; the other axes come from the table.
     pub(super) fn measured_offset(&self, number: u32) -> Option<PerAxis<Coordinate, N>> {
         let active = self.offsets.tool_length.get(TOOL_AXIS).filter(|_| self.measured.assumed);
         let length = active.or(self.measured.offset()).filter(|_| number == self.spindle_tool && number != 0)?;
@@ -240,7 +241,7 @@ impl<const N: usize> Interpreter<N> {
         &self.position
     }
 
-    /// Puts a tool into the spindle and selects it; for a replay.
+    /// Sets the number of the tool in the spindle and selects this tool; for a replay.
     pub fn hold_tool(&mut self, tool: u32) {
         (self.spindle_tool, self.modal.tool) = (tool, tool);
     }
@@ -294,8 +295,8 @@ impl<const N: usize> Interpreter<N> {
 
 impl<const N: usize> Interpreter<N> {
     /// Returns the machine position of the work zero, which reports use as the work offset: a reported work position is
-    /// its distance from this zero along the machine's axes. Includes the angle of the coordinate system but not G68.
-    /// In Grbl's dialect there are no rotations.
+    /// the tool's distance from this zero along the machine's axes. Includes the angle of the coordinate system but not
+    /// G68. In Grbl's dialect there are no rotations.
     pub fn work_zero(&self, dialect: Dialect) -> PerAxis<Coordinate, N> {
         match dialect {
             Dialect::Grbl => self.work_offset(),

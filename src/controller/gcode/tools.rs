@@ -29,7 +29,8 @@ impl<const N: usize> Tool<N> {
     }
 }
 
-/// The tools whose offsets are kept over power-off, in the order in which they were entered.
+/// The tools with known offsets. All entries are kept over power-off, except those that a program has set in check
+/// mode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ToolTable<const N: usize>([Tool<N>; TOOLS]);
 

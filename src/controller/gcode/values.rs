@@ -11,7 +11,7 @@ pub(super) fn whole(value: Decimal) -> Result<i32, Error> {
     if Decimal::from_int(number) == value { Ok(number) } else { Err(Error::IntegerRequired) }
 }
 
-/// Converts a time that a program gives in seconds, without its sign.
+/// Converts a time that a program gives in seconds; ignores its sign.
 pub(super) fn seconds(value: Decimal) -> Duration {
     /// Units of a [`Decimal`] of seconds in a microsecond.
     const MICROSECOND: u64 = DECIMAL_ONE as u64 / 1_000_000;

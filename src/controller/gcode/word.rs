@@ -327,7 +327,7 @@ pub(super) enum GWord {
     ProbeOnce,
     /// G54.1, G154: selects a coordinate system by P.
     SystemByNumber,
-    /// G8, G187: a switch of the look-ahead, with its number.
+    /// G8, G187, with the number of the word. On other controls these words switch the look-ahead.
     LookAhead(u8),
     /// Selects the only mode that exists: G97 (S in revolutions per minute).
     AsItIs(Group),
@@ -351,7 +351,7 @@ impl GWord {
         }
     }
 
-    /// Returns the words for canned cycles, the tool table and offsets that Grbl does not have.
+    /// Looks up a code among words that Grbl does not have: for canned cycles, the tool table and offsets.
     fn extended(code: Code) -> Option<GWord> {
         Some(match (code.whole, code.hundredths) {
             (43, 0) => GWord::ToolLength(ToolLength::FromTable),
@@ -373,7 +373,7 @@ impl GWord {
         })
     }
 
-    /// Returns the words of other controls that CAM programs commonly contain.
+    /// Looks up a code among words that come from other controls and are common in CAM programs.
     fn of_cam(code: Code) -> Option<GWord> {
         Some(match (code.whole, code.hundredths) {
             (31, 0) => GWord::ProbeOnce,
@@ -464,8 +464,8 @@ impl GWord {
         })
     }
 
-    /// Returns the words of splines, rotation and scaling. Each feature that this build lacks has its own error. G50
-    /// and G69 are accepted in every build.
+    /// Looks up a code among the words of splines, rotation and scaling. If this build lacks the feature, the error
+    /// names it. G50 and G69 are accepted in every build.
     fn by_feature(code: Code) -> Result<GWord, Error> {
         match (code.whole, code.hundredths) {
             (5, _) if !FULL_IMAGE => Err(Error::SplinesLeftOut),

@@ -50,8 +50,9 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Sends the message of a line that is executed; `remark` is the message with its mark. The message of a line that
-    /// would leave the travel is not sent. When the message is sent, moves queued before the line can still be running.
+    /// Sends the message of a line that is executed. `remark` is the message after its mark, a byte that tells whether
+    /// parameters are replaced by their values. Sends nothing in an alarm, or if the line would exceed the travel. When
+    /// the message is sent, moves queued before the line can still be running.
     pub(crate) fn tell_remark(&mut self, remark: &[u8]) {
         if let Some((mark, written)) = remark.split_first() {
             self.tell_message(*mark, written);
@@ -84,7 +85,8 @@ impl<const N: usize> Controller<N> {
 
     /// Sends the error of a line that is not executed, or not completely.
     pub(crate) fn refuse(&mut self, error: Error) {
-        // A startup line is not one of the host's checked lines, so its error must not end their execution.
+        // A startup line is not a checked line of the host, so its error must not make the host's later checked lines
+        // fail.
         if !self.m.replies.is_echoing() {
             self.m.lines.fail(error);
         }
@@ -94,8 +96,9 @@ impl<const N: usize> Controller<N> {
         self.say(|out| reply_texts::error(out, error.code()));
     }
 
-    /// Sends the explanation of an error before the error itself. Sends nothing in Grbl's dialect, because Grbl has no
-    /// explanations; for a startup line, because its answer must be one line; and to a host that has disconnected.
+    /// Sends the explanation of an error, before the error itself. Sends nothing in Grbl's dialect, because Grbl has no
+    /// explanations. Sends nothing for a startup line either, because its answer must be one line, and nothing to a
+    /// host that has disconnected.
     #[cold]
     #[inline(never)]
     fn tell_reason(&mut self, error: Error) {
@@ -187,12 +190,12 @@ impl<const N: usize> Controller<N> {
         self.m.settings_lock.host_greeted();
     }
 
-    /// Tells a host that takes over about conditions that no report shows. It gets the messages that the host before it
-    /// got; for a wait that was never reported there is a message of its own. Sends nothing in Grbl's dialect, because
-    /// Grbl does not know of several hosts.
+    /// Tells a host that takes over about conditions that no report shows. Most are the messages that the previous host
+    /// got. A wait that was not reported to the previous host, such as a dwell, is reported to this one. Sends nothing
+    /// in Grbl's dialect, because Grbl does not know of several hosts.
     #[inline(never)]
     pub(crate) fn tell_inherited(&mut self) {
-        // Only boards with room for descriptions have these texts.
+        // Only the full image has these texts.
         if !FULL_IMAGE || self.dialect() == Dialect::Grbl {
             return;
         }

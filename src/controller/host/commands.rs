@@ -183,8 +183,8 @@ impl<const N: usize> Controller<N> {
         if accepted? != 0.0 {
             match number {
                 DOOR_FITTED if self.m.inputs.pins().door => return Err(Error::DoorOpen),
-                // Only an input that becomes active causes an alarm, so an input that is already active would cause
-                // none. The same holds for the door.
+                // These settings are refused while their input is active. Only an input that becomes active has an
+                // effect, so the pressed button would cause no alarm, and the open door no stop.
                 RESET_IS_EMERGENCY_STOP if self.m.inputs.pins().reset => return Err(Error::EmergencyStop),
                 _ => {}
             }
@@ -193,7 +193,7 @@ impl<const N: usize> Controller<N> {
         let (soft_limits, dialect) = (self.m.settings.is_on(Key::SoftLimits), self.dialect());
         self.m.settings.set(number, value)?;
         let is_other = self.m.settings.by_number(number) != before;
-        // With the new value the same S would stand for another power.
+        // With the new value, the same S means another power.
         if is_other && matches!(number, SPINDLE_MAXIMUM | SPINDLE_MINIMUM | LASER) {
             self.m.stop_spindle();
         }
@@ -204,8 +204,8 @@ impl<const N: usize> Controller<N> {
         if self.dialect() != dialect {
             self.m.interpreter.change_dialect();
             self.end_check();
-            // Rotations, which also turn G92, do not act in Grbl's dialect. So the new dialect can have another work
-            // offset.
+            // Rotations also turn the G92 offset, but have no effect in Grbl's dialect. So the change of dialect can
+            // change the work offset.
             self.m.replies.offset_changed();
             self.apply_overrides();
         }
@@ -217,7 +217,7 @@ impl<const N: usize> Controller<N> {
     /// were on before the change.
     fn follow_setting(&mut self, number: u16, soft_limits: bool) {
         self.reconfigure();
-        // With another resolution, the same steps are another position.
+        // With another resolution (steps/mm), the same steps are another position.
         self.m.interpreter.set_position(self.m.motion.machine_position());
         if matches!(number, REPORT_INCHES | AXES) {
             self.m.replies.offset_changed();

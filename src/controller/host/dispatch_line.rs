@@ -21,7 +21,7 @@ use crate::work::task::{Answer, Caller, Task};
 /// continues its file is faster.
 const REST: Duration = Duration::from_ticks(5_000_000);
 
-/// Message of a line, with its mark.
+/// Message of a line, after its mark: a byte that tells whether parameters in the message are replaced by their values.
 type Remark = heapless::Vec<u8, { line_filter::MESSAGE_LENGTH + 1 }>;
 
 impl<const N: usize> Controller<N> {
@@ -112,7 +112,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Processes every byte that does not simply end a line.
+    /// Processes a byte that needs more than the fast paths for text and for line ends.
     #[inline(never)]
     fn other_byte(&mut self, byte: LineByte) {
         let taken = self.m.lines.take(byte, || line_rules(&self.m.settings));
@@ -121,7 +121,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Reacts to a byte that had an effect.
+    /// Reacts to a byte that completed a line, marked a change of hosts, or came after lost bytes.
     #[inline(never)]
     fn taken(&mut self, taken: Taken) {
         if taken.cut && self.state.waits_for_reset() {
@@ -129,8 +129,8 @@ impl<const N: usize> Controller<N> {
             self.task.abandon();
         }
         if taken.cut {
-            // Blocks that the previous host has left open do not concern the next host. The previous host's last lines
-            // have been executed by now.
+            // Subroutines, loops and conditions that the previous host has left open do not concern the next host. The
+            // previous host's last lines have been executed by now.
             self.m.interpreter.abandon_program();
             self.m.interpreter.begin_program();
         }
@@ -154,7 +154,7 @@ impl<const N: usize> Controller<N> {
             }
             Pushed::Complete => self.complete(),
         }
-        // A line that is still to be executed has changed nothing.
+        // A line that is only kept as a task has not changed any output yet.
         if !matches!(self.task, Task::Job(_)) {
             self.m.pins.disturb();
         }
@@ -234,7 +234,7 @@ impl<const N: usize> Controller<N> {
             }
             // A tape mark, which Grbl's dialect does not have.
             Some(b'%') if self.dialect() != Dialect::Grbl => self.tape_mark(line, remark),
-            // The message would be sent now, and not when the stored line is executed.
+            // Refused, because the message would be sent now, and not when the stored line is executed.
             Some(b'$') if !remark.is_empty() && keeps_line(line) => Err(Error::InvalidStatement),
             Some(b'$') => self.system(line).map(|()| self.tell_remark(remark)),
             Some(_) if self.state.is_alarm() || matches!(self.state, State::Jog { .. }) => Err(Error::Locked),
@@ -248,7 +248,7 @@ impl<const N: usize> Controller<N> {
             Err(error) if line.first() == Some(&b'$') => self.refuse(error),
             Err(error) => self.refuse_host_line(error, known_text(line)),
         }
-        // Requests such as `$G`, which a sender may send all the time, do not interrupt the host's pause ([`REST`]).
+        // A sender may send requests such as `$G` all the time, so they do not end the pause that [`REST`] measures.
         if line.first() != Some(&b'$') {
             self.m.last_line_at = self.m.now;
         }
@@ -314,7 +314,8 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Answers a line that is not executed as G-code now, as O words have directed.
+    /// Finishes a line without G-code to be executed now. The line has only a message, belongs to a condition, was
+    /// skipped or recorded, or starts a subroutine or loop.
     #[inline(never)]
     fn directed(&mut self, direction: Direction, remark: &[u8]) {
         match direction {

@@ -22,7 +22,8 @@ impl<const N: usize> Controller<N> {
                 self.finish_stop();
                 self.release_held();
             }
-            // Grbl ignores this byte, so in its dialect the byte only opens an epoch.
+            // Grbl ignores this byte, so in its dialect the byte only opens an epoch: the serial task has counted it in
+            // the epochs of later line bytes (see `LineByte`).
             Realtime::Stop if self.dialect() == Dialect::Grbl => {
                 self.m.lines.open_epoch();
                 self.release_held();
@@ -104,7 +105,7 @@ impl<const N: usize> Controller<N> {
             State::Jog { .. } => self.end_jog_of_no_host(self.m.settings.is_on(Key::HoldWithoutHost)),
             _ if !self.m.settings.is_on(Key::HoldWithoutHost) => {}
             State::Normal if self.is_at_work() => self.host_fault(),
-            // The fault takes effect when the job would resume.
+            // The loss of the host takes effect when the job is about to resume.
             State::Hold(hold) if hold.ends_with_spindle().is_some() => self.m.lines.heartbeat_mut().set_gone(true),
             _ if self.state.is_resuming() => {
                 self.m.lines.heartbeat_mut().set_gone(true);
@@ -114,7 +115,7 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Reacts to a host that has been silent for too long (`$922`, `$923`). The host can have disconnected without
-    /// notice, because not every link reports that.
+    /// notice, because not every link reports a disconnection.
     pub(crate) fn look_for_host(&mut self) {
         if matches!(self.state, State::Normal) {
             let left_jog = self.m.lines.heartbeat_mut().take_left_jog();

@@ -25,7 +25,8 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Returns the state at rest if [`Controller::stand`] can restore it on a machine with the same stored records: no
-    /// offsets except the stored ones, no open block, all outputs off, no override, no switch or button active.
+    /// offsets except the stored ones, no open subroutine, loop or condition, all outputs off, no override, and no
+    /// active input except the probe and the at-speed signal.
     pub fn standing(&self) -> Option<Standing> {
         let locked = match self.state {
             State::Normal => false,
@@ -38,7 +39,8 @@ impl<const N: usize> Controller<N> {
             && self.task.is_none()
             && self.m.stops.is_idle();
         let plain = self.m.interpreter.is_plain(&place) && !self.line.is_single_block() && !self.m.lines.is_checking();
-        // Any other active input has already caused a reaction.
+        // An active probe or at-speed input does no harm. Any other active input has caused a reaction that the state
+        // does not contain.
         let active = self.m.inputs.pins().word();
         let quiet = active & !(1 << input::PROBE | 1 << input::AT_SPEED) == 0;
         let outputs_off = !self.m.accessories.is_on() && self.m.accessories.digital().levels() == 0;

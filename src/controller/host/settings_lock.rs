@@ -25,7 +25,7 @@ pub(crate) struct SettingsLock {
     setting: Option<u16>,
     /// The setting that locked motion at the last call of `name_after_change`.
     named: Option<u16>,
-    /// A refused line has already had the name of this setting before its error.
+    /// The setting has been named before the error of a refused line, so no further line names it.
     refused: bool,
 }
 
@@ -72,8 +72,8 @@ impl SettingsLock {
         self.setting
     }
 
-    /// Returns the setting to name after `changed` got a new value; call `Self::setting` first. It is the setting that
-    /// locks motion, if that setting was just changed or did not lock motion at the change before.
+    /// Returns the setting to name after `changed` got a new value; call `Self::setting` first. Names the setting that
+    /// locks motion if it was just changed, or if it did not lock motion at the previous call.
     pub(crate) fn name_after_change(&mut self, changed: u16) -> Option<u16> {
         let named = core::mem::replace(&mut self.named, self.setting);
         self.setting.filter(|setting| *setting == changed || named != Some(*setting))
@@ -95,8 +95,8 @@ impl SettingsLock {
 mod tests {
     use super::*;
 
-    /// Returns a lock that has seen several revisions of the settings. For each revision, `settings` has the setting
-    /// that locks motion, if any.
+    /// Returns a lock that was called for several revisions of the settings. `settings` contains, for each revision,
+    /// the setting that locks motion, if any.
     fn after(settings: &[Option<u16>]) -> SettingsLock {
         let rates = StepRates { safe_hz: 0, least_pulse_tenths: 5 };
         let (name, step_clock_hz, axes, program_pins) = ("", 0, 3, [0; 2]);

@@ -54,7 +54,7 @@ pub(crate) struct Records {
     has_store: bool,
     /// Number of changes that the store has not answered yet.
     unstored: u8,
-    /// At least one of these changes could not be stored.
+    /// At least one change could not be stored since `unstored` was last 0.
     failed: bool,
     damage: Damage,
     /// Keys of settings whose stored value is invalid. The capacity is 3, so that three corrections and the removal of
@@ -116,7 +116,7 @@ impl Records {
                 }
             }
             KEY_BUILD_INFO => self.build_info = heapless::Vec::from_slice(&record.value).unwrap_or_default(),
-            // Numbers beyond the last macro line are refused.
+            // A number beyond the last macro line is an error, which is ignored.
             KEY_MACROS..KEY_DIALECT => {
                 let _ = interpreter.set_macro_line(usize::from(record.key - KEY_MACROS), &record.value);
             }
@@ -148,7 +148,7 @@ impl Records {
         self.stores.pop_front()
     }
 
-    /// Counts an answer of the store. Returns whether it was the last answer that was awaited and at least one of the
+    /// Counts an answer of the store. Returns true if no more answers are awaited and at least one of the answered
     /// changes could not be stored.
     pub(crate) fn answered(&mut self, stored: bool) -> bool {
         self.unstored = self.unstored.saturating_sub(1);
@@ -194,9 +194,9 @@ impl Records {
         }
     }
 
-    /// Before a new value of `$22` is stored, stores the value of `$20` that belongs to it, unless the stored one can
-    /// stay (see [`Settings::soft_limits_before_homing`]). `were_on`: whether soft limits were on before `$22` was
-    /// changed.
+    /// Stores the value of `$20` (soft limits) that belongs to a new value of `$22` (homing), unless the stored value
+    /// can stay (see [`Settings::soft_limits_before_homing`]). To be called before the new `$22` is stored. `were_on`:
+    /// whether soft limits were on before `$22` was changed.
     pub(crate) fn save_soft_limits_before_homing<const N: usize>(&mut self, settings: &Settings<N>, were_on: bool) {
         if let Some(value) = settings.soft_limits_before_homing(were_on) {
             self.save(SOFT_LIMITS, &value.to_le_bytes());

@@ -74,8 +74,7 @@ impl InputLevels {
         // An input that has tripped can already be inactive again.
         let tripped = fitted(Signals::of_word(sensed.tripped), settings);
         let came = Signals::of_word(signals.word() & !before.word() | tripped.word());
-        // Only armed inputs are reported as tripped. If another input was active only between two messages, that is not
-        // visible here.
+        // Only armed inputs are reported as tripped. Another input that was active only between two messages is missed.
         InputChange { stops, came }
     }
 
@@ -169,8 +168,8 @@ pub fn hard_limits<const N: usize>(settings: &Settings<N>) -> u8 {
     limits_of(settings) & with_ends.0 | second_switch(settings)
 }
 
-/// Returns the inputs that stop the step task directly. Not among them are limit switches during homing, and inputs
-/// after which motion brakes instead.
+/// Returns the inputs that stop the step task directly. Outside of homing, an input is left out if the settings demand
+/// braking for it. During homing, limit switches are left out, and all other inputs are included.
 pub fn armed<const N: usize>(settings: &Settings<N>, homing: bool) -> u32 {
     let at_once = |alarm| homing || Reaction::to(alarm, settings).is_at_once();
     let switches = if !homing && at_once(Alarm::HardLimit) { u32::from(hard_limits(settings)) } else { 0 };
@@ -268,7 +267,7 @@ mod tests {
         let change = inputs.take(&sensed(word, 0, 0), &settings(&[(Key::DoorFitted, 0.0)]));
         assert_eq!(change.came, Signals { reset: true, ..Signals::NONE });
         assert_eq!(inputs.pins().word(), word);
-        // The settings change, and the inputs become fitted without a new message of levels.
+        // After a change of settings, the inputs count as fitted at once, without a new message of levels.
         inputs.configure(&settings(&[(Key::DoorFitted, 1.0), (Key::ResetIsEmergencyStop, 1.0)]));
         assert_eq!(*inputs.signals(), Signals { door: true, emergency_stop: true, ..Signals::NONE });
         assert_eq!(inputs.emergency().map(|(alarm, _)| alarm), Some(Alarm::EmergencyStop));

@@ -17,7 +17,8 @@ impl<const N: usize> Controller<N> {
         let mut stopped = Stopped { already: stops != 0, answered: false };
         self.emergency(&came, &mut stopped);
         if came.reset {
-            // The button acts like 0x18, but opens no epoch: everything received so far is dropped all the same.
+            // The button acts like 0x18, but opens no epoch (see `LineByte`), so bytes received so far are dropped by
+            // their number.
             self.m.lines.drop_received(self.m.step_supply.observed().received);
             self.lapse_check();
             self.stop_for(StopReason::Reset, &mut stopped);

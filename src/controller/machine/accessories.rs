@@ -1,6 +1,6 @@
 //! Spindle or laser, coolant, overrides and the digital outputs of programs, as the program has set them. Also whether
 //! the spindle is suspended (in a hold or a door), whether it is up to speed, and whether it has lost its speed during
-//! a job. Only the state is kept here; the outputs follow it in `outputs`.
+//! a job. Only the state is kept here; the module `outputs` sets the outputs from it.
 //!
 //! ```text
 //!  S, M3, M4, M5 ──▶ program ──▶ override ──▶ [suspended?] ──▶ power of the output
@@ -38,8 +38,8 @@ pub struct Accessories {
 struct SpeedWatch {
     /// Direction and power last set; `None` if the spindle was off or its state is unknown.
     given: Option<(SpindleDirection, u16)>,
-    /// End of the time that is allowed for reaching a new speed. Moved to the current time when the input reports that
-    /// speed earlier.
+    /// Deadline for the spindle to reach a new speed; moved to the current time when the input reports that the speed
+    /// has been reached.
     settled_at: Instant,
     /// The input has reported, since the speed was changed, that the spindle is not at speed.
     has_changed: bool,
@@ -108,8 +108,8 @@ impl Accessories {
     }
 
     /// Returns whether the overrides have changed since this function was last called, so that motion must apply them.
-    /// All presses in between are one change. Each change plans the whole look-ahead again, which takes about a
-    /// millisecond, so applying a burst of presses one at a time would starve the step queue.
+    /// All changes between two calls count as one. Motion plans the whole look-ahead again to apply them, which takes
+    /// about a millisecond, so applying a burst of override commands one at a time would starve the step queue.
     pub fn take_overrides_due(&mut self) -> bool {
         core::mem::take(&mut self.overrides_due)
     }
@@ -281,8 +281,8 @@ impl Accessories {
         self.watch.fault_at
     }
 
-    /// Power of the output where no segment sets it. A laser with constant power (M3) stays on between feed motions
-    /// (`burns_at_rest`); with scaled power (M4) it is off at zero speed. `running`: power of the move in execution, if
+    /// Power of the output while no segment sets it. A laser with constant power (M3) stays on between feed motions if
+    /// `burns_at_rest`; with scaled power (M4) it is off at zero speed. `running`: power of the move in execution, if
     /// there is one. `percent`: the override.
     pub fn resting_power<const N: usize>(
         &self,
@@ -362,13 +362,14 @@ mod tests {
         on.set_spindle(SpindleDirection::Clockwise, &settings);
         assert!(on.watches_speed(&settings));
         let mut lost = |at_work, power, input, now| on.has_lost_speed(at_work, power, input, at(now), &settings);
-        // The spindle reaches its speed before its spin-up time has passed, so from then on only the time of `$929`
+        // The spindle reaches its speed before the time of `$916` has passed, so from then on only the time of `$929`
         // counts.
         assert!(!lost(false, 100, false, 6) && !lost(false, 100, true, 7));
         assert!(!lost(true, 100, false, 8) && !lost(true, 100, false, 9) && lost(true, 100, false, 10));
         assert!(!lost(true, 100, true, 11) && !lost(true, 100, false, 12), "it had come back");
         assert!(!lost(false, 100, false, 14) && lost(true, 100, false, 15), "a job that begins meets it as it is");
-        // After a new speed the spindle has the spin-up time again, whether the speed is set during a job or before it.
+        // After a new speed the spindle has the time of `$916` again, whether the speed is set during a job or before
+        // it.
         assert!(!lost(false, 200, true, 20) && !lost(true, 200, false, 21) && !lost(true, 200, false, 24));
         assert!(lost(true, 200, false, 25));
         assert!(

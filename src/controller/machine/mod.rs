@@ -1,5 +1,5 @@
-//! The parts of the machine besides motion: spindle and coolant, drivers, inputs, overrides and the position's
-//! reference. They do not use states, lines or the host.
+//! The parts of the machine besides motion: spindle and coolant, drivers, inputs, overrides, and whether the position
+//! can be trusted (its reference). They do not use states, lines or the host.
 
 pub mod accessories;
 pub mod digital;

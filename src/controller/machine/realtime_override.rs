@@ -1,5 +1,5 @@
 //! The operator's overrides of feed, rapids and spindle, in percent. Realtime commands change them. A program can
-//! disable those of feed and spindle (M48 to M51).
+//! disable the overrides of feed and spindle (M48 to M51).
 
 use crate::messages::Realtime;
 

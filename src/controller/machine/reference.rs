@@ -2,9 +2,9 @@
 
 use crate::axes::AxisMask;
 
-/// The reference of the position. It is lost by a stop at speed, by sleep, and by a change of resolution, direction or
-/// homing end; homing restores it. With homing disabled nothing can restore it, so its loss is only a warning and locks
-/// nothing.
+/// The reference of the position: whether the position can be trusted. It is lost by a stop at speed, by sleep, and by
+/// a change of the settings for resolution, direction or the end at which an axis is homed; homing restores it. With
+/// homing disabled nothing can restore it, so its loss is only a warning and locks nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reference {
     trusted: bool,
@@ -26,8 +26,7 @@ impl Reference {
         *self = Reference { trusted: false, homed: AxisMask::NONE };
     }
 
-    /// Sets the reference to that of a recording, for a replay. The recording does not contain which single axes were
-    /// homed.
+    /// Sets the reference to that of a recording, for a replay. A recording does not list the homed axes.
     pub fn assume(&mut self, trusted: bool) {
         *self = Reference { trusted, homed: AxisMask::NONE };
     }

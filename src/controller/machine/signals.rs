@@ -1,6 +1,6 @@
 //! From pin levels to input signals: applies polarity and filter to each sample and reports changes. When an armed
-//! input becomes active, the step task is stopped at once. Used by the inputs task, so it does not depend on the
-//! controller's speed.
+//! input (such as a limit switch or the emergency stop) becomes active, the step task is stopped at once. Used by the
+//! inputs task, so it does not depend on the controller's speed.
 //!
 //! ```text
 //!  pin ──▶ polarity ──▶ filter ──┬──▶ Sensed ──▶ control

@@ -1,5 +1,6 @@
-//! Keeps the step queue filled. Decides when segments have to come before planning, whether motion has been started,
-//! and when the controller has to be called again to refill the queue.
+//! Keeps the step queue filled. Decides when to cut segments (pieces of planned motion) for the queue before planning
+//! more lines, and when the controller has to be called again to refill the queue. Also keeps whether motion has been
+//! started.
 //!
 //! ```text
 //!  step time queued
@@ -7,8 +8,8 @@
 //!   6 ms ── low water ──── segments come first again
 //!   0     ── at a start
 //! ```
-//! The step queue must not run dry while something moves. So it is filled first at a start, and topped up from then on;
-//! it runs low again only if the control task is late.
+//! The step queue must not run dry while something moves. So when a motion starts, the queue is filled before more
+//! lines are planned. From then on it is topped up. It runs low again only if the control task is late.
 
 use crate::messages::{LINES_DEPTH, Observed};
 use crate::units::Duration;
@@ -58,7 +59,7 @@ impl StepSupply {
         self.input_ended = true;
     }
 
-    /// Whether no further line can join the queued ones.
+    /// Whether no further line is waiting: all received bytes have been read, or the input has ended.
     pub(crate) fn has_no_more(&self) -> bool {
         self.input_ended || self.observed.received == 0
     }
@@ -78,8 +79,8 @@ impl StepSupply {
         self.running = false;
     }
 
-    /// Whether segments come before planning. `holds` tells whether the step queue holds at least a given step time, in
-    /// microseconds.
+    /// Whether segments come before planning. `holds` returns whether the step queue holds at least its argument of
+    /// step time, in microseconds.
     pub(crate) fn is_short(&mut self, holds: impl Fn(u32) -> bool) -> bool {
         self.well_filled = (self.well_filled || holds(WELL_FILLED_US)) && self.running;
         !self.well_filled || !holds(LOW_WATER_US)
@@ -87,8 +88,9 @@ impl StepSupply {
 }
 
 /// Returns how long the controller may wait before it refills the step queue: half of the queued step time, within
-/// limits. The number of queued messages says little about that time, because blocks of a single step fill the queue
-/// with only a millisecond or two of motion. `queued`: step time of each motion, microseconds.
+/// limits. The number of queued messages says little about the step time, because blocks of a single step fill the
+/// queue with only a millisecond or two of motion. `queued`: step time of the parking motion and of the program's
+/// motion, microseconds.
 pub(crate) fn refill_delay(queued: [u32; 2]) -> Duration {
     let queued = match queued {
         [0, 0] => return MOVING_WAKEUP,

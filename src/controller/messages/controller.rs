@@ -1,4 +1,5 @@
-//! Messages between the pump and the controller: events in, outputs out, and the state of the queues.
+//! Messages between the controller and the pump, the loop that drives it (see `pump`): events in, outputs out, and the
+//! state of the queues.
 
 use super::host::{Chunk, LineByte, Realtime};
 use super::inputs::{PinView, Sensed};
@@ -24,8 +25,8 @@ pub enum Event<const N: usize> {
     StoreFailed,
     /// A host has opened the port.
     Connected,
-    /// The host whose lines are read has closed the port or is unplugged. Carries the count (wrapping) of such hosts
-    /// since power-up. Not every link can detect this. Lines of that host, up to the
+    /// The host whose lines are read has closed the port or is unplugged. Not every link can detect this. Carries the
+    /// count (wrapping) of such events since power-up. Lines of the disconnected host, up to the
     /// [`HOST_CHANGED`](super::HOST_CHANGED) with this count, are not answered.
     Disconnected(u16),
 }
@@ -57,15 +58,14 @@ pub struct Room {
 
 /// A request of the controller to the pump.
 #[derive(Clone, Debug, PartialEq)]
-// Makes the compiler copy a message by words.
+// A tag of 32 bits makes the compiler copy a message word by word.
 #[repr(u32)]
 pub enum Output {
     /// For the step task.
     Step(ToStep),
     /// For the host.
     Reply(Chunk),
-    /// Text for the host, as in [`Output::Reply`], sent together with the report of a piece of work. As after
-    /// [`Output::Worked`], there is more to do.
+    /// [`Output::Reply`] and [`Output::Worked`] in one: text for the host, and there is more to do.
     Answer(Chunk),
     /// New levels for the slow pins.
     Pins(SlowOutputs),

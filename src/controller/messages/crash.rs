@@ -35,7 +35,7 @@ pub enum CrashKind {
 }
 
 impl CrashKind {
-    /// All kinds, in the order of their numbers in RAM that survives a reset.
+    /// All kinds. A kind's index is its number in a recording and in the RAM that survives a reset.
     pub const ALL: [CrashKind; 6] = [
         CrashKind::Panic,
         CrashKind::Fault,
@@ -57,7 +57,7 @@ pub struct Crash {
     pub place: [i32; 3],
     /// N word of the running line (0 = none), as last recorded by the control task.
     pub line: u32,
-    /// Time of the record of `place` and `line`: microseconds since power-up (wrapping).
+    /// When `place` and `line` were recorded: microseconds since power-up (wrapping).
     pub moment: u32,
 }
 

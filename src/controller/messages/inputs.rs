@@ -4,7 +4,7 @@
 /// Bit of [`Signals::limits`] for the switch at the second motor of an axis that has two.
 pub const SECOND_SWITCH: u8 = 1 << 6;
 
-/// Bits of a word of inputs; limit switches use the bits of [`Signals::limits`], from 0 up.
+/// Number of each input's bit in a word of inputs. Limit switches have bits 0 to 6, as in [`Signals::limits`].
 pub mod input {
     /// First input of the program (M66 P0).
     pub const PROGRAM: u32 = 7;

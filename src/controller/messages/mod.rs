@@ -25,9 +25,9 @@ pub use recording::{Noted, Recorded, Standing, Stopping};
 pub use step::{AxisSteps, INTERVAL_FRACTION_BITS, Segment, StepEvent, ToStep, UNITS_PER_STEP};
 pub use store::{Record, STORE_DAMAGED, Store};
 
-/// Depth of serial -> control, realtime commands. `control` empties it in each turn. It holds the commands of 5 ms at
-/// 115,200 baud, even if the host sends nothing else. Full: the link waits if it can. On a plain UART, resets, holds
-/// and the door are kept as marks (`protocol::owed::Owed`), and other commands are reported as lost.
+/// Depth of serial -> control, realtime commands. `control` empties it in each turn of its loop. It holds the commands
+/// of 5 ms at 115,200 baud, even if the host sends nothing else. Full: the link waits if it can. On a plain UART,
+/// resets, holds and the door are kept as marks (`protocol::owed::Owed`), and other commands are reported as lost.
 pub const REALTIME_DEPTH: usize = 64;
 /// How many bytes of lines fit between serial and control, as reported by `Bf:`. Full: reception is paused if the link
 /// has back-pressure (USB, QEMU; see `protocol::link`). On a plain UART the byte is dropped, and the next byte is
@@ -35,16 +35,16 @@ pub const REALTIME_DEPTH: usize = 64;
 pub const LINES_DEPTH: usize = 255;
 /// Depth of serial -> control, in messages of line bytes. [`LINES_DEPTH`] bytes fit however they arrive (see
 /// `protocol::byte_channel`), even with a jog cancel after each line: the shortest jog, `$J=X1F9` with its end, has 8
-/// bytes. One more place is for a message that is about to be sent.
+/// bytes. One more slot is for a message that is about to be sent.
 pub const LINE_MESSAGES: usize = LINES_DEPTH.div_ceil(8) + MOST_PARTIAL + 1;
 /// Maximum number of messages that are sent before they are full, counted from when the queue was last empty. Messages
-/// that are cut short by a new epoch do not count.
+/// that are cut short by a new epoch (see [`LineByte`]) do not count.
 pub const MOST_PARTIAL: usize = 4;
 /// Depth of control -> step. Full: `control` keeps the message for its next turn. Normally the limit is the queued time
 /// (see `QUEUED_TIME_MS` in `motion`) and not this depth.
 pub const SEGMENTS_DEPTH: usize = 64;
 /// Depth of step -> control. One entry for each stop, underrun or probe contact; `control` empties it in each turn.
-/// Full: the step task keeps the event and sends it at its next entry.
+/// Full: the step task keeps the event and sends it when it runs next.
 pub const EVENTS_DEPTH: usize = 4;
 /// Depth of control -> serial, in chunks. Full: `control` keeps its text; a slow host delays only its own answers.
 pub const REPLIES_DEPTH: usize = 32;

@@ -40,7 +40,7 @@ pub struct SlowOutputs {
     pub digital: u8,
 }
 
-/// Wiring data for the tasks of the pump, from the settings; sent at start and after each change.
+/// Wiring data from the settings, for the tasks that own the pins; sent at start and after each change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Wiring {
     /// `$0`, length of a step pulse in tenths of a microsecond.
@@ -87,7 +87,7 @@ impl InputWiring {
     pub const PULL_UPS: InputWiring = InputWiring { inverted: 0, no_pull_up: 0, pull_down: 0 };
 }
 
-/// The motors of a ganged axis that make steps.
+/// Which motors make steps on a ganged axis (an axis with two motors).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum GangedMotors {
     /// Both motors. This is always so, except during squaring.

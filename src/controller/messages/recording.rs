@@ -4,8 +4,8 @@ use super::crash::CrashKind;
 use super::store::Record;
 use crate::units::Coordinate;
 
-/// State of a machine at rest from which a replay can begin: no program is in progress, all outputs are off, and only
-/// stored offsets and no overrides are active.
+/// State of a machine at rest from which a replay can begin: no program is in progress, all outputs are off, all
+/// overrides are at 100 %, and no offsets are active except stored ones.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Standing {
     /// Step counter of each axis: net steps since power-up (wrapping).
@@ -16,7 +16,7 @@ pub struct Standing {
     pub trusted: bool,
     /// Locked without an alarm, as after power-up with homing.
     pub locked: bool,
-    /// G20 is active; `words` are in millimetres.
+    /// G20 is active. `words` are in millimetres all the same.
     pub inches: bool,
     /// The tool in the spindle.
     pub tool: u32,
@@ -43,7 +43,7 @@ pub enum Stopping {
 }
 
 impl Stopping {
-    /// All reports, in the order of their numbers.
+    /// All reports. A report's index is its number in a recording.
     pub const ALL: [Stopping; 5] =
         [Stopping::AtRest, Stopping::Moving, Stopping::Probed, Stopping::Underrun, Stopping::Miscounted];
 }
@@ -64,7 +64,7 @@ pub enum Noted {
     Inputs {
         /// Active inputs.
         active: u32,
-        /// Inputs that have stopped motion since the previous such entry. They may be inactive again.
+        /// Inputs that have stopped motion since the previous entry of this kind. They may be inactive again.
         tripped: u32,
     },
     /// The step task has reported, with its counters.
@@ -93,7 +93,7 @@ pub enum Noted {
         /// As in [`Noted::Rest`].
         blocks: u32,
     },
-    /// The program has ended.
+    /// The recorded run of the firmware has ended, for example by a failure.
     Ended {
         /// Kind of failure, if known.
         crash: Option<CrashKind>,

@@ -19,18 +19,18 @@ pub enum ToStep {
         /// Bit set = axis moves in negative direction; bit 0 is X.
         directions: u8,
     },
-    /// The block just sent was interrupted for a detour (parking). It continues after this many units instead of at its
-    /// start.
+    /// The block just sent was interrupted for a detour (parking). It continues after this many units of progress (see
+    /// [`Segment`]) instead of at its start.
     Reenter {
         /// Units of the block that are already done.
         units: u32,
     },
     /// A piece of the current block.
     Segment(Segment),
-    /// Checks the probe at each tick from now on. When the probe becomes active (`Some(true)`) or inactive
-    /// (`Some(false)`), the position is latched and reported with [`StepEvent::Probed`], the queue is discarded, and
-    /// the step task brakes without an order. After that it takes no message until it has been stopped and resumed.
-    /// `None` ends the watch.
+    /// Checks the probe at each tick (see [`Segment`]) from now on. When the probe becomes active (`Some(true)`) or
+    /// inactive (`Some(false)`), the position is latched and reported with [`StepEvent::Probed`], the queue is
+    /// discarded, and the step task brakes on its own. After that it takes no message until it has been stopped and
+    /// resumed. `None` ends the watch.
     Watch {
         /// The awaited state of the probe.
         probe: Option<bool>,
@@ -117,8 +117,9 @@ impl AxisSteps {
     }
 }
 
-/// A sequence of ticks with evenly changing intervals. The unit of progress within a block is 1/16 of a step of its
-/// dominant axis ([`UNITS_PER_STEP`]); a tick advances `UNITS_PER_STEP >> level` units.
+/// A sequence of ticks with evenly changing intervals. At a tick, axes can make a step; the much shorter ticks of the
+/// step clock only measure time. The unit of progress within a block is 1/16 of a step of its dominant axis, the axis
+/// with the most steps ([`UNITS_PER_STEP`]); a tick advances `UNITS_PER_STEP >> level` units.
 ///
 /// Packed, because with padding to four bytes a [`ToStep`] would have 20 bytes. The CPU loads unaligned words as fast
 /// as aligned ones.
@@ -141,13 +142,13 @@ pub struct Segment {
 }
 
 impl Segment {
-    /// The segment begins the block sent last.
+    /// This is the first segment of the block sent last.
     pub const FLAG_NEW_BLOCK: u8 = 1;
     /// Motion is at rest after this segment, so an empty queue is not an underrun.
     pub const FLAG_LAST: u8 = 2;
     /// The ticks let time pass without motion (for feeds that are too slow for the timer).
     pub const FLAG_WAIT: u8 = 4;
-    /// The move is a rapid. Ignored by the step task; used by programs that draw its output.
+    /// The move is a rapid. Ignored by the step task; used by programs that draw the motion.
     pub const FLAG_RAPID: u8 = 8;
 }
 

@@ -9,7 +9,7 @@ use crate::units::{Coordinate, integer_root, wide_to_f32};
 /// Fraction bits of the direction vector.
 pub(super) const UNIT_BITS: u32 = 30;
 pub(super) const UNIT: i64 = 1 << UNIT_BITS;
-/// An arc whose angle differs from 0 by no more than this is a full circle, as in Grbl, rad.
+/// Maximum angle, rad, between the start and the end of an arc that counts as a full circle, as in Grbl.
 const FULL_CIRCLE: f32 = 5.0e-7;
 const TURN: f32 = core::f32::consts::TAU;
 /// Maximum half angle of a chord (45 degrees), even if the tolerance allows more, so that tiny circles stay round.
@@ -45,7 +45,7 @@ pub struct ArcGeometry<const N: usize> {
     pub offset_1: Coordinate,
     /// Whether the arc is clockwise.
     pub clockwise: bool,
-    /// Number of full turns before the plain arc (the rest, of at most one turn).
+    /// Number of full turns at the beginning of the arc. The rest, of at most one turn, is called the plain arc.
     pub turns: u32,
 }
 
@@ -58,8 +58,8 @@ pub struct Arc<const N: usize> {
     first: [i32; 2],
     /// Direction from the centre to the last point.
     unit: [i32; 2],
-    /// Sine of a chord's angle (signed), in fixed point with `turn_bits` fraction bits. These are as many as fit in 31
-    /// bits, so that the sum of thousands of tiny angles is exact enough.
+    /// Sine of a chord's angle (signed), in fixed point with `turn_bits` fraction bits. The smaller the angle, the more
+    /// fraction bits fit, so that the sum of thousands of tiny angles is exact enough.
     sine: i32,
     /// 1 - cosine of a chord's angle, in the same fixed point.
     versine: i32,
@@ -285,8 +285,8 @@ impl<const N: usize> Arc<N> {
     #[inline(always)]
     fn turn(&mut self) {
         let [x, y] = self.unit;
-        // A chord of 90 degrees is √2 long, so a sum (in 2^-60 fixed point) is at most 2^60 × √2. With the half added
-        // it stays below 2^61, so the shifted result fits in 32 bits.
+        // A chord of 90 degrees is √2 long, so each sum of products below (in 2^-60 fixed point) is at most 2^60 × √2.
+        // With `half` added it stays below 2^61, so the shifted result fits in 32 bits.
         let beyond = self.turn_bits - UNIT_BITS;
         let half = i64::from(1_u32 << beyond) << (UNIT_BITS - 1);
         let rounded = |sum: i64| ((sum + half) >> UNIT_BITS) as i32 >> beyond;
@@ -350,7 +350,7 @@ impl<const N: usize> Arc<N> {
     }
 
     /// Returns the curvature in space. On a helix the radius exceeds that of the circle; on a spiral it is the mean
-    /// radius. It is infinite if the arc has only one chord.
+    /// radius. The radius is infinite if the arc has only one chord.
     pub fn curvature(&self) -> Curvature {
         Curvature { radius: self.curve_radius, axes: [self.geometry.axis_0, self.geometry.axis_1] }
     }

@@ -1,13 +1,14 @@
 //! Backlash compensation. After a reversal a motor must turn through the slack of its drive before the tool follows.
 //! This module tracks the *lead* of each motor, which is the number of steps by which the motor is ahead of the tool,
-//! and adds the steps through the slack to the moves after the reversal.
+//! and adds the steps through the slack to the moves after the reversal: the motor *takes up* the slack.
 //!
 //! ```text
 //!   motor ──┐ slack ┌── tool        moving to positive: the slack is open on the motor's leading side, motor = tool + slack
 //!           └───────┘               moving to negative: motor = tool
 //! ```
 //! The extra steps change the direction of the motors' path. They are spread over so much of the tool's path that the
-//! corner rule allows this change of direction at full speed. In this file, steps are motor steps.
+//! corner rule ([`super::junction`]) allows this change of direction at full speed. In this file, steps are motor
+//! steps.
 //!
 //! Guarantees:
 //! * At rest, all extra steps have been made.
@@ -159,17 +160,18 @@ impl<const N: usize> Backlash<N> {
         after
     }
 
-    /// Returns the motors after they have turned to `steps`, each without a reversal.
+    /// Returns the position and lead of the motors after they have turned to `steps`, each without a reversal.
     pub(super) fn followed(&self, from: &Motors<N>, steps: PerAxis<i32, N>) -> Motors<N> {
         let turned = steps.zip(&from.steps, i32::wrapping_sub);
         Motors { steps, lead: self.follow(&from.lead, &turned.0) }
     }
 }
 
-/// Returns the maximum distance that a motor can take up of its backlash in a move, as a share of the move's length.
-/// This share is the angle by which the extra steps change the direction of the path. It is half of the angle that the
-/// corner rule allows at `speed` (mm/s); the other half is left for changes of direction in the tool's path, such as
-/// those between the chords of an arc. For a small angle φ the rule is v² = 8·a·d/φ² (`TurnRule::junction2`).
+/// Returns how much of its backlash a motor can take up in a move: the maximum distance, as a share of the move's
+/// length. This share is the angle (rad) by which the extra steps change the direction of the path. It is half of the
+/// angle that the corner rule allows at `speed` (mm/s); the other half is left for changes of direction in the tool's
+/// path, such as those between the chords of an arc. For a small angle φ the rule is v² = 8·a·d/φ²
+/// (`TurnRule::junction2`).
 pub(super) fn share(acceleration: f32, deviation: f32, speed: f32) -> f32 {
     let angle = 0.5 * square_root(8.0 * acceleration * deviation) / speed;
     // NaN gives the minimum share.
@@ -187,7 +189,7 @@ mod tests {
         backlash.turn(&[1, -9]);
         assert_eq!(backlash.outstanding(), [5, 0]);
         assert_eq!(backlash.take_up(&[2, 2]), [2, 0]);
-        // After a reversal before all steps were taken up, only the steps that were taken up must be undone.
+        // The direction reverses before all steps were taken up: only the steps taken up so far must be undone.
         backlash.turn(&[-1, 0]);
         assert_eq!(backlash.outstanding(), [-2, 0]);
         backlash.turn(&[4, 4]);

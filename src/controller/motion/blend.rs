@@ -1,6 +1,6 @@
 //! The geometry of path blending (G64 P Q): merges short moves that stay within the tolerance into one, and cuts off
 //! corners by a polygon around a circle that touches both moves. Holds back up to two moves for this.
-//! [`super::rounding`] decides when they are queued.
+//! [`super::rounding`] decides when the held moves are queued.
 //!
 //! ```text
 //!              C                      M
@@ -12,27 +12,27 @@
 //!     a corner cut off         a merged move
 //! ```
 //! A merged move (A to M') passes all points between its ends, such as M, at a distance of at most Q, half of P, or the
-//! junction deviation, whichever is least. Points are compared at equal positions of the main axis, the one with the
-//! longest displacement. So each point allows each other axis a range of slopes. Only the intersection of these ranges
-//! is kept: two numbers per axis for any number of points.
+//! junction deviation, whichever is least. Each point is compared with the point of the line that has the same position
+//! on the main axis, the one with the longest displacement. So each point allows a range of slopes for each of the
+//! other axes. Only the intersection of these ranges is kept: two numbers per axis for any number of points.
 //!
-//! A corner C, where the path turns by t, is cut off by a straight piece. The distance of C is e = r·(1/cos(t/2) - 1)
-//! to the piece, and d = e / sin(t/2) to its ends. The maximum of e is the part of P that merging has left, and the
-//! maximum of d is a quarter of the shorter move. No point of the piece is farther from the moves than e, and the rest
-//! of each move stays straight. So tool and programmed path stay within P of each other.
+//! A corner C, where the path turns by t, is cut off by a straight piece. C has the distance e = r·(1/cos(t/2) - 1)
+//! from the piece, and d = e / sin(t/2) from the ends of the piece. e is at most the part of P that merging has not
+//! used, and d is at most a quarter of the shorter move. No point of the piece is farther from the moves than e, and
+//! the rest of each move stays straight. So tool and programmed path stay within P of each other.
 //!
 //! Instead of one turn by t, the path makes two turns by t/2, for which the rule for turns ([`super::junction`]) allows
 //! a higher speed v. The piece between them has the length L that the axes need for this speed: v² - v·J = a·L/t, with
 //! the acceleration a and the speed J that the rule allows at the unchanged corner. The piece touches a circle of
-//! radius r, which also touches both moves. If the turns by t/2 limit the speed more than the room does, four turns by
-//! t/4 replace them.
+//! radius r, which also touches both moves. If the turns by t/2 limit the speed more than the maximum e and d do, and t
+//! exceeds 1.2 rad, four turns by t/4 replace them.
 //!
 //! Two kinds of turns are not cut off:
 //! * Turns of 0.25 to 0.6 rad: the two halves would count as a bend ([`super::curvature`]), for which the speed J of a
 //!   corner is not granted.
-//! * Turns of more than two radians: cutting off the corner would take longer than it saves. It raises the speed at the
-//!   corner by a·L/(t·v), with the acceleration a. That saves the time 2·L/(t·v) of braking and speeding up. But the
-//!   piece of length L takes the time L/v, which is more if t exceeds 2.
+//! * Turns of more than two radians: cutting off the corner would take longer than it saves. Cutting off raises the
+//!   speed at the corner by a·L/(t·v), with the acceleration a. The higher speed saves the time 2·L/(t·v) of braking
+//!   and speeding up. But the piece of length L takes the time L/v, which is more if t exceeds 2.
 
 use super::curvature::DIGITS_ASIDE;
 use super::junction::{TurnRule, certain, radius_of, turn2};
@@ -51,7 +51,7 @@ const MOST_MERGED: f32 = 5.0;
 /// Maximum share of a move that is cut off at each of its corners. With this share, the rest of a move is about as long
 /// as the pieces that cut off its corners, so a polygon becomes one with twice as many sides.
 const MOST_OF_A_MOVE: f32 = 0.25;
-/// q² of a turn by two radians: sharper corners stay.
+/// q² of a turn by two radians, where q = 2·sin(t/2) for a turn by t: sharper corners stay.
 const SHARPEST2: f32 = 2.832;
 /// q² of a turn by 1.2 rad. Only larger turns get four vertices.
 const LARGE_FOR_FOUR2: f32 = 1.275;
@@ -218,8 +218,8 @@ impl Corner {
         Some(Fillet { four: true, ..self.with(eighth, 3.0, fast, deviation, back, rule).0 })
     }
 
-    /// Returns the circle, and whether the room limits the speed rather than the turns at the vertices. `tangent`:
-    /// tangent of half the turn at a vertex; `pieces`: number of pieces between the vertices.
+    /// Returns the circle, and whether the speed is limited by the room (`deviation` and `back`), not by the turns at
+    /// the vertices. `tangent`: tangent of half the turn at a vertex; `pieces`: number of pieces between the vertices.
     fn with<const N: usize>(
         &self,
         tangent: f32,
@@ -300,8 +300,8 @@ impl<const N: usize> HeldMove<N> {
             && self.m.tolerance == m.tolerance
     }
 
-    /// Extends this move to the end of the next one, if the straight line passes all points between closely enough.
-    /// Returns whether it did.
+    /// Extends this move to the end of the next one, if the straight line passes all points in between closely enough.
+    /// Returns whether the move was extended.
     pub(super) fn merge(&mut self, m: &Move<N>, number: u32) -> bool {
         let whole = way(&self.start, &m.target);
         if m.tolerance.merging <= 0.0 || !self.is_like(m) || length(&whole) > MOST_MERGED {

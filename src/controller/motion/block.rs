@@ -13,7 +13,7 @@ pub(super) const NO_OVERRIDE: u8 = 2;
 /// Flag: laser power is scaled with the speed.
 pub(super) const SCALE_POWER: u8 = 4;
 
-/// The bits of the flags from this one on are the block's mark. See [`super::Motion::set_mark`].
+/// The flags' bits from this bit upwards hold the block's mark, a number set by [`super::Motion::set_mark`].
 pub(super) const MARK_SHIFT: u32 = 3;
 
 /// The dominant axis of a block must have fewer steps than this. At 16 units per step, the block then has less than
@@ -84,15 +84,16 @@ pub(super) struct CurveLoad {
     acceleration: u16,
 }
 
-/// Minimum share of the acceleration that a bend leaves, so that the machine can always brake. Because of this minimum,
-/// the accelerations along and across the path together can exceed the limit by up to 3 %.
+/// Minimum share of the acceleration that remains for braking in a bend, so that the machine can always brake. Because
+/// of this minimum, the accelerations along and across the path together can exceed the limit by up to 3 %.
 const LEAST_SHARE: f32 = 0.25;
 
 /// Factor that covers rounding errors of a speed²: in a bend, rounding can lower an entry speed² by one bit although
 /// the exit speed² rises. That can happen in this block and in each later one.
 const SURELY: f32 = 0.999;
 
-/// Share of a bend's maximum speed² up to which a jerk-limited ramp counts on its full acceleration.
+/// Share of the maximum entry speed²: the acceleration that a bend leaves at this speed² is what a jerk-limited ramp
+/// can use ([`Block::bounds`]).
 const RAMP_SHARE: f32 = 0.9;
 
 impl CurveLoad {
@@ -131,8 +132,8 @@ impl CurveLoad {
         self.below > other.below
     }
 
-    /// Returns a bend that leaves no more acceleration than either: it has the lower speed² and the lower acceleration
-    /// of the two. If the axes have different limits, these can come from different bends.
+    /// Returns a bend that leaves no more acceleration than either of the two bends: it has the lower speed² and the
+    /// lower acceleration of the two. If the axes have different limits, these can come from different bends.
     #[inline]
     pub(super) fn and(self, other: Self) -> Self {
         if self.is_none() || other.is_none() {
@@ -254,7 +255,7 @@ impl<const N: usize> Block<N> {
     }
 
     /// Returns the maximum entry speed² from which the machine can brake to an exit speed² within the block, regardless
-    /// of the entry's cap.
+    /// of the entry's cap (`max_entry2`).
     #[inline(always)]
     pub(super) fn braking_entry2(&self, exit2: f32) -> f32 {
         let along = self.acceleration;
@@ -286,7 +287,7 @@ impl<const N: usize> Block<N> {
 
     /// Returns the bounds on changes of speed in the block.
     ///
-    /// In a bend, the acceleration is the one left at nine tenths of the maximum speed², because a ramp needs its
+    /// In a bend, the acceleration is the one left at nine tenths of the maximum entry speed², because a ramp needs its
     /// maximum acceleration about half way up, below that speed.
     #[inline]
     pub(super) fn bounds(&self) -> Bounds {

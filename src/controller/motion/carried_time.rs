@@ -1,8 +1,9 @@
 //! Carries over the time of moves that are too short for a step. Their length is carried over to the next block
 //! ([`super::path_end`]), so their time must be, too.
 //!
-//! If all of these moves have the same feed, the block keeps this feed. If feeds differ (another F, a rotary axis that
-//! turns more or less, inverse time), the block gets the speed at which it takes the total time of all its moves.
+//! If all of these moves and the block's own move have the same feed, the block keeps this feed. If feeds differ
+//! (another F, a rotary axis that turns more or less, inverse time), the block gets the speed at which it takes the
+//! total time of all its moves.
 
 use super::Speed;
 use super::trapezoid::{greater, lesser};
@@ -25,7 +26,8 @@ pub(super) struct CarriedTime {
 pub(super) struct BlockWay {
     /// Length of the block's own move, mm.
     pub own: f32,
-    /// Length carried over to the block, mm; negative: the last block was made longer than its path by this.
+    /// Length carried over to the block, mm. If negative: the length by which the last block was made longer than its
+    /// path.
     pub carried: f32,
     /// Length of the block, mm. Greater than `own` + `carried` if that would be too short for the block's steps.
     pub length: f32,

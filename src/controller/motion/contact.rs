@@ -1,5 +1,5 @@
 //! A probe's contact: the latch that the step generator reads at each tick ([`ProbeLatch`]), the place of the contact
-//! ([`Contact`]), and how the steps slow down after it. `Stepper` in `stepper.rs` calls them.
+//! ([`Contact`]), and how the steps slow down after it. `Stepper` in `stepper.rs` uses all three.
 
 use super::course::Course;
 use crate::axes::PerAxis;
@@ -25,7 +25,7 @@ impl ProbeLatch {
     /// No probe is watched.
     pub(super) const OFF: Self = Self { is_watching: false, watched: false, is_unnoted: false };
 
-    /// Begins to watch for a state of the probe, or ends it.
+    /// Begins to watch for a state of the probe; `None` ends watching.
     #[inline(always)]
     pub(super) fn watch(&mut self, probe: Option<bool>) {
         self.is_watching = probe.is_some();
@@ -44,8 +44,8 @@ impl ProbeLatch {
     }
 }
 
-/// The block and the place in it at a contact: everything needed to compute the position later, so that the tick of a
-/// probe's contact only copies it.
+/// The block and the place in it at a contact: everything needed to compute the position later, so that the tick at
+/// which the probe makes contact only has to copy the state.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(super) struct Contact<const N: usize> {

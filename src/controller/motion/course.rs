@@ -1,5 +1,5 @@
-//! The block that the step generator is running ([`Course`]): rates, threshold and length in units, and the exact start
-//! of each axis between two steps.
+//! The block that the step generator is running ([`Course`]): rates, threshold and length in units (16 for each step of
+//! the axis with the most steps), and the exact start of each axis between two steps.
 //!
 //! No position is counted, because that would take time at each tick. The position follows exactly from the units that
 //! the block has advanced and from each axis' remainder until its next step. The arithmetic is that of `measure`.
@@ -48,9 +48,10 @@ impl<const N: usize> Course<N> {
         self.beyond.map(|beyond| (self.threshold / 2).wrapping_sub(beyond))
     }
 
-    /// Returns the position after `units`, from the axes' remainders `left`. Exactly: steps taken × threshold = rate ×
-    /// units + left - first remainder. So the quotient needs no division: below 2^32 it is the product with the inverse
-    /// of the threshold's odd part.
+    /// Returns the position after `units`, from the axes' remainders `left`. The following holds exactly: steps taken ×
+    /// threshold = rate × units + left - first remainder. So the number of steps, which is below 2^32, needs no
+    /// division: the right side is shifted right by as many bits as the threshold has trailing zeros, and then
+    /// multiplied by the inverse of the threshold's odd part, modulo 2^32.
     #[inline(never)]
     pub(super) fn position(&self, left: &[u32; N], units: u32) -> PerAxis<i32, N> {
         let Course { rates, threshold, directions, base, .. } = self;
@@ -84,7 +85,7 @@ impl<const N: usize> Course<N> {
         for (bit, ((end, base), axis_steps)) in self.end.iter_mut().zip(base).zip(steps_by_axis).enumerate() {
             *end = signed_add(base, axis_steps.steps(), directions >> bit & 1 != 0);
         }
-        // Forces one axis after the other, as in `dda::step_axes`.
+        // Makes the compiler finish this loop before the next one, for the same reason as in `dda::step_axes`.
         compiler_fence(Ordering::SeqCst);
         let measure = Measure::of(steps_by_axis);
         self.threshold = measure.threshold;

@@ -2,10 +2,10 @@
 //! `steps_into` many ticks in a row.
 //!
 //! One threshold serves all axes. Each axis has a remainder until its next step. A tick subtracts from it the axis'
-//! rate times the units that the tick advances. If the remainder becomes negative, the axis steps and the threshold is
-//! added. On a line the rate is the axis' number of steps, and all remainders begin with half the threshold. So each
-//! axis stays within half a step of the straight line, and after the whole block each remainder is half the threshold
-//! again:
+//! rate times the units that the tick advances (a unit is 1/16 step of the axis with the most steps, the dominant one).
+//! If the remainder becomes negative, the axis steps and the threshold is added. On a line the rate is the axis' number
+//! of steps, and all remainders begin with half the threshold. So each axis stays within half a step of the straight
+//! line, and after the whole block each remainder is half the threshold again:
 //!
 //! ```text
 //!  steps of Y for (X, Y) = (10, 3), threshold 10, in steps of X             1 2 3 4 5 6 7 8 9 10
@@ -29,7 +29,7 @@ pub(super) fn step_axes<const N: usize>(left: &mut [u32; N], increments: &[u32; 
         // range. So the sign of `rest` shows whether the axis steps. `stepping` is all ones or all zeros, which avoids
         // a branch. No axis steps twice in a tick: a tick advances the dominant axis by one step at most, and begins at
         // a multiple of its own size. In such an interval, an axis with as many steps as the dominant one makes at most
-        // one step, wherever its exact ends are; an axis with fewer steps travels less.
+        // one step, wherever between two steps it begins and ends; an axis with fewer steps travels less.
         let rest = left.wrapping_sub(*increment) as i32;
         let stepping = rest >> 31;
         *left = rest.wrapping_add(threshold & stepping) as u32;
@@ -48,9 +48,9 @@ pub(super) fn steps_next<const N: usize>(left: &[u32; N], increments: &[u32; N])
     left.iter().zip(increments).any(|(left, increment)| (left.wrapping_sub(*increment) as i32) < 0)
 }
 
-/// Executes one tick per element of `words`, and writes the entry of `table` for the axes that step. Two kinds of axes
-/// need no countdown: those that step at each tick (the dominant axis, if a tick is a whole step) and those that never
-/// step. The loop counts only the others.
+/// Executes one tick per element of `words`, and sets the element to the entry of `table` for the axes that step. Two
+/// kinds of axes need no countdown: those that step at each tick (the dominant axis, if a tick is a whole step) and
+/// those that never step. The loop counts only the others.
 #[inline(always)]
 pub(super) fn steps_into<const N: usize, const WORDS: usize>(
     left: &mut [u32; N],
@@ -76,8 +76,8 @@ pub(super) fn steps_into<const N: usize, const WORDS: usize>(
     let [a, b, c, d] = counting;
     match count {
         0 => words.fill(table.get(always % WORDS).copied().unwrap_or(0)),
-        // A separate loop for one counting axis would save little. Its second countdown is `NONE`, which subtracts
-        // nothing.
+        // A separate loop for one counting axis would save little. With one axis, the second countdown is `NONE`, which
+        // subtracts nothing.
         1 | 2 => count_down::<_, 2, 4, _>(left, [a, b], always, threshold, table, words),
         4 if N > 3 => count_down::<_, 4, 16, _>(left, [a, b, c, d], always, threshold, table, words),
         _ => count_down::<_, 3, 8, _>(left, [a, b, c], always, threshold, table, words),
@@ -97,8 +97,8 @@ impl Countdown {
     const NONE: Self = Self { axis: MOST_AXES, left: 0, increment: 0 };
 }
 
-/// Counts down `K` axes, one tick per element of `words`, and writes the entry of `table` for the axes that step. The
-/// axes in the mask `always` step at each tick.
+/// Counts down `K` axes, one tick per element of `words`, and sets the element to the entry of `table` for the axes
+/// that step. The axes in the mask `always` step at each tick.
 #[inline(always)]
 fn count_down<const N: usize, const K: usize, const OF_THEM: usize, const WORDS: usize>(
     left: &mut [u32; N],

@@ -21,9 +21,9 @@ use crate::units::Coordinate;
 /// Maximum override that bends are determined for; Grbl's realtime commands reach it.
 const MOST_OVERRIDE: f32 = 2.0;
 
-/// Returns the steps of a chord with its exact ends. `ends`: offsets of the exact start and end from the steps nearest
-/// to them, in sevenths of a step along the positive axes. A chord with very many steps (`Measure::MOST_STEPS`) is
-/// stepped as a line, because parts of a step do not matter in it.
+/// Returns the steps of a chord with its exact ends, which can lie between steps. `ends`: offsets of the exact start
+/// and end from the steps nearest to them, in sevenths of a step along the positive axes. A chord with very many steps
+/// (`Measure::MOST_STEPS`) is stepped as a line, because parts of a step do not matter in it.
 fn steps_with_ends<const N: usize>(steps: &[u32; N], directions: u8, ends: &[[i32; N]; 2]) -> [AxisSteps; N] {
     let mut steps_by_axis = steps.map(AxisSteps::on_steps);
     if steps.iter().all(|steps| *steps <= Measure::MOST_STEPS) {
@@ -483,8 +483,8 @@ impl<const N: usize> MoveQueue<N> {
     }
 
     /// Completes the backlash compensation at the end of the queue, with the motors at `motors`. If the last moves were
-    /// too short to complete it, queues a separate block from rest to rest, in which the tool stays or reaches its
-    /// position.
+    /// too short to complete it, queues a separate block from rest to rest. The tool does not move in this block,
+    /// unless it has not reached its programmed position yet: then the block brings it there.
     #[inline(never)]
     pub(super) fn finish_taking_up(&mut self, motors: &Motors<N>, line_number: u32) {
         let taken = self.backlash.finish(&self.end.planned_steps.zip(&motors.tool(), i32::wrapping_sub).0);

@@ -29,8 +29,8 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
     // This must be the sweep that the chords use, because from the end points alone a tiny arc and almost a full turn
     // look the same.
     let sweep = if arc.turns > 0 { TURN } else { arc.sweep() };
-    // The radius is in whole units, so that rounding does not move a circle that touches the end of the travel beyond
-    // it.
+    // The radius is in whole units of 0.1 nm. So if a circle touches the end of an axis' travel, rounding does not move
+    // it beyond that end.
     let radius = integer_length(arc.offset_0.0, arc.offset_1.0).max(integer_length(to[0].0, to[1].0));
     let radius = Coordinate(radius);
     // The circle's farthest points lie at 0, 90, 180 and 270 degrees from axis 0.

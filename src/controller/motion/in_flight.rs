@@ -7,8 +7,8 @@ use crate::messages::SEGMENTS_DEPTH;
 
 /// Number of begun segments that are kept: the one begun last and the one before it.
 pub(super) const BEGUN: usize = 2;
-/// Size of the ring: the segments in the queue to the step task, the begun ones, and 4 more for those that the step
-/// task has prefetched or executes ahead of time and those on their way to it.
+/// Size of the ring: the segments in the queue to the step task, the begun ones, and 4 more: for segments that the step
+/// task has prefetched or executes ahead of time, and for segments on their way to it.
 pub(super) const RING: usize = SEGMENTS_DEPTH + 4 + BEGUN;
 
 /// Record of a segment in flight, as needed for reports.
@@ -16,7 +16,7 @@ pub(super) const RING: usize = SEGMENTS_DEPTH + 4 + BEGUN;
 pub struct InFlightSegment<const N: usize> {
     /// Tool position at the end of the segment, in machine steps.
     pub position: PerAxis<i32, N>,
-    /// Steps by which each motor leads the tool at the end.
+    /// Steps by which each motor leads the tool at the end of the segment (backlash compensation).
     pub lead: [i32; N],
     /// Average speed, mm/s.
     pub speed: f32,
@@ -24,7 +24,7 @@ pub struct InFlightSegment<const N: usize> {
     pub clocks: u32,
     pub line_number: u32,
     pub power: u16,
-    /// Mark of the segment's block.
+    /// Mark of the segment's block (`Motion::set_mark`).
     pub mark: u8,
 }
 
@@ -142,8 +142,8 @@ impl<const N: usize> SegmentsInFlight<N> {
             self.moves = true;
         }
         if self.len == 0 {
-            // Nothing is in flight, so take over the count. It is final: even after a stop, the step task begins no
-            // segment until its gate is opened.
+            // Nothing is in flight, so take over the step task's count. The count does not change any more: even after
+            // a stop, the step task begins no segment until its gate is opened.
             self.begun = begun;
             if !idle {
                 return;

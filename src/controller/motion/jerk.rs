@@ -1,5 +1,5 @@
 //! The mathematics of the S-curve: changes of speed within `Bounds` of acceleration and jerk. `ramp_distance` and its
-//! inverse `ramp_speed` (by Newton's method) are for ramps that begin and end without acceleration.
+//! inverse `ramp_speed` (by Newton's method) are for ramps that begin and end with an acceleration of 0.
 //!
 //! ```text
 //!  speed  from ____                       acceleration   0 ___                 ___
@@ -46,8 +46,8 @@ impl Bounds {
     }
 }
 
-/// Returns the distance needed to slow down from one speed to a lower one (or to speed up in reverse), without
-/// acceleration at both ends.
+/// Returns the distance needed to slow down from one speed to a lower one (or to speed up from the lower one), with an
+/// acceleration of 0 at both ends.
 #[inline]
 pub(super) fn ramp_distance(from: f32, to: f32, bounds: Bounds) -> f32 {
     let change = from - to;
@@ -112,8 +112,9 @@ pub(super) fn cube_root(value: f32) -> f32 {
 }
 
 impl PathState {
-    /// Returns the maximum speed of the ramp that this state lies on, where the acceleration is 0, and the distance to
-    /// that point: after the acceleration has been eased off (positive), or before the braking began (negative).
+    /// Returns the maximum speed of the ramp on which this state lies, and the distance to the point of that speed,
+    /// where the acceleration is 0. The distance is positive for an accelerating machine, which reaches the point after
+    /// easing off, and negative for a braking one, which has passed the point.
     #[inline]
     pub(super) fn summit(self, jerk: f32) -> (f32, f32) {
         let time = self.acceleration / jerk;
@@ -129,7 +130,8 @@ impl PathState {
         (self.speed - 0.5 * loss, time * (self.speed - loss * (1.0 / 3.0)))
     }
 
-    /// Returns whether a braking machine can slow down to `target` within `distance`, and have no acceleration there.
+    /// Returns whether a braking machine can slow down to `target` within `distance`, and arrive there with an
+    /// acceleration of 0.
     pub(super) fn lands(self, target: f32, distance: f32, bounds: Bounds) -> bool {
         let (valley, way) = self.valley(bounds.jerk);
         if self.speed <= target {
@@ -175,9 +177,9 @@ impl PathState {
     }
 }
 
-/// Returns the acceleration at `speed` with which a constant jerk leads to `target` without acceleration, exactly after
-/// `distance`. If it is recomputed at each point, the result is a curve of constant jerk, and small errors are
-/// corrected on the way.
+/// Returns the acceleration at `speed` from which a constant jerk leads to the speed `target` with an acceleration of
+/// 0, exactly after `distance`. If the acceleration is recomputed at each point, the result is a curve of constant
+/// jerk, and small errors are corrected on the way.
 #[inline]
 pub(super) fn landing(speed: f32, target: f32, distance: f32) -> f32 {
     -(2.0 / 3.0) * (speed - target) * (speed + 2.0 * target) / distance

@@ -1,5 +1,6 @@
-//! Data of the look-ahead with a jerk limit: what the reverse pass and the running ramp need about the distance to the
-//! next anchor. An anchor is an entry at which a ramp ends; [`super::planner`] describes how anchors are found.
+//! Data of the look-ahead with a jerk limit: what the reverse pass and the running ramp must know about the path to the
+//! next anchor. An anchor is an entry (the start of a block) at which a ramp ends; [`super::planner`] describes how
+//! anchors are found.
 
 use super::block::{Block, CurveLoad};
 use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};
@@ -9,7 +10,7 @@ use super::trapezoid::{lesser, square_root};
 /// each change would cost more time than the tighter bounds for all of these blocks.
 const ALIKE: f32 = 0.8;
 
-/// The path from the place that the reverse pass has reached to the next anchor.
+/// The path to the next anchor. It begins where the reverse pass has arrived.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Way {
     /// Speed at the anchor, mm/s.
@@ -35,8 +36,8 @@ impl Way {
     }
 
     /// Returns the speed of an additional anchor at the end of a block with bounds `own`, if the anchor makes a ramp
-    /// down from the speed² `cap2` shorter. Without it, the tight bounds of one block would apply to all of a long
-    /// ramp.
+    /// down from the speed² `cap2` shorter. Without this anchor, the tight bounds of one block would apply to all of a
+    /// long ramp.
     #[inline(never)]
     pub(super) fn better_anchor(&self, own: Bounds, cap2: f32) -> Option<f32> {
         let ceiling = square_root(self.ceiling2);
@@ -104,14 +105,15 @@ pub(super) struct Target {
 
 impl Target {
     /// Returns the speed that the ramp must reach first, and the distance to it: the ceiling if the machine is faster
-    /// than that, otherwise the anchor.
+    /// than the ceiling, otherwise the anchor. The ceiling is the maximum speed with which a ramp to the anchor can
+    /// begin.
     pub(super) fn nearest(&self, speed: f32) -> (f32, f32) {
         self.beyond(speed, f32::NEG_INFINITY)
     }
 
     /// Like [`Target::nearest`], for a segment of length `way`. If the machine reaches the ceiling within the segment,
-    /// returns the anchor, so that the ramp from the ceiling to the anchor begins with this segment. Otherwise the ramp
-    /// would begin one segment late, with too little distance left.
+    /// returns the anchor, so that the ramp from the ceiling to the anchor begins with this segment. If the ceiling
+    /// were returned, the ramp would begin one segment late, with too little distance left.
     pub(super) fn beyond(&self, speed: f32, way: f32) -> (f32, f32) {
         if speed > self.ceiling {
             let distance = self.distance - ramp_distance(self.ceiling, self.speed, self.bounds);

@@ -1,14 +1,14 @@
 //! Cuts the next segment of a block with a jerk limit (S-curve), from the present speed and acceleration, as fast as
 //! the planned anchors allow.
 //!
-//! Each segment takes the first possible one of these accelerations at its end:
+//! At its end, each segment has the first possible one of these accelerations:
 //! 1. the acceleration that leads to the nominal speed soonest;
 //! 2. the present acceleration;
-//! 3. that of a ramp down to the next anchor.
+//! 3. that of a ramp down to the next anchor (an entry of a block at which a ramp ends).
 //!
 //! 1 and 2 are possible if the machine can still meet the next anchors afterwards. Only speed and acceleration are
-//! carried from one segment to the next. So an override, a hold, the resume after a hold, or late moves need no plan of
-//! their own: they change the permitted accelerations, and the jerk stays bounded.
+//! carried from one segment to the next. So an override, a hold, the resume after a hold, or moves that arrive late
+//! need no plan of their own: they change the permitted accelerations, and the jerk stays bounded.
 
 use super::jerk::{Bounds, PathState, cube_root, landing, ramp_distance, ramp_speed};
 use super::planner::Planner;
@@ -19,7 +19,7 @@ use crate::messages::UNITS_PER_STEP;
 
 /// Relative deviation up to which a speed counts as the nominal one: about a hundred rounding errors.
 const SAME_SPEED: f32 = 1.0e-5;
-/// Relative deviation from the nominal speed up to which the rest of an ease-off is completed in one segment.
+/// Relative deviation from the nominal speed up to which one segment completes the easing off of the acceleration.
 const SNAP: f32 = 1.0e-4;
 
 /// A segment's time and the state at its end.
@@ -160,8 +160,8 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Travelled { seconds: 2.0 * self.way / (self.state.speed + speed), end: PathState { speed, acceleration } }
     }
 
-    /// Travels with the acceleration that leads to the nominal speed soonest, if allowed. Also returns the minimum
-    /// acceleration bound over the distance in which this acceleration can be eased off.
+    /// Travels with the acceleration that leads to the nominal speed soonest, if allowed. Also returns the lowest
+    /// acceleration bound of the blocks on which this acceleration can be eased off.
     #[inline]
     fn to_nominal(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
         let travelled = self.to(best);
@@ -201,8 +201,9 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         }
         // The ramp is planned with the tightest bounds ahead.
         let planned = target.bounds.acceleration;
-        // After the override was raised, or if a bend was found late, the bend leaves less acceleration for braking
-        // than was planned. If the target cannot be met with that, brake with all of the block's acceleration.
+        // If the override was raised in a bend, or the bend was found late, the bend leaves less acceleration for
+        // braking than was planned. If the target cannot be met with the planned acceleration, brake with all of the
+        // block's acceleration.
         let all = self.planner.first().map_or(steepest, |block| greater(steepest, block.acceleration));
         let mut wanted = if target.is_met(state) { -planned } else { -greater(planned, all) };
         if acceleration <= 0.0 {
@@ -218,8 +219,8 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         if coarse { self.at_speed(aim, 0.0) } else { travelled }
     }
 
-    /// Travels a segment on which braking would bring the machine to rest too early, to the end of the segment. The
-    /// machine leaves it no faster than planned.
+    /// Travels to the end of a segment on which braking would bring the machine to rest too early. If the block ends
+    /// there, the machine leaves the block no faster than planned.
     #[inline(never)]
     fn come_to_rest(planner: &Planner<N>, speed: f32, way: f32, left: f32, bounds: Bounds) -> Travelled {
         let exit = if left > way { speed } else { lesser(speed, planner.target(0, left, bounds).speed) };

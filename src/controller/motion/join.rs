@@ -1,20 +1,22 @@
 //! Joins short collinear moves into one block, so that the look-ahead covers more moves than it has blocks. Keeps the
-//! data of the queue's last block as long as further moves can continue its line; [`super::short_moves`] selects them.
+//! data of the queue's last block as long as further moves can continue its line; [`super::short_moves`] selects the
+//! moves to join.
 //!
 //! ```text
-//!            P1 ───┐ half a step of each motor, and no more than the program's last digit can make
+//!            P1 ───┐ at most half a step of each motor, and at most what rounding to the last digit can cause
 //!   A ─────────────┼───────────── C        the block from A is taken back, and the one from A to C is queued instead
 //!          P2 ─────┘
 //! ```
-//! The line from A to C must pass all points between within that distance in every motor, compared at equal positions
-//! of the main motor, the one with the longest displacement. So each point allows a range of slopes of each other motor
-//! relative to the main one. Only the intersection of these ranges is kept: two numbers per motor for any number of
-//! points, and errors do not add up.
+//! In every motor, the line from A to C must pass all points in between within the distance shown. Line and point are
+//! compared at equal positions of the main motor, the one with the longest displacement. So each point allows a range
+//! of slopes of each other motor relative to the main one. Only the intersection of these ranges is kept: two numbers
+//! per motor for any number of points, and errors do not add up.
 //!
 //! A block is taken back by restoring the previous end of the queue. So lengths, corners and curvature are the same as
-//! if the program contained the joined move. The chain of [`super::curvature`] gets a piece only when no more moves are
-//! joined to it; until then the plan ends at rest at the end of this piece. Only a block that has not begun is taken
-//! back, and the new block can be entered as fast as the old one. So the speeds planned for earlier blocks stay valid.
+//! if the program contained the joined move. The chain (the last pieces of the path, from which [`super::curvature`]
+//! determines bends) gets a block's piece only when no more moves are joined to the block; until then the plan ends at
+//! rest at the end of this piece. Only a block that has not begun is taken back, and the new block can be entered as
+//! fast as the old one. So the speeds planned for earlier blocks stay valid.
 
 use super::curvature::PathPiece;
 use super::kinematics::Kinematics;

@@ -16,7 +16,7 @@ use crate::units::{Coordinate, StepsPerMm};
 pub(super) struct Kinematics<const N: usize> {
     arrangement: Arrangement,
     steps_per_mm: PerAxis<StepsPerMm, N>,
-    /// Minimum distance that the tool moves with one step of each motor, mm.
+    /// For each motor, the minimum distance that the tool moves with one of its steps, mm.
     pub least_mm: [f32; N],
 }
 

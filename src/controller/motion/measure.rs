@@ -2,12 +2,15 @@
 //! generator and the planner's side both use this module, so they agree on where a segment ends. All computations use
 //! whole numbers and are exact; there is no state.
 //!
-//! On a line, an axis' rate is its number of steps, and the threshold is that of the dominant axis, in units. A chord
-//! of a curve begins and ends between steps, f and g steps away from them, where f and g are fractions ([`AxisSteps`]).
-//! After u of M units, an axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ of them. That is 0 at the start and n
-//! at the end, because f and g are less than a half, and always within half a step of the exact chord. In sevenths of a
-//! step the arithmetic is the same, with 7·M as the threshold, 7·n + 7·g - 7·f as the rate, and a first remainder that
-//! is smaller by 7·f·M.
+//! With each unit, the remainder until an axis' next step falls by the axis' rate; each step adds the threshold (see
+//! `dda`). On a line, an axis' rate is its number of steps, and the threshold is the number of units: 16 for each step
+//! of the dominant axis, the one with the most steps.
+//!
+//! A chord of a curve begins and ends between steps, f and g steps away from them, where f and g are fractions
+//! ([`AxisSteps`]). After u of M units, an axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ of them. That is 0
+//! at the start and n at the end, because f and g are less than a half, and always within half a step of the exact
+//! chord. In sevenths of a step the arithmetic is the same, with 7·M as the threshold, 7·n + 7·g - 7·f as the rate, and
+//! a first remainder that is smaller by 7·f·M.
 
 use crate::messages::{AxisSteps, UNITS_PER_STEP};
 
@@ -48,7 +51,8 @@ impl Measure {
     }
 
     /// Returns the share of an axis' first step that is complete at the start of the block: half a step, plus the
-    /// offset of the exact start. The result is in parts of the threshold, less 1.
+    /// offset of the exact start. The result is in parts of the threshold. It is less by 1, so that exactly half way
+    /// between two steps the lower one counts.
     #[inline(always)]
     pub(super) fn credit(&self, axis_steps: AxisSteps) -> u32 {
         (self.threshold / 2).wrapping_add(parts_beyond(self.total, axis_steps)).wrapping_sub(1)

@@ -327,7 +327,7 @@ impl<const N: usize> Motion<N> {
         self.queue.planner.len()
     }
 
-    /// Returns by how many steps each motor leads the tool after the last segment handed over.
+    /// Returns by how many steps each motor leads the tool after the last segment handed over (backlash compensation).
     pub fn lead(&self) -> [i32; N] {
         self.prepared().lead
     }
@@ -375,8 +375,8 @@ impl<const N: usize> Motion<N> {
         self.next_message()
     }
 
-    /// Like [`Motion::next`], without a new observation. The controller calls this very often, so the check, which
-    /// usually fails, is inlined.
+    /// Like [`Motion::next`], without a new observation. The controller calls this very often, so the check, which is
+    /// usually false, is inlined.
     #[inline]
     pub fn next_message(&mut self) -> Option<ToStep> {
         if self.source.wants_more() { self.wanted_message() } else { None }
@@ -425,15 +425,15 @@ impl<const N: usize> Motion<N> {
     /// Resumes after a hold, even if the machine has not come to a stop yet.
     pub fn resume(&mut self) {
         if self.queue.planner.raised {
-            // Some entries allow more than the override does, because the machine was too fast for the override. The
-            // hold has slowed the machine down, so these entries must be lowered.
+            // Some entries allow a higher speed than the override does, because the machine was too fast for the
+            // override. The hold has slowed the machine down, so these entries must be lowered.
             self.replan();
         }
         self.source.resume(!self.queue.is_empty());
     }
 
-    /// Announces the running block again, after the step task has executed other moves and the machine is back at
-    /// exactly the same position. Call only at rest.
+    /// Announces the running block to the step task again. Needed after the step task has executed other moves; the
+    /// machine must be back at exactly the same position. Call only at rest.
     pub fn reenter(&mut self) {
         self.source.running.announce_again();
     }
@@ -483,9 +483,9 @@ impl<const N: usize> Motion<N> {
         self.source.stop();
     }
 
-    /// Call after a stop or underrun of the step task, with its step counters: discards everything queued and takes
-    /// over the exact position. The caller must open the step task's gate (`ToStep::Resume`) before it sends messages
-    /// of `next`.
+    /// Call after a stop or underrun of the step task; `position`: its step counters. Discards everything queued and
+    /// takes over the exact position. The caller must open the step task's gate (`ToStep::Resume`) before it sends
+    /// messages of `next`.
     pub fn stopped(&mut self, position: &PerAxis<i32, N>) {
         let steps = position.zip(&self.origin, |count, origin| count.wrapping_add(origin));
         let before = self.source.in_flight.before();
@@ -507,7 +507,7 @@ impl<const N: usize> Motion<N> {
         self.source.is_short_of_segments()
     }
 
-    /// Returns whether the step task is idle and gets no segments before `start` or `resume`.
+    /// Returns whether the step task is idle and gets no segments before the next call of `start` or `resume`.
     pub fn is_at_rest(&self) -> bool {
         self.source.in_flight.is_empty() && self.step_idle && self.source.ends_at_rest() && !self.source.is_on()
     }
@@ -601,7 +601,8 @@ impl<const N: usize> Motion<N> {
         self.queue.long.is_none()
     }
 
-    /// Sets the mark of all blocks queued from here on. [`Motion::begun_mark`] reports when such a block begins.
+    /// Sets the mark (0 to 31) of all blocks queued from now on. When a block has begun, [`Motion::begun_mark`] returns
+    /// its mark.
     pub fn set_mark(&mut self, mark: u8) {
         let marked = mark << MARK_SHIFT;
         if marked != self.queue.marked {
@@ -650,7 +651,7 @@ impl<const N: usize> Motion<N> {
         self.queue.numbering = Numbering::Given(number);
     }
 
-    /// Returns the motors at the end of the last segment handed over.
+    /// Returns the position and lead of the motors at the end of the last segment handed over.
     fn prepared(&self) -> Motors<N> {
         self.source.motors(&self.queue.backlash)
     }

@@ -12,9 +12,9 @@
 //!    0 .'_________'. 3
 //! ```
 //! A piece of a span has its own control points, in whole numbers of 0.1 nm. Each of them is computed from the span's
-//! control points by as many divisions as the degree, some at the start of the piece and the others at its end. The
-//! piece lies within the polygon of its control points, so the distance of these points from the chord bounds that of
-//! the curve. If this distance is too great, the piece is halved.
+//! control points: the sides of their polygon are divided in as many rounds as the degree, in some rounds at the start
+//! of the piece and in the others at its end. The piece lies within the polygon of its control points, so the distance
+//! of these points from the chord bounds that of the curve. If this distance is too great, the piece is halved.
 //!
 //! With weights w, a division at the share a is not in the ratio of a to 1 - a, but of a·w₁ to (1 - a)·w₀. All weights
 //! are positive, so a point never leaves the polygon, however much the weights differ.
@@ -37,7 +37,7 @@ const SHORTEST: i64 = UNIT >> 20;
 const MOST_PIECES: u32 = 1000;
 /// Maximum piece whose length is measured as a whole, as a share of a span.
 const LONGEST_MEASURED: i64 = UNIT / 8;
-/// Maximum share by which the chord of a piece measured as a whole can be shorter than its polygon.
+/// A piece is measured as a whole only if its chord is shorter than its polygon by at most this share.
 const BENT: f32 = 0.03;
 /// Difference between chord and polygon that rounding alone can cause, mm.
 const LEAST_BENT: f32 = 1.0e-5;

@@ -1,5 +1,5 @@
-//! The end of the queue, where the next move begins: the programmed position, in steps, and where the last block ended.
-//! Keeps lengths too short for a step, to carry them over to the next block.
+//! The end of the queue, where the next move begins: the programmed position, and where the last block ended, as
+//! programmed and in steps. Also keeps the length of moves too short for a step, to carry it over to the next block.
 
 use super::trapezoid::square_root;
 use crate::axes::PerAxis;
@@ -13,7 +13,7 @@ pub(super) fn way_mm(to: Coordinate, from: Coordinate) -> f32 {
     if way == 0 { 0.0 } else { Coordinate(way).to_mm() }
 }
 
-/// The end of the queue. It lies beyond the end of the last block after moves without a step.
+/// The end of the queue. After moves without a step, it lies beyond the end of the last block.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathEnd<const N: usize> {
     /// Programmed end of the last move.

@@ -57,14 +57,14 @@ pub(super) struct MoveQueue<const N: usize> {
     /// Time of the carried-over length. Not restored when a block is taken back, because all of the length has one feed
     /// in that case.
     pub carried_time: CarriedTime,
-    /// Offset of the exact end from the steps nearest to it, in substeps (sevenths of a step); only known after a chord
-    /// of a curve.
+    /// Offset of the queue's exact end from the steps nearest to it, in substeps (sevenths of a step); only known after
+    /// a chord of a curve.
     pub substep_offset: Option<[i32; N]>,
     pub long: Option<LongMove<N>>,
     pub numbering: Numbering,
     /// The mark of blocks from here on, as bits of their flags.
     pub marked: u8,
-    /// The straight moves at the end of the queue, from which their curvature is determined.
+    /// The straight moves at the end of the queue, from which the curvature of the path is determined.
     pub chain: Chain<N>,
     /// The last block, while short moves can be joined to it.
     pub join: Join<N>,
@@ -153,8 +153,8 @@ impl<const N: usize> MoveQueue<N> {
     fn blocks_held(&self) -> usize {
         let pieces = match self.blend.moves().count() {
             0 => return 0,
-            // The next move makes a corner. This move, up to three pieces that cut off the corner, and the next move
-            // are five blocks, of which the next move's own block is not counted here.
+            // The next move makes a corner. The held move, up to three pieces that cut off the corner, and the next
+            // move are five blocks, of which the next move's own block is not counted here.
             1 => 4,
             // The next move causes the first move and its corner to be queued (four blocks), and makes a second corner
             // (five blocks, less its own).

@@ -147,7 +147,7 @@ impl<const N: usize> MoveQueue<N> {
         self.chain.set_program_digit(digit);
     }
 
-    /// Queues a piece of a held move; the steps follow its exact ends.
+    /// Queues a held move, or a piece of it.
     fn queue_held(&mut self, held: &HeldMove<N>, piece: &Move<N>) {
         if piece.target == self.end.planned {
             return;

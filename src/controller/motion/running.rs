@@ -1,5 +1,6 @@
 //! The block that is being cut into segments: its progress, its speed limits, and the messages to the step task that
-//! must precede the next segment. Computes the speed curve of the rest of the block, also for braking in a hold.
+//! must precede the next segment. Computes the speed curve of the rest of the block, also for braking in a hold. A unit
+//! is 1/16 step of the axis with the most steps.
 
 use super::block::{Block, MARK_SHIFT, OverrideFactors, RAPID, SCALE_POWER};
 use super::measure::{Measure, signed_add, steps_taken};
@@ -8,7 +9,8 @@ use super::trapezoid::{OFF_CURVE, Pace, Trapezoid, lesser};
 use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{AxisSteps, ToStep};
 
-/// Time for two units, s. In a hold, a machine that is slower than that, and can stop within one unit, stops at once.
+/// Time for two units, s. In a hold, a machine that takes longer for two units, and can stop within one unit, stops at
+/// once.
 const CRAWL_S: f32 = 0.001;
 
 /// The next message about a block to the step task.
@@ -35,7 +37,7 @@ pub(super) struct PathMotion {
     pub pace: Pace,
     /// Acceleration along the path, mm/s²; only with a jerk limit.
     pub acceleration: f32,
-    /// Minimum acceleration bound over the distance in which the acceleration can be eased off, mm/s²; only with a jerk
+    /// Lowest acceleration bound of the blocks on which the acceleration can be eased off, mm/s²; only with a jerk
     /// limit.
     pub ease_off_limit: f32,
 }
@@ -222,7 +224,8 @@ impl<const N: usize> Running<N> {
             let taken = if self.done == self.total {
                 axis_steps.steps()
             } else if *rate == 0 {
-                // The axis does not move: an axis with steps has a nonzero rate, wherever its exact ends are.
+                // The axis does not move: an axis with steps has a nonzero rate, wherever between two steps it begins
+                // and ends.
                 0
             } else {
                 steps_taken(*rate, credit, self.threshold, self.done)

@@ -1,10 +1,11 @@
 //! Cuts the next segment out of a block's speed curve: a number of ticks with linearly changing intervals, at the AMASS
-//! level that suits the speed.
+//! level that suits the speed. As in Grbl, the level says how fine the ticks are: at level n, a step of the dominant
+//! axis (the one with the most steps) takes 2^n ticks.
 //!
-//! A segment has whole ticks and ends where a phase of the curve ends. It lasts at most 1 ms, or 2 ms if the speed is
-//! constant or nearly so (or one tick, if that is longer). The sum of its intervals is the exact time of the curve. The
-//! remainder that the fixed-point intervals cannot represent is carried over to the next segment, so no time is lost or
-//! gained.
+//! A segment has whole ticks. It does not continue beyond the phase of the curve (accelerate, cruise or brake) in which
+//! it begins, except to the next tick or whole step. It lasts at most 1 ms, or 2 ms if the speed is constant or nearly
+//! so (or one tick, if that is longer). The sum of its intervals is the exact time of the curve. The remainder that the
+//! fixed-point intervals cannot represent is carried over to the next segment, so no time is lost or gained.
 
 use super::stepper::MAX_LEVEL;
 use super::trapezoid::{Pace, Trapezoid, lesser};
@@ -127,8 +128,8 @@ impl SegmentSize {
     }
 }
 
-/// Returns the next piece, `left` (> 0) units before the end of the curve and `done` units after the start of the
-/// block.
+/// Returns the next piece. It begins `left` (> 0) units before the end of the curve and `done` units after the start of
+/// the block.
 #[inline(always)]
 pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace, scales_power: bool) -> Cut {
     let Pace { speed, speed2 } = pace;

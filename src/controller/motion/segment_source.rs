@@ -17,7 +17,7 @@ use crate::messages::{Segment, ToStep, UNITS_PER_STEP};
 /// Milliseconds of motion handed to the step task in advance (the segment buffer). They cover a late control task, and
 /// are the latency of a hold.
 pub const QUEUED_TIME_MS: u32 = 16;
-/// Intervals longer than this are divided into waits of [`WAIT_MS`], so that a hold need not wait for the tick, ms.
+/// Intervals longer than this, ms, are divided into waits of [`WAIT_MS`], so that a hold need not wait for the tick.
 const FAR_MS: u32 = 4;
 /// Duration of such a wait, ms.
 const WAIT_MS: u32 = 1;
@@ -193,8 +193,8 @@ impl<const N: usize> SegmentSource<N> {
         self.is_on() && !self.in_flight.is_full() && self.in_flight.queued() < self.clocks_per_ms * QUEUED_TIME_MS
     }
 
-    /// Returns whether the next motion must wait until the step task is at rest, because too little is queued before
-    /// that rest ([`JOIN_MS`]).
+    /// Returns whether the next motion must wait until the step task is at rest: the last motion ends at rest, and less
+    /// than [`JOIN_MS`] of it is still queued.
     #[inline]
     pub(super) fn waits_for_rest(&self) -> bool {
         self.rest && self.in_flight.moves() && self.in_flight.queued() < self.clocks_per_ms * JOIN_MS
@@ -233,8 +233,8 @@ impl<const N: usize> SegmentSource<N> {
         if let Some(long) = &mut self.long_tick
             && long.cut.acceleration == 0.0
         {
-            // The pending tick is rescheduled in proportion, as if the speed had changed at once: the jump is only a
-            // sixteenth of a step.
+            // The pending tick is rescheduled in proportion, as if the speed had changed at once: this jump of the
+            // speed affects only a sixteenth of a step.
             let speed = long.cut.units as f32 / long.cut.seconds;
             let changed = square_root(nominal2.min(speed * speed + 2.0 * self.running.acceleration));
             long.time = (long.time as f32 * (speed / changed)) as u64;
@@ -245,7 +245,7 @@ impl<const N: usize> SegmentSource<N> {
         }
     }
 
-    /// Returns the motors at the end of the last segment handed over.
+    /// Returns the position and lead of the motors at the end of the last segment handed over.
     pub(super) fn motors(&self, backlash: &Backlash<N>) -> Motors<N> {
         if self.running.is_active() { self.motors_in_block(backlash) } else { self.block_start }
     }
@@ -260,12 +260,12 @@ impl<const N: usize> SegmentSource<N> {
         Motors { steps, lead: self.block_start.lead }
     }
 
-    /// Returns the motors where the last block ended.
+    /// Returns the position and lead of the motors where the last block ended.
     pub(super) fn block_start(&self) -> &Motors<N> {
         &self.block_start
     }
 
-    /// Returns the motors where the machine was last at rest.
+    /// Returns the position and lead of the motors where the machine was last at rest.
     pub(super) fn last_rest(&self) -> &Motors<N> {
         &self.last_rest
     }

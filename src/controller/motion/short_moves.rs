@@ -11,8 +11,8 @@ use crate::axes::PerAxis;
 use crate::units::{Coordinate, DECIMAL_ONE};
 
 /// Maximum length of a move that is joined, as the sum of its displacements in all axes (0.045 mm). Longer moves remain
-/// separate blocks. In X and Y, 512 of them make a look-ahead of at least 16 mm, in which a machine at 100 mm/s can
-/// brake to rest at 313 mm/s².
+/// separate blocks. In X and Y, 512 of these longer moves make a look-ahead of at least 16 mm, in which a machine at
+/// 100 mm/s can brake to rest at 313 mm/s².
 const MOST_PIECE: i64 = DECIMAL_ONE / 1000 * 45;
 /// Maximum length of a joined move, mm.
 const MOST_JOINED: f32 = 0.5;
@@ -115,7 +115,7 @@ impl<const N: usize> MoveQueue<N> {
     /// Checks whether a move continues the last block within its limits. If so, returns the entry speed² that the plan
     /// of earlier blocks relies on.
     fn continues(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>) -> Option<f32> {
-        // A block that is alone in the queue can be running already, or its entry speed can be given already.
+        // A block that is alone in the queue can be running already, or its entry speed can be fixed already.
         if self.planner.len() < 2 && self.planner.is_entered() {
             return None;
         }
@@ -147,7 +147,8 @@ impl<const N: usize> MoveQueue<N> {
                 return None;
             }
         }
-        // The new block must be able to brake to a stop from any speed from which the old one could.
+        // From any speed from which the machine could brake to a stop within the old block, it must be able to do so
+        // within the new one.
         let last = self.planner.last()?;
         let shares = shares(&way, length);
         let (acceleration, _) = self.limits.along_shares(&shares);

@@ -9,9 +9,9 @@
 //!    a'            'd
 //! ```
 //! The point at a parameter t is found by divisions at the share t (de Casteljau): of each side of the polygon a b c d,
-//! of the two lines between the resulting points, and of the last line, whose direction is the tangent. Coordinates are
-//! whole numbers of 0.1 nm. Only three roundings occur, so a point lies within 0.2 nm of the curve, for any number of
-//! chords.
+//! of the two lines between the resulting points, and of the line between the two points on these lines. The direction
+//! of this last line is the tangent. Coordinates are whole numbers of 0.1 nm. Only three roundings occur, so a point
+//! lies within 0.2 nm of the curve, for any number of chords.
 //!
 //! A chord with a parameter step of h deviates from the curve by at most |second derivative|·h²/8, and the second
 //! derivative has its maximum at an end. The number of chords follows from that. The last chord ends exactly at the

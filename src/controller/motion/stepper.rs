@@ -20,7 +20,7 @@ use super::dda;
 use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{AxisSteps, INTERVAL_FRACTION_BITS, Segment, StepEvent, ToStep};
 
-/// Finest AMASS smoothing level: a tick advances one unit.
+/// Finest AMASS smoothing level: a tick advances one unit (1/16 step of the axis with the most steps).
 pub const MAX_LEVEL: u8 = 4;
 /// Shift from the fixed point of an interval to the fraction of [`Stepper::moment`].
 const FRACTION_SHIFT: u32 = 32 - INTERVAL_FRACTION_BITS;
@@ -89,6 +89,7 @@ pub struct Stepper<const N: usize> {
     steps_by_axis: [AxisSteps; N],
     /// The steps of A, B and C were received for this block; without them these axes do not move.
     is_rest_told: bool,
+    /// Messages are discarded until the matching [`ToStep::Resume`].
     gate_shut: bool,
     stops: u16,
     /// Deceleration at a contact, units per squared step-clock tick.
@@ -278,7 +279,8 @@ impl<const N: usize> Stepper<N> {
     }
 
     /// Executes as many plain ticks as `words` and `moments` have room for, or as the segment has left, and returns
-    /// their number. Writes for each tick the entry of `table` for its steps (index bit 0 for X), and its time.
+    /// their number. For each tick, writes the entry of `table` for its steps (bit 0 of the index for X) into `words`,
+    /// and its time into `moments`.
     ///
     /// All steps are computed before all times, so that the state of each loop stays in registers. The stepper's state
     /// afterwards is the same as after that many calls of [`Stepper::tick`].
@@ -344,8 +346,8 @@ impl<const N: usize> Stepper<N> {
         self.piece.ticks() == 1 && !self.is_next && !self.piece.last && !self.brakes && !self.latch.is_unnoted
     }
 
-    /// Completes a tick that is not plain, after its steps: the last one of a segment, from or to rest, or while a
-    /// probe is watched.
+    /// Completes a tick that is not plain, once its steps are computed: the last tick of a segment, a tick from or to
+    /// rest, or any tick while a probe is watched.
     #[inline(always)]
     fn rare_tick(&mut self, steps: u8) -> Tick {
         if self.piece.rare_ticks > 1 {
@@ -400,7 +402,7 @@ impl<const N: usize> Stepper<N> {
         dda::steps_next(&self.left, &self.piece.increments)
     }
 
-    /// Returns the time of the next tick on the step clock (wrapping); at rest, of the last one.
+    /// Returns the time of the next tick on the step clock (wrapping); at rest, the time of the last tick.
     #[inline(always)]
     pub fn moment(&self) -> u32 {
         (self.moment >> 32) as u32
@@ -466,8 +468,8 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// Lets the next block start at the current position, because the current block is left before its end for a
-    /// detour.
+    /// Lets the next block start at the current position, because the current block is left before its end for other
+    /// moves.
     #[cold]
     fn leave_midst(&mut self) {
         // The segment has ended with this tick.
@@ -483,8 +485,8 @@ impl<const N: usize> Stepper<N> {
         self.piece.end_units.wrapping_sub(self.piece.ticks().wrapping_mul(self.piece.units_per_tick))
     }
 
-    /// Stops immediately, discards everything, and shuts the gate until [`ToStep::Resume`] with the count of stops that
-    /// the returned event has.
+    /// Stops immediately, discards everything, and shuts the gate until a [`ToStep::Resume`] arrives that has the same
+    /// count of stops as the returned event.
     ///
     /// `undone`: net steps of ticks that were generated ahead of time and will not be output. They are subtracted from
     /// the position.
@@ -527,7 +529,7 @@ impl<const N: usize> Stepper<N> {
     }
 
     /// Saves the state at the contact, discards the queue, and starts to brake. The tick that detects the contact has
-    /// no time for this, so every later call that changes the state or reports the gate runs this first.
+    /// no time for this, so the next call that loads a message, ticks, stops or reports the contact runs this first.
     #[cold]
     fn note_touch(&mut self) {
         self.latch.is_unnoted = false;

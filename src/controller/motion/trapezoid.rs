@@ -7,7 +7,7 @@
 //!            /                    \     the falling one is fixed to the block's end, so it cannot drift
 //!  now²     /                      \  exit²
 //! ```
-//! Distances are in units (1/16 step of the dominant axis), speeds in units/s. A speed above the curve (after an
+//! Distances are in units (1/16 step of the dominant axis), speeds in units/s. A speed² above the curve (after an
 //! override) drops by 2·a per unit of distance until it meets the curve, if necessary beyond the end of the block.
 
 /// The square root that the whole controller uses: IEEE, so the result is the same on every machine.
@@ -35,7 +35,7 @@ pub(super) fn quotient(a: f32, b: f32) -> f32 {
 
 /// Relative difference below which two speeds² count as the same: some 30 rounding errors of an `f32`.
 const SAME: f32 = 4.0e-6;
-/// A speed² that exceeds the falling edge by more than this factor is not a rounding error: the edge has been lowered
+/// If a speed² exceeds the falling edge by more than this factor, rounding is not the cause: the edge has been lowered
 /// meanwhile.
 pub(super) const OFF_CURVE: f32 = 1.001;
 /// Maximum number of phases in a piece. There are at most three (brake to nominal or accelerate, cruise, brake); the
@@ -96,7 +96,8 @@ impl Trapezoid {
         if missing2 <= SAME * speed2 {
             return TrapezoidPhase { sign: 0.0, length: (brake2 - self.nominal2) / slope, end2: self.nominal2 };
         }
-        // Both edges have the same slope, so they meet half way between the present speed² and the falling edge's.
+        // Both edges have the same slope, so they meet half way between the present speed² and that of the falling edge
+        // here.
         let meet2 = 0.5 * (brake2 - speed2);
         if meet2 < missing2 {
             TrapezoidPhase { sign: 1.0, length: meet2 / slope, end2: speed2 + meet2 }

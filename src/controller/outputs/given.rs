@@ -9,7 +9,8 @@ use crate::settings::{Key, Settings};
 /// Levels and wiring as they were last sent.
 #[derive(Clone, Debug)]
 pub(crate) struct Pins {
-    /// Motors of the ganged axis that receive its steps; only one of them while the axis is squared.
+    /// Which motors of the ganged axis (the axis with two motors) receive its steps; only one of them while the axis is
+    /// squared.
     ganged_motors: GangedMotors,
     /// No event since the last comparison could have changed the outputs.
     calm: bool,

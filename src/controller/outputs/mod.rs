@@ -18,7 +18,7 @@ use crate::units::Instant;
 
 impl<const N: usize> Controller<N> {
     /// Returns whether the spin-up time, which ends at `until`, has passed and the spindle is up to speed. Orders an
-    /// alarm if the spindle is still not up to speed when the time of `$916` after `until` has passed, too.
+    /// alarm if the spindle is still not up to speed when the time of `$916`, counted from `until`, has passed.
     pub(crate) fn has_spun_up(&mut self, until: Instant) -> bool {
         if self.m.now >= until && self.has_no_speed_to_reach() {
             return true;
@@ -41,8 +41,8 @@ impl<const N: usize> Controller<N> {
             || self.m.accessories.is_at_speed(self.m.inputs.signals().at_speed, &self.m.settings)
     }
 
-    /// Makes the waiting changes of digital outputs whose motion has started. In alarm and sleep, switches all outputs
-    /// off.
+    /// Carries out a waiting change of a digital output (M62, M63) if the motion that it waits for has started. In
+    /// alarm and sleep, switches all outputs off.
     pub(crate) fn settle_outputs(&mut self) {
         if self.m.accessories.digital().is_waiting() {
             let mark = self.m.motion.begun_mark();
@@ -158,8 +158,8 @@ impl<const N: usize> Controller<N> {
         self.m.pins.changed_wiring(&self.m.settings, self.m.inputs.wiring(), matches!(self.state, State::Homing(_)))
     }
 
-    /// Whether the motors must have no current, whatever `$1` says. This is so in sleep and, with `$913`, until an
-    /// emergency has been acknowledged.
+    /// Whether the motors must have no current, whatever `$1` says: in sleep and, with `$913`, until an emergency has
+    /// been acknowledged.
     fn drivers_held_off(&self) -> bool {
         matches!(self.state, State::Sleep(_))
             || matches!(self.state.alarm(), Some(Alarm::EmergencyStop | Alarm::DriverFault))

@@ -7,8 +7,9 @@
 //! ```
 //! The queue has room for a limited number of messages. So that [`LINES_DEPTH`](crate::messages::LINES_DEPTH) bytes fit
 //! even if they arrive one at a time, at most [`MOST_PARTIAL`] messages are sent before they are full. After that,
-//! bytes wait until their message is full or the queue is empty. Bytes of another epoch begin a new message, and the
-//! queue has room for a new epoch with every line. For each host that connects or disconnects, two messages are used.
+//! bytes wait until their message is full or the queue is empty. Bytes of another epoch (after a reset, stop or jog
+//! cancel) begin a new message; the queue has room for this even if every line begins a new epoch. Each host that
+//! connects or disconnects uses up two messages.
 
 use crate::messages::{LineByte, LineBytes, MOST_PARTIAL};
 
@@ -16,7 +17,7 @@ use crate::messages::{LineByte, LineBytes, MOST_PARTIAL};
 #[derive(Clone, Copy, Debug)]
 pub struct LineSender {
     gathered: LineBytes,
-    /// Messages sent before they were full, since the queue was last empty.
+    /// Number of messages sent before they were full, counted since the queue was last empty.
     partial: usize,
 }
 
@@ -189,7 +190,8 @@ mod tests {
     }
 
     proptest! {
-        /// Bytes come out as they went in. A full queue refuses a byte, and none of the bytes taken before is lost.
+        /// Bytes come out as they went in. If the queue is full, a byte is not taken, and none of the bytes taken
+        /// before is lost.
         #[test]
         fn bytes_cross_in_their_order(
             steps in proptest::collection::vec((0_u8..10, any::<u8>(), 0_u16..3, any::<bool>()), 0..2000),
@@ -236,7 +238,7 @@ mod tests {
         ) {
             let mut crossing = Crossing::default();
             let (mut inside, mut sent) = (0, 0);
-            // The epoch changes every `line` bytes, as by a jog cancel after each line, or never.
+            // The epoch changes after every `line` bytes, as if a jog cancel followed each line, or never.
             let mut next = || {
                 sent += 1;
                 LineByte { byte: b'1', epoch: ((sent - 1) / line) as u16, damaged: false }

@@ -1,5 +1,5 @@
-//! Holds replies back briefly, so that several go to the serial task in one message. The reason is that each message
-//! costs a run of that task and a packet on the link.
+//! Holds replies back briefly, so that several go to the serial task in one message. Each message costs a run of that
+//! task and a packet on the link.
 //!
 //! Guarantees:
 //! * An answer is held only while bytes of another line wait to be read. So a host that waits for the answer before it
@@ -14,7 +14,7 @@ const LONGEST: Duration = Duration::from_ticks(1_000);
 /// Decides whether answers are held back.
 #[derive(Clone, Copy, Debug)]
 pub struct Coalescing {
-    /// The time at which holding back ends.
+    /// Answers are held back only in rounds that begin before this time.
     until: Instant,
     /// The current round began before `until`.
     is_within: bool,
@@ -33,7 +33,8 @@ impl Coalescing {
         self.is_within = now < self.until;
     }
 
-    /// Records that answers were sent in the round that began at `now`. Answers of the next `LONGEST` can be held.
+    /// Records that answers were sent in the round that began at `now`. During the next `LONGEST`, answers can be held
+    /// back.
     #[inline(always)]
     pub fn sent(&mut self, now: Instant) {
         self.until = now + LONGEST;
@@ -45,7 +46,7 @@ impl Coalescing {
         lines_wait && self.is_within
     }
 
-    /// Ends holding back: a round that begins at `now` or later holds nothing.
+    /// Ends holding back: a round that begins at `now` or later holds no answers.
     pub fn release(&mut self, now: Instant) {
         self.until = now;
     }

@@ -200,8 +200,8 @@ pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
     }
 }
 
-/// Appends `[MSG:Values of $32: 0 or 1; ...]`. For some settings it says which settings replace grblHAL's additional
-/// values.
+/// Appends `[MSG:Values of $32: 0 or 1; ...]`. For some settings the text also tells which settings replace grblHAL's
+/// additional values.
 pub fn values_of(out: &mut Text, mut row: Row, board: (u16, u32)) {
     on_board(&mut row, board);
     put(out, b"[MSG:Values of $");

@@ -36,7 +36,7 @@ impl HostArbiter {
         self.gone
     }
 
-    /// Returns whether a [`HOST_CHANGED`] must precede the next byte. It counts as a received byte.
+    /// Returns whether a [`HOST_CHANGED`] must precede the next line byte. That mark counts as a received byte, too.
     pub fn owes_cut(&self) -> bool {
         self.cut
     }
@@ -63,7 +63,7 @@ impl HostArbiter {
         !self.cut && self.floor.is_held_by(link)
     }
 
-    /// Lets a [`HOST_CHANGED`] precede the next byte.
+    /// Requires a [`HOST_CHANGED`] before the next line byte.
     #[inline]
     pub(super) fn owe_cut(&mut self) {
         self.cut = true;
@@ -78,8 +78,8 @@ impl HostArbiter {
         queues.line(byte)
     }
 
-    /// Claims the floor for a host that sends a line. Returns whether that host has the floor then. `void` voids the
-    /// unfinished line of the other host, if that host loses the floor.
+    /// Claims the floor for the host of `link`, which sends a line. Returns whether it has the floor afterwards. If the
+    /// other host loses the floor, `void` voids the unfinished line of the other host.
     #[inline]
     pub(super) fn claim(&mut self, link: usize, queues: &impl Queues, void: impl FnOnce()) -> bool {
         // The common case, which changes nothing.

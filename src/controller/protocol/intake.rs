@@ -9,8 +9,8 @@
 //!  byte before a reset        dropped
 //!  jog before a jog cancel    not executed (the line is read and answered)
 //! ```
-//! Reset button, feed hold and door open no epoch. They act on the bytes received so far, by their number: the button
-//! drops these bytes, and hold and door cancel the jogs among them.
+//! Reset button, feed hold and door open no epoch. They act on the bytes that have been received but not read yet,
+//! which are counted: the button drops these bytes, and hold and door cancel the jogs among them.
 
 use super::heartbeat::Heartbeat;
 use super::line_checksum::{LineChecksum, Verdict};
@@ -49,13 +49,14 @@ pub struct LineIntake {
     epoch: u16,
     /// The epoch of the last reset or stop: bytes of older epochs are dropped.
     reset_epoch: u16,
-    /// The epoch of the last jog cancel: jogs of older epochs are dropped.
+    /// The epoch of the last jog cancel: jogs of older epochs are not executed.
     jog_epoch: u16,
-    /// Number of bytes still to be dropped because they were received before the reset button was pressed.
+    /// Number of bytes still to be dropped, because they were received before the reset button was pressed.
     drop_bytes: u16,
     /// The rest of the current line is dropped, because the start of the line was dropped.
     drop_rest: bool,
-    /// Number of bytes received before a hold or a door ended a jog: jogs among these bytes are dropped.
+    /// Number of bytes still to be read that were received before a hold or a door ended a jog. Jogs among these bytes
+    /// are not executed.
     jog_bytes: u16,
     /// Epoch of the first byte of the current line.
     line_epoch: u16,
@@ -111,9 +112,9 @@ impl LineIntake {
     }
 
     /// Fast path of [`LineIntake::take`] for a byte of ordinary text that need not be held or dropped. Returns whether
-    /// the byte was taken. The epoch of the line is not recorded here. Only jogs need it, and the `$` of a jog always
-    /// goes to [`LineIntake::take`], which records the epoch because the line is still empty at that point, even after
-    /// blanks.
+    /// the byte was taken. Does not record the epoch of the line, which only jogs need: a jog begins with `$`, which
+    /// always goes to [`LineIntake::take`]. At that point the line is empty, even after blanks, so `take` records the
+    /// epoch.
     #[inline]
     pub fn take_plain(&mut self, byte: LineByte) -> bool {
         byte.epoch == self.epoch && !byte.damaged && self.line.push_plain(byte.byte)
@@ -149,8 +150,8 @@ impl LineIntake {
             self.held = Some(byte);
             return Taken::NOTHING;
         } else if is_before(byte.epoch, self.reset_epoch) {
-            // The byte was received before a reset. A button, a hold or a door after that reset can have counted it,
-            // too.
+            // The byte was received before a reset. If a reset button, hold or door followed while the byte was unread,
+            // their count includes this byte.
             self.drop_bytes = self.drop_bytes.saturating_sub(1);
             self.jog_bytes = self.jog_bytes.saturating_sub(1);
             return Taken::NOTHING;
@@ -471,12 +472,13 @@ mod tests {
         let mut intake = LineIntake::new();
         intake.drop_received(6);
         assert_eq!(give(&mut intake, b"G0\nG1 X5\nG4\n", 0), ["G4"]);
-        // A reset after the button drops the bytes by their epoch, and no later bytes.
+        // A reset after the button drops the bytes before it by their epoch. The count of the button must not drop
+        // later bytes.
         intake.drop_received(6);
         intake.reset();
         assert_eq!(give(&mut intake, b"G1X1", 0), [""; 0]);
         assert_eq!(give(&mut intake, b"G4\n", 1), ["G4"]);
-        // In the reverse order, the button also counts the bytes that the reset before it drops.
+        // In the reverse order, the count of the button includes the bytes that the reset drops by their epoch.
         intake.reset();
         intake.drop_received(4);
         assert_eq!(give(&mut intake, b"G1X1", 1), [""; 0]);

@@ -10,14 +10,14 @@
 //!  └ marks a checked line
 //! ```
 //! **Sessions.** After `$LC=ON` a host may append four letters of its choice. With letters, the CRC covers the letters,
-//! the whole line number in eight digits, the length and the text. A line of another session then differs in a burst of
-//! at most 32 bits, and so does a line that is 4096 numbers old. So neither ever passes. Without letters, a line that
-//! is 4096 numbers old can pass.
+//! the whole line number in eight digits, the length and the text. A line of another session differs from the expected
+//! line in a burst of at most 32 of the covered bits, and so does a line that is 4096 numbers old. The CRC detects each
+//! of these bursts, so neither line ever passes. Without letters, a line that is 4096 numbers old can pass.
 //!
 //! **Letters.** N, L and C are hexadecimal digits, written as the letters `ABDGHKNPSUVZcefi`. Any two of these differ
 //! in two or more bits. Each of them also differs in two or more bits from a line end and from every realtime command
 //! that acts, so that one damaged bit turns no letter into any of these. For the same reason text is in capitals, and
-//! characters that are one bit away from such a command are written as small letters (`SUBSTITUTES`): `8` is one bit
+//! small letters replace the characters that are one bit away from a command that acts (`SUBSTITUTES`): `8` is one bit
 //! away from 0x18, and `1` from `!`.
 //!
 //! **Detected errors.**
@@ -33,9 +33,9 @@
 //! line was refused for its content, no line is executed until `$LC=ON` starts again, and each answer is that error.
 //!
 //! Checking ends with `$LC=OFF`, with another dialect and with another host. `$LC=ON` and `$LC=OFF` may be sent as
-//! plain lines. A reset and a stop also end checking, but the bytes up to the next line end are still refused. The
-//! reason is that two damaged bits can have turned a byte of a line into that command, so that the bytes after it are
-//! the rest of that line.
+//! plain lines. A reset and a stop also end checking, but the bytes up to the next line end are still refused. Two
+//! damaged bits can have turned a byte of a line into the reset or stop, and the bytes after it are then the rest of
+//! that line.
 
 use super::text::{END, Text, put};
 use crate::error::Error;
@@ -91,7 +91,7 @@ pub fn is_session(letters: &[u8]) -> bool {
     letters.is_empty() || letters.len() == SESSION && letters.iter().all(u8::is_ascii_uppercase)
 }
 
-/// The CRC of the session's letters, with which the CRC of every line begins.
+/// A session of checked lines.
 #[derive(Clone, Copy, Debug)]
 struct Session {
     /// CRC of the session's letters.
@@ -109,7 +109,7 @@ impl Session {
         Self { start, is_named: !letters.is_empty() }
     }
 
-    /// Returns the CRC of the letters and the number of a line.
+    /// Returns the CRC of the session's letters, followed by the number of a line.
     fn check(&self, number: u32) -> Crc {
         let mut crc = self.start;
         let mut letters = Text::new();
@@ -554,7 +554,7 @@ mod tests {
         assert_eq!(check.answer(b"ok\r\n"), None);
         check.begin(b"");
         let answer = check.answer(b"error:20\r\n").unwrap();
-        // This CRC was computed with Python's `binascii.crc32`.
+        // The CRC in this answer was computed with Python's `binascii.crc32`.
         assert_eq!(answer.as_slice(), b":AAAASPHeiNeGNerror:20\r\n");
         assert_eq!(crc(*b"123456789"), 0xCBF4_3926, "the check value of CRC-32");
     }
@@ -605,7 +605,7 @@ mod tests {
                 assert_eq!(host.taken, [""; 0], "bits {one} and {other}");
                 let acts = host.commands.iter().any(|command| *command != Realtime::Status);
                 assert!(other != one || !acts, "bit {one}: {:?}", host.commands);
-                // When the lines are sent again, they run.
+                // When the host sends both lines again, they are executed.
                 host.send(b"\n").send(&first).send(&second);
                 let again: Vec<&str> = host.taken.iter().map(String::as_str).collect();
                 assert_eq!(again, ["G1X-98.1J2", "M5"], "bits {one} and {other}");
@@ -613,10 +613,10 @@ mod tests {
         }
     }
 
-    /// Up to four damaged bits. The sum consists of digits that differ in two or more bits, so to change one digit into
-    /// another takes two of the four bits. That leaves two for the covered bytes, the number, length and text. The test
-    /// shows that one or two damaged bits of the covered bytes change the sum in more than one digit, and that three or
-    /// four always change the sum.
+    /// Up to four damaged bits. The digits of the sum differ from each other in two or more bits, so two of the four
+    /// bits are needed to change one digit into another. Two bits remain for the covered bytes (number, length and
+    /// text). The test shows that one or two damaged bits of the covered bytes change the sum in more than one digit,
+    /// and that three or four always change the sum.
     #[test]
     fn no_four_damaged_bits_pass() {
         const COVERED: usize = NUMBER + super::LENGTH + 250;

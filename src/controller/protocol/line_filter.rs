@@ -1,7 +1,8 @@
 //! Filters a line byte by byte as Grbl does: removes blanks and remarks, converts letters to capitals, and ends the
-//! line at CR or LF. Keeps the last `(MSG, ...)` of the line. Marks a line that is too long.
+//! line at CR or LF. Keeps the line's last remark in parentheses, which can be a message: `(MSG, ...)`. Marks a line
+//! that is too long.
 
-/// The only byte of a line whose text is unknown, because a nested remark has not ended.
+/// Replaces the whole text of a line in which a nested remark has not ended, because the text is unknown.
 pub const OPEN_REMARK: u8 = b')';
 /// Maximum length of a line in Grbl's dialect, in bytes, without blanks and remarks.
 pub const GRBL_LENGTH: usize = 79;
@@ -34,8 +35,8 @@ pub struct LineRules {
     pub merge_crlf: bool,
     /// Whether a remark may contain pairs of parentheses (in Grbl the first `)` ends it).
     pub nested_remarks: bool,
-    /// Whether a slash after a bracket or `#` is kept, as a division or an error. Without the slash, two numbers would
-    /// be joined.
+    /// Whether a slash after a bracket or `#` is kept; it is a division or an error. If it were dropped, the numbers
+    /// before and after it would be joined.
     pub expressions: bool,
     /// Whether a line that begins with a slash, or with its line number and a slash, is skipped. With this rule, a
     /// slash elsewhere is kept and is an error. (Grbl drops the slash and executes the rest.)
@@ -67,11 +68,11 @@ pub struct Line {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Comment {
     None,
-    /// Remark up to the `)` that follows this many inner `)`.
+    /// In a remark in parentheses, with this many inner `(` open. The `)` after theirs ends the remark.
     Parentheses(u8),
-    /// The same, but at least one inner `)` has been seen.
+    /// The same, but at least one inner pair of parentheses has been closed.
     Nested(u8),
-    /// Remark up to the end of the line.
+    /// In a remark after `;`, up to the end of the line.
     Semicolon,
     /// After a dropped slash. The number of the block-delete switch, 1 to 9, is dropped too if it follows.
     Slash,
@@ -83,8 +84,8 @@ impl Default for Line {
     }
 }
 
-/// Maps each byte that can take the fast path to its text: digits, letters (as capitals), points, minus signs and
-/// blanks. All other bytes are 0.
+/// For each byte that can take the fast path, its text: digits, letters (as capitals), points, minus signs and blanks.
+/// For all other bytes, 0.
 #[allow(clippy::indexing_slicing, reason = "the compiler computes it")]
 const PLAIN: [u8; 256] = {
     let mut plain = [0; 256];
@@ -145,8 +146,8 @@ impl Line {
         self.damaged = false;
     }
 
-    /// Enables or disables the fast path for further text of a line that has begun. To be called after each
-    /// [`Line::push`], and when the fast path is no longer allowed.
+    /// Enables or disables the fast path for further text of a line that has begun. Call it after each [`Line::push`],
+    /// and when the fast path must be disabled.
     #[inline]
     pub fn expect_plain(&mut self, plain: bool) {
         self.expect_line(plain && self.len > 0);

@@ -9,17 +9,17 @@
 //!                                 └─▶ error:8, once for each line
 //! ```
 //! For a link that can wait (USB answers NAK), no byte is lost, and a realtime command acts at once as long as the line
-//! bytes in transit fit into the queue and [`Link::room`]. This is always so for a sender that counts characters or
-//! obeys `Bf:`: its bytes fit into the queue alone. A sender that pours in a whole file without counting has to wait,
-//! and then everything that it sends later waits too, including commands.
+//! bytes in transit fit into the queue and the room of the link together ([`Link::room`]). The bytes of a sender that
+//! counts characters or obeys `Bf:` always fit into the queue alone. A sender that pours in a whole file without
+//! counting has to wait, and then everything that it sends later waits too, including commands.
 //!
 //! A line is read as a whole or not at all. Its rest is refused if its start was refused, or if another host cut the
 //! line by taking the floor or by a reset. That holds whenever the rest arrives, and whichever host has the floor by
 //! then.
 //!
 //! Characters of a remark are text, even if one of their bytes equals a command: see [`remark`](super::remark). Only
-//! the last byte shows whether the bytes form a character. So the bytes before it wait here; if they form no character,
-//! they act as commands after all.
+//! the last byte of a character shows that the bytes form a character. So the bytes before it wait here; if they form
+//! no character, they act as commands after all.
 //!
 //! A `!` in a remark may be text, as in `(slow!)`, or a hold from the operator. It is text if the line continues after
 //! it, and a command if nothing follows for [`AMBIGUOUS_US`]: see [`Link::take_as_command`]. A `~` in a remark is text:
@@ -46,7 +46,7 @@ pub struct Link {
     /// Maximum number of `held` bytes.
     may_hold: usize,
     /// Commands for which the queue had no room. While there are any, no byte is taken, because none may overtake them.
-    /// Holds one command and those that [`Remark::break_off`] has returned with it.
+    /// Has room for one command, and for those that [`Remark::break_off`] returns before it.
     stuck: heapless::Deque<Realtime, 4>,
     /// Bytes were lost; the next line byte is marked as damaged.
     lost: bool,
@@ -58,7 +58,7 @@ pub struct Link {
     after_cr: bool,
     /// The remark in the current line, and the bytes of its next character.
     remark: Remark,
-    /// A hold arrived in a remark, and nothing after it yet.
+    /// A `!` arrived in a remark, and nothing after it yet.
     is_ambiguous: bool,
     /// Number of refusals to be sent.
     refusals: u16,
@@ -190,10 +190,10 @@ impl Link {
         }
     }
 
-    /// Fast path of [`Link::take`] for text and LF line ends, which nearly all bytes are. It applies while the host has
-    /// the floor, no byte waits or was lost, and the line is not refused, so that only the room in the queue has to be
-    /// checked. Also drops text of a line that is refused or has no room. Returns the number of bytes taken from the
-    /// front.
+    /// Fast path of [`Link::take`] for text and LF line ends, which nearly all bytes are. Normally the host has the
+    /// floor, no byte waits or was lost, and the line is not refused: then only the room in the queue has to be
+    /// checked. The fast path also drops text of a line that is refused or has no room. Returns the number of bytes
+    /// taken from the front.
     #[inline]
     pub fn take_text(&mut self, bytes: &[u8], arbiter: &HostArbiter, queues: &mut impl Queues) -> usize {
         if self.remark.has_begun_character() {

@@ -18,7 +18,8 @@ impl Owed {
 
     /// Returns the owed commands with `command` added, or `None` if the loss of `command` does no harm. A hold and a
     /// door are kept once each. A reset removes the holds and doors before it. 0x19 and a jog cancel are kept as
-    /// resets, because each opens an epoch on which later lines depend.
+    /// resets, because each opens an epoch, with which later line bytes are marked (see
+    /// [`LineByte`](crate::messages::LineByte)).
     pub fn with(self, command: Realtime) -> Option<Owed> {
         match command {
             Realtime::FeedHold => Some(Owed(self.0 | Self::HOLD)),

@@ -14,14 +14,14 @@ pub trait Queues {
         let left = bytes.iter().position(|byte| !self.line(LineByte { byte: *byte, epoch, damaged: false }));
         left.unwrap_or(bytes.len())
     }
-    /// Returns whether the link being read can wait. A link that cannot wait loses a command that finds no room, so
-    /// each command is tried, even after an earlier one found none.
+    /// Returns whether the link being read can wait. A link that cannot wait loses a command that finds no room in the
+    /// queue. So it tries to queue each command, even after an earlier one found no room.
     fn waits(&self) -> bool;
     /// Returns whether everything that any host has sent is done and answered.
     fn is_free(&self) -> bool;
     /// Stops the step task for a reset, before anything is queued or decided.
     fn stop(&mut self);
-    /// Records a byte that is neither part of a line nor a command: only a sign of life.
+    /// Records a byte that is neither part of a line nor a command. It only counts as a sign of life.
     fn ignored(&mut self) {}
     /// Returns whether characters of remarks are text. In Grbl each byte from 0x80 up is a command or ignored.
     fn reads_characters(&self) -> bool;

@@ -21,9 +21,9 @@ const MOST_BEGUN: usize = 3;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum RemarkPlace {
     Words,
-    /// A remark that `)` ends, after a `)` for each of this many nested `(`.
+    /// A remark in parentheses, with this many nested `(` open. The `)` after theirs ends the remark.
     Parentheses(u8),
-    /// A remark that the line end ends.
+    /// A remark after `;`, up to the line end.
     Semicolon,
 }
 
@@ -51,8 +51,8 @@ impl Remark {
         !self.begun.is_empty()
     }
 
-    /// Updates the place in the line for its next byte. `nests`: whether parentheses within a remark are counted, as
-    /// the line filter counts them; called only where that matters.
+    /// Updates the place in the line after `byte`. `nests` returns whether nested parentheses are counted, as the line
+    /// filter does; it is called only for a `(` within a remark.
     pub fn follow(&mut self, byte: u8, nests: impl FnOnce() -> bool) {
         self.place = match (self.place, byte) {
             (_, b'\n' | b'\r') => RemarkPlace::Words,
@@ -71,8 +71,8 @@ impl Remark {
         self.place = RemarkPlace::Words;
     }
 
-    /// Returns the bytes of the incomplete character if `byte` does not continue it. Each of them is then a single
-    /// byte.
+    /// Returns the bytes of the incomplete character if `byte` does not continue it: they do not form a character, and
+    /// each counts by itself.
     pub fn break_off(&mut self, byte: u8) -> Vec<u8, MOST_BEGUN> {
         if self.is_inside() && continues(&self.begun, byte) { Vec::new() } else { core::mem::take(&mut self.begun) }
     }

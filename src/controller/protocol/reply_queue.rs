@@ -21,7 +21,7 @@ const ANSWER: usize = 64;
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub struct Replies {
-    /// Hosts that have disconnected (wrapping).
+    /// Number of hosts that have disconnected (wrapping).
     hosts_gone: u16,
     /// A startup line was echoed, and its answer follows on the same line of text.
     echoed: bool,
@@ -122,8 +122,8 @@ impl Replies {
         self.waiting += text.len();
     }
 
-    /// Removes and returns the next bytes to be sent. Inlined as far as the check for an empty queue, because it is
-    /// called before each segment and the queue is mostly empty.
+    /// Removes and returns the next bytes to be sent. Only the check for an empty queue is inlined: it runs before each
+    /// segment, and the queue is mostly empty.
     #[inline]
     pub fn next_chunk(&mut self) -> Option<Chunk> {
         if self.waiting == 0 { None } else { Some(self.chunk()) }

@@ -36,7 +36,7 @@ pub fn error(out: &mut Text, code: u8) {
     put(out, END);
 }
 
-/// The answer `known` to a checked line that was received before and is not executed again.
+/// The answer `known` to a checked line that was received before (it is not executed again), or to an empty one.
 pub fn known(out: &mut Text) {
     put(out, b"known\r\n");
 }
@@ -292,7 +292,7 @@ pub fn startup_echo(out: &mut Text, line: &[u8]) {
     put(out, b":");
 }
 
-/// `[VER:...]` and `[OPT:...]`. Senders read Grbl's version and a date in the former.
+/// `[VER:...]` and `[OPT:...]`. Senders read Grbl's version and a date in `VER`.
 pub fn build_info(out: &mut Text, user: &[u8], letters: &[u8], blocks: usize, rx_bytes: usize) {
     put(out, b"[VER:");
     put(out, GRBL_VERSION.as_bytes());
@@ -364,7 +364,7 @@ pub fn rotation(out: &mut Text, name: &str, degrees: Decimal) {
     put(out, b"[ROT:");
     put(out, name.as_bytes());
     put(out, b",");
-    // Printed like millimetres.
+    // Degrees are printed with 3 decimals, like millimetres.
     length(out, Coordinate::from_mm(degrees), false);
     put(out, b"]\r\n");
 }

@@ -125,7 +125,7 @@ pub struct RareFields {
 }
 
 impl RareFields {
-    /// Both are due.
+    /// `WCO` and `Ov` are due.
     pub const DUE: RareFields = RareFields { offset_in: 0, overrides_in: 0 };
 
     /// Makes `WCO` due after a change.

@@ -118,7 +118,7 @@ pub enum Restore {
     All,
 }
 
-/// States in which a `$` command is allowed. They are checked before the rest of the line is read.
+/// States in which a `$` command is allowed. The state is checked before the rest of the line is parsed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Allowed {
     /// In any state.
@@ -207,8 +207,8 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
     }
 }
 
-/// Parses the rest of a `$E` line. If the rest is unknown, so is the command, and the error is that of Grbl, which has
-/// no `$E` command.
+/// Parses the rest of a `$E` line. An unknown rest gets the error that Grbl gives to each `$E` line, because Grbl has
+/// no such command.
 fn describe(rest: &[u8]) -> Result<System<'_>, Error> {
     Ok(System::Describe(match rest {
         b"" => return Ok(System::Refusal),

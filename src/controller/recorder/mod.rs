@@ -31,7 +31,7 @@ use crate::protocol::realtime;
 use crate::units::{Coordinate, Instant};
 use core::sync::atomic::{Ordering, compiler_fence};
 
-/// Bytes of entries in a page.
+/// Number of bytes for entries in a page.
 const ROOM: usize = 236;
 const OPEN: u32 = u32::from_le_bytes(*b"came");
 /// Mark of the page in which the recording ends.
@@ -39,7 +39,7 @@ const CLOSED: u32 = u32::from_le_bytes(*b"ends");
 
 /// Maximum number of bytes of a line gathered before they are written to the ring.
 const PLAIN: usize = 64;
-/// Maximum bytes of a line end with its time entry.
+/// Maximum number of bytes of a line end and its time entry.
 const LINE_END: usize = 1 + 10 + 1;
 
 /// Upper bound of the time from one turn of the control task to the end of the next, if the next turn fails. (The
@@ -168,8 +168,9 @@ fn add_to_sum(sum: u32, byte: u8) -> u32 {
     sum.wrapping_mul(FACTOR).wrapping_add(u32::from(byte))
 }
 
-/// Packs epoch, damage and byte into a word, with the epoch highest, so that the plain bytes of an epoch are a range of
-/// words. Before the rotation, the parts are in the order of the fields in memory, which makes the packing cheap.
+/// Packs epoch, damage and byte into a word, with the epoch in the highest bits. So the plain bytes of an epoch
+/// (undamaged, blank to `~`) are a range of words. Before the rotation, the parts are in the order of the fields in
+/// memory, which makes the packing cheap.
 #[inline(always)]
 fn word_of(byte: LineByte) -> u32 {
     (u32::from(byte.epoch) | u32::from(byte.byte) << 16 | u32::from(byte.damaged) << 24).rotate_left(16)
@@ -197,7 +198,8 @@ pub struct Recorder<P> {
     slot: usize,
     number: u32,
     time: u64,
-    /// Count of resets, stops and jog cancels passed to the controller, as in the epochs of line bytes.
+    /// The current epoch: number of resets, stops and jog cancels passed to the controller (wrapping), as in
+    /// [`LineByte`].
     epoch: u16,
     /// Lowest plain byte of the current epoch, in the form of [`word_of`]: see [`Recorder::expect_plain`].
     plain_from: u32,
@@ -209,7 +211,7 @@ pub struct Recorder<P> {
     early: Option<u8>,
     /// The ring holds the recording from before the reset, which is kept.
     kept: bool,
-    /// A line has begun whose bytes are not recorded, and it has not ended yet.
+    /// A line whose bytes are not recorded has begun and has not ended yet.
     in_line: bool,
     /// Something was recorded since the machine was last recorded at rest.
     news: bool,
@@ -225,7 +227,7 @@ pub struct Recorder<P> {
 }
 
 impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
-    /// Starts after a reset. A recording from before the reset is kept.
+    /// Starts the recorder after a reset of the board. Keeps a recording from before the reset.
     pub fn begin(pages: P, restart: &Restart) -> Self {
         let reading = Reading { number: None, at: 0, time: 0, line: heapless::Vec::new(), records: None, begun: false };
         let mut recorder = Recorder {
@@ -320,7 +322,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     fn newest(&self) -> Option<u32> {
         let pages = self.pages.as_ref().iter().enumerate();
         let whole = pages.filter(|(slot, page)| self.slot_of(page.number) == *slot && page.entries().is_some());
-        // Pages left from an older round have lower numbers.
+        // Pages left from an earlier pass around the ring have lower numbers.
         whole.map(|(_, page)| page.number).max()
     }
 
@@ -352,7 +354,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     // Writing
 
-    /// Sets which bytes are plain: those of the current epoch, or no bytes while an old recording is kept.
+    /// Sets the epoch whose bytes can be plain: the current one. While an old recording is kept, no byte is plain.
     fn expect_plain(&mut self) {
         // Bit 15 is never set in the word of a byte, so this makes the range empty.
         let kept = u32::from(self.kept) << 15;
@@ -417,7 +419,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.time = self.time.max(time);
     }
 
-    /// Gathers an entry for the passed time.
+    /// Gathers an entry with the time that has passed since the previous entry.
     #[inline]
     fn put_time(&mut self, time: u64) {
         if self.next.len() > PLAIN - LINE_END {

@@ -13,8 +13,8 @@ use crate::units::{DECIMAL_ONE, Decimal};
 const HOMING: u16 = Key::Homing.number();
 
 impl<const N: usize> Settings<N> {
-    /// Returns how many axes have settings. In Oxmill's dialects these are all axes with motors, even before `$930` is
-    /// set, because a set of settings may be restored in any order.
+    /// Returns how many axes have settings. Outside Grbl's dialect these are all axes that the board has motors for,
+    /// even if `$930` puts fewer in use: the settings of A may be restored before `$930`.
     fn axes_to_set(&self) -> usize {
         if N <= LINEAR || self.value(Key::Dialect) == 0.0 { N.min(LINEAR) } else { self.axes_with_motors() }
     }
@@ -128,7 +128,8 @@ mod tests {
         assert_eq!(s.by_number(102), Some(80.5));
     }
 
-    /// Only Grbl's dialect truncates fractions. A switch is 0 or 1; in Grbl's dialect any other byte counts as 1.
+    /// Only Grbl's dialect truncates fractions. A switch is 0 or 1; in Grbl's dialect any other whole number up to 255
+    /// counts as 1.
     #[test]
     fn whole_numbers_have_no_fraction_and_switches_are_0_or_1() {
         for (number, thousandths, taken, in_grbl) in [
@@ -174,7 +175,8 @@ mod tests {
         }
     }
 
-    /// `$0` is exact in tenths. Other values are refused, as are pulses that no board can make.
+    /// `$0` can be set to each tenth of a microsecond, and is not rounded. Values between tenths are refused, as are
+    /// pulses that no board can make.
     #[test]
     fn a_step_pulse_is_taken_to_the_tenth_or_not_at_all() {
         let mut s = Settings::<3>::default();

@@ -95,7 +95,8 @@ impl Description {
         if self.labels == AXIS_LABELS { Self { labels, ..self } } else { self }
     }
 
-    /// Returns the description of a per-axis setting for one axis: rotary axes have degrees.
+    /// Returns the description of a per-axis setting for one axis: the unit of a rotary axis has degrees in place of
+    /// mm.
     pub(super) fn of_axis(self, axis: Axis) -> Self {
         let unit = match self.unit {
             unit if !axis.is_rotary() => unit,
@@ -115,7 +116,8 @@ impl Description {
 pub struct Row {
     /// The number after `$`.
     pub number: u16,
-    /// The axis of a per-axis setting. For a homing cycle, the axis whose index is that of the cycle.
+    /// The axis of a per-axis setting. For the axes of a homing cycle (`$44` and on), the axis with the index of the
+    /// cycle: X for the first cycle.
     pub axis: Option<Axis>,
     /// The part that the machine needs.
     pub entry: Entry,

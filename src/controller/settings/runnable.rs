@@ -32,7 +32,7 @@ impl<const N: usize> Settings<N> {
     /// * steps/mm, a rate or an acceleration of zero, or a jerk close to zero;
     /// * a step rate (rate × resolution) beyond what the board can keep up with at this length of the step pulse
     ///   (`$0`);
-    /// * a second motor that the board does not have, or for which CoreXY or A leaves no driver;
+    /// * a second motor that the board does not have, or for which no driver is left because of CoreXY or the axis A;
     /// * more axes than the board has motors for;
     /// * soft limits without homing, or a homing or parking cycle that could never end;
     /// * any other value outside the bounds that motion can compute with.
@@ -81,8 +81,8 @@ impl<const N: usize> Settings<N> {
         !RATES.contains(&self.value(rate))
     }
 
-    /// Returns the number of the first setting of an enabled cycle that could never end, or of another general setting
-    /// that is out of bounds.
+    /// Returns the number of the first general (not per-axis) setting that makes motion impossible. The settings of
+    /// homing and parking cycles count only if the cycle is enabled.
     fn unrunnable_cycle(&self) -> Option<u16> {
         let homing = self.is_on(Key::Homing);
         let parking = homing && self.is_on(Key::Parking);
@@ -156,8 +156,8 @@ mod tests {
     #[test]
     fn each_bound_of_what_can_run_is_where_it_is_said_to_be() {
         let (homing, parking): (&[_], &[_]) = (&[(22, 1)], &[(22, 1), (41, 1)]);
-        // Settings made before; the setting under test; a value that locks motion; a value that does not (both in
-        // ten-millionths).
+        // Each row: the settings made first; the number of the setting under test; a value that locks motion; a value
+        // that does not (both values in ten-millionths).
         for (before, number, locked, free) in [
             (&[][..], 11, 10_001_000_000, 10_000_000_000),
             (&[], 12, 999, 1000),

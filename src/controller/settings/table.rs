@@ -7,7 +7,7 @@ use crate::axes::Axis;
 const CONTROL: Kind = Kind::Mask(0b1_0100_1111);
 /// Bits of the limit inputs: six axes, and the switch of a second motor.
 const LIMITS: Kind = Kind::Mask(0x7F);
-/// Reactions of motion and spindle to a fault: see `states::stops::reaction`.
+/// Labels of the reactions of motion and spindle to a fault: see `states::stops::reaction`.
 const REACTIONS: &str =
     "Stop,Brake,Brake and retract,Stop (spindle on),Brake (spindle on),Brake and retract (spindle on)";
 /// Labels of the bits of the control inputs.

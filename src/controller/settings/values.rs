@@ -19,7 +19,7 @@ pub struct Settings<const N: usize> {
 }
 
 /// Stored form of `$20=1` while homing is off. A stored 1 is valid only with homing on. So the record of `$22=0` alone
-/// switches off both homing and soft limits, even if the power is cut directly after it.
+/// switches off both homing and soft limits, even if the power is cut right after that record.
 const BEFORE_HOMING: f32 = 2.0;
 
 /// Returns the mask of `axes` axes, bit 0 for X.
@@ -141,9 +141,9 @@ impl<const N: usize> Settings<N> {
         Axis::ALL.get((self.whole(Key::GangedAxis) as usize).checked_sub(1)?).copied()
     }
 
-    /// Restores a stored value. Returns whether the setting can have this value in some dialect; if not, nothing
-    /// changes. For a number that is no setting of this board, nothing changes and `true` is returned, because the
-    /// value may come from other firmware.
+    /// Restores a stored value. Returns whether the setting can have this value in at least one dialect; if not,
+    /// nothing changes. For a number that is no setting of this board, nothing changes and `true` is returned, because
+    /// the value may come from other firmware.
     pub fn restore(&mut self, number: u16, value: f32) -> bool {
         let axes = self.axes_with_motors();
         let index = Index::of_number(number, axes);
@@ -263,7 +263,7 @@ mod tests {
         assert_eq!(s.by_number(103), Some(250.0));
     }
 
-    /// Both change at once, even if the power is cut between the two records that a change of `$22` stores.
+    /// Both settings change at once, even if the power is cut between the two records that a change of `$22` stores.
     #[test]
     fn soft_limits_and_homing_change_at_once() {
         let switch = |on: bool| Decimal::from_int(i32::from(on));
@@ -298,7 +298,8 @@ mod tests {
     }
 
     proptest::proptest! {
-        /// Holds for each dialect in which a value is set, and for each dialect in force when the value is restored.
+        /// A value that can be set can also be restored, whatever dialects are in force when it is set and when it is
+        /// restored.
         #[test]
         fn what_can_be_set_is_taken_over(value: i64, shift in 0..64_u32, set_in in 0..3, in_force in 0..3) {
             let of = |dialect| {

@@ -1,6 +1,6 @@
 //! The machine after power-up, a reset or an alarm. Every power-up and reset ends here: the host is greeted, inputs are
-//! checked, and the startup lines begin unless the machine is locked. Also locks the machine, and passes changed
-//! settings on to motion and inputs.
+//! checked, and the startup lines begin unless the machine is locked. Also here: locking the machine, and passing
+//! changed settings on to motion and inputs.
 
 use crate::dispatch::Controller;
 use crate::error::Alarm;

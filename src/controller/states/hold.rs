@@ -1,5 +1,5 @@
 //! Feed hold, jog cancel and soft stop: motion brakes, then the job resumes or is dropped. [`Hold`] records whether the
-//! spindle was switched on again, because the hold then ends only when the spindle is up to speed. Motion is also
+//! spindle was switched on again in the hold. If so, the hold ends only when the spindle is up to speed. Motion is also
 //! started here.
 
 use crate::dispatch::Controller;
@@ -17,7 +17,7 @@ use crate::work::task::Task;
 /// A feed hold, by the operator or by the program (M0, a tool change).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Hold {
-    /// Set if the spindle was switched on again in this hold: when its spin-up time (`$394`) ends.
+    /// End of the spin-up time (`$394`), if the spindle was switched on again in this hold.
     turns_at: Option<Instant>,
     /// `~` was received: the hold ends when the spindle is up to speed.
     leaves: bool,
@@ -26,7 +26,7 @@ pub(crate) struct Hold {
 impl Hold {
     pub(crate) const BEGUN: Hold = Hold { turns_at: None, leaves: false };
 
-    /// If the end of the hold waits for the spindle: when its spin-up time ends.
+    /// Returns when the spindle's spin-up time ends, if the end of the hold waits for the spindle.
     pub(crate) fn ends_with_spindle(&self) -> Option<Instant> {
         self.turns_at.filter(|_| self.leaves)
     }
@@ -44,7 +44,7 @@ impl<const N: usize> Controller<N> {
         match self.state {
             State::Normal => {
                 self.m.motion.hold();
-                // A jog that has been read and not queued yet ends here like one that moves.
+                // A jog that has been read but not queued yet ends here, like a jog that moves.
                 self.task.forget_jog();
                 self.task.suspend(self.m.now);
                 self.enter(State::Hold(Hold::BEGUN));
@@ -62,7 +62,7 @@ impl<const N: usize> Controller<N> {
         self.restore_spindle();
         self.enter(State::Normal);
         self.task.resume(self.m.now);
-        // After a contact, or before a soft-limit alarm, there is nothing to resume.
+        // After a contact of the probe, or before a soft-limit alarm, there is nothing to resume.
         if !self.m.probe.has_touched() && !matches!(self.task, Task::SoftLimit(_)) {
             self.m.motion.resume();
             if !self.m.motion.is_idle() {
@@ -128,7 +128,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Brakes to a stop and drops the job; the position stays true. `locked`: then locks the machine.
+    /// Brakes to a stop and drops the job; the position stays true. `locked`: the machine is locked once it is at rest.
     pub(crate) fn stop_softly(&mut self, locked: bool) {
         if matches!(self.state, State::Homing(_)) {
             self.m.stops.order(StopReason::Alarm(Alarm::HomingReset));
@@ -198,16 +198,17 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Jog { cancelling: true });
     }
 
-    /// Voids all jogs received by now, because a hold or a door starts no epoch of its own. In Grbl's dialect, a hold
-    /// or a door voids them only while a jog moves.
+    /// Voids all jogs received so far, by the count of received bytes. A reset or a jog cancel tells older bytes from
+    /// later ones by opening an epoch (see `protocol::intake`), but a hold or a door opens none. In Grbl's dialect, a
+    /// hold or a door voids jogs only while a jog moves.
     pub(crate) fn forget_received_jogs(&mut self) {
         if self.dialect() != Dialect::Grbl || matches!(self.state, State::Jog { .. }) {
             self.m.lines.end_received_jogs(self.m.step_supply.observed().received);
         }
     }
 
-    /// Ends a jog. Unless cancelled, it leaves the position at its exact target, not at the nearest step, so that small
-    /// jogs add up.
+    /// Ends a jog. The program's position is then the exact target of the jog, not the nearest step, so that small jogs
+    /// add up. After a cancelled jog it is the position where the machine has stopped.
     #[inline(never)]
     pub(crate) fn end_jog(&mut self, cancelled: bool) {
         if cancelled {

@@ -1,7 +1,7 @@
 //! The states of the machine, and the table of the allowed transitions between them. A state holds the data that only
 //! it needs ([`Homing`], [`Door`], [`Hold`], the alarm of a lock); data that outlives a state belongs to
-//! [`Machine`](crate::parts::Machine). Only [`Controller::enter`] enters a state; the data of a state changes within
-//! it.
+//! [`Machine`](crate::parts::Machine). Only [`Controller::enter`] enters a state. While a state lasts, its data may
+//! change.
 //!
 //! ```text
 //!            $X, $H ok                 !, M0                      ~
@@ -176,7 +176,7 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn enter(&mut self, next: State<N>) {
         debug_assert!(self.state.may_become(&next), "{:?} to {:?}", self.state, next);
         if self.state.is_suspended() {
-            // Lines have had to wait meanwhile, so that time is not a pause of the host.
+            // Lines had to wait in the suspended state, so the time spent in it is not a pause of the host.
             self.m.last_line_at = self.m.now;
         }
         self.state = next;

@@ -65,6 +65,6 @@ fn a_gap_before_a_line_end_is_not_within_cr_lf() {
 #[test]
 fn a_cut_forgets_what_has_come_of_a_line() {
     assert_eq!(with_gap("G21\nG99 X\x18G90\n"), "ok\r\nok\r\n");
-    // The CR was sent by the host before the cut and the LF by the host after it, so they are two line ends.
+    // The CR came from one host and the LF from the next (0x18 marks the change of hosts), so they are two line ends.
     assert_eq!(with_gap("G21\r\x18\nG90\n"), "ok\r\nok\r\nok\r\n");
 }

@@ -106,7 +106,7 @@ fn g83_leaves_the_hole_after_each_peck() {
         // Q is deeper than the hole, so there is one peck.
         ("X6 Q7", "r 6 3 10, r 6 3 2, f 6 3 -4, r 6 3 10"),
         // The first peck is shorter than the clearance. The next peck begins at R, because the clearance above the
-        // first one would be above R.
+        // bottom of the first peck ends above R.
         (
             "G99 X7 Z1.5 R2 Q0.2",
             "r 7 3 10, r 7 3 2, f 7 3 1.8, r 7 3 2, f 7 3 1.6, r 7 3 2, r 7 3 1.854, f 7 3 1.5, r 7 3 2",
@@ -147,7 +147,7 @@ fn g88_pauses_at_the_bottom() {
     play(&[("G88 X6 Z-1 R2 P1", "r 6 1 10, r 6 1 2, f 6 1 -1, dwell 1, stop, pause, r 6 1 10, turn")]);
 }
 
-/// The tool retracts at the feed rate all the way to the clear level, also above R.
+/// The tool retracts at the feed rate all the way to the clear level (the height to which G98 retracts), also above R.
 #[test]
 fn g89_feeds_out_all_the_way() {
     play(&[

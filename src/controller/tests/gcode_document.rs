@@ -93,7 +93,7 @@ fn non_modal_commands_4_g92() {
     }
 }
 
-/// Grbl computes the target of the line before it clears the offset; the other dialects compute it after that.
+/// Grbl computes the target of the line before it clears the offset; the other dialects compute it afterwards.
 #[test]
 fn non_modal_commands_4_g92_1_beside_a_move() {
     for dialect in DIALECTS {
@@ -304,7 +304,7 @@ fn g28() {
         assert_eq!(in_mm(&program.interpreter.offsets().stored(StoredOffset::G28)), [0.0, 0.0, 30.0]);
         let home = program.run("G28");
         assert_eq!((via(&home), target(&home)), (None, [0.0, 0.0, 30.0]));
-        // 5: the same in two rapids.
+        // 5: two rapids in place of G28.
         assert_eq!(target(&program.run("G90 G0 Z-10")), [0.0, 0.0, -9.0]);
         assert_eq!(target(&program.run("X0 Y0 Z0")), [0.0, 0.0, 1.0]);
         // G30 has a stored position of its own.

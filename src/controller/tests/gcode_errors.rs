@@ -51,8 +51,8 @@ fn ready(dialect: Dialect) -> Program {
     program
 }
 
-/// The radii at the start and the end of an arc may differ by 0.1 % of the radius, but always by 0.005 mm and never by
-/// more than 0.5 mm. In the dialect `seed` they may differ by any length.
+/// The radii at the start and the end of an arc may differ by 0.1 % of the radius. A difference of 0.005 mm is always
+/// allowed, and one of more than 0.5 mm never. In the dialect `seed` any difference is allowed.
 #[test]
 fn an_arc_may_end_at_another_radius_within_limits() {
     for dialect in [Dialect::Grbl, Dialect::Oxmill] {
@@ -81,7 +81,7 @@ fn every_error() {
         for (code, lines) in ERRORS_OF_GRBL {
             for line in lines.iter() {
                 let same = program.error(line) == *code;
-                // D is a habit of CAM programs, which a board may leave out.
+                // D is a word that CAM programs write out of habit. Without the feature `full` these words are refused.
                 let is_left_out = line.starts_with('D') && cfg!(not(feature = "full"));
                 assert_eq!(same, dialect == Dialect::Grbl || is_left_out, "{line} in {dialect:?}");
             }
@@ -101,7 +101,7 @@ fn order_of_checks() {
             ("G0 G1 G6", 24),
             ("M3.5 M100", 23),
             ("T100000 T-1", 38),
-            // After them line number, feed of G93, dwell, tool length, G10, G53, G80, feed, arc, unused words.
+            // Then line number, feed of G93, dwell, tool length, G10, G53, G80, feed, arc, unused words.
             ("N99999999 G93 G1 X1 P1", 27),
             ("G93 G1 X1 G4", 22),
             ("G4 G1 F0 X1", 28),
@@ -166,7 +166,7 @@ fn arcs_of_rounded_words() {
     }
     for (line, error) in [
         // The words have at most two decimals, so rounding explains a difference of the radii of up to 0.028 mm (2.8
-        // digits).
+        // units of the last decimal).
         ("G2 X5.02 I2.5", 0),
         ("G2 X5.02 I2.50", 0),
         ("G2 X5.03 I2.5", 33),
@@ -190,8 +190,8 @@ fn arcs_of_rounded_words() {
     assert_eq!(["G3 X4.9287 Y0 R2.4643", "G2 X5.02 I2.5"].map(|line| grbl.error(line)), [34, 33]);
 }
 
-/// Grbl keeps only the lowest byte of these numbers, and so takes them for another word or for no whole number. The
-/// other dialects refuse them as unknown.
+/// Grbl keeps only the lowest byte of these numbers, and so takes them for another word or for a number that is not
+/// whole. The other dialects refuse them as unknown.
 #[test]
 fn numbers_that_no_word_has() {
     for dialect in DIALECTS.into_iter().filter(|dialect| *dialect != Dialect::Grbl) {
@@ -266,7 +266,8 @@ fn turns_of_arcs() {
     }
 }
 
-/// The direction of an arc is the one seen against the third axis of its plane, so in G18 a G3 turns from Z towards X.
+/// The direction of an arc is the one seen from the positive end of the third axis of its plane, so in G18 a G3 turns
+/// from Z towards X.
 #[test]
 fn planes() {
     for dialect in DIALECTS {
@@ -323,7 +324,7 @@ fn end_of_program() {
             let mut program = ready(dialect);
             program.run("G20 G91 G55 G18 M3 S5 M8 F2 T3 G92 X1");
             let end = program.run(&format!("G0 X1 {word}"));
-            // The spindle still turns during the motion; `flow` marks the end.
+            // The spindle still turns during the motion of the line; `flow` marks the end of the program.
             assert_eq!((end.flow, end.spindle, end.coolant), (Flow::End, None, None));
             assert_eq!(end.modal().spindle, SpindleDirection::Off);
             assert!(end.work_offset_changed);

@@ -237,8 +237,8 @@ fn computed_labels_of_calls() {
             sender.errors
         );
     }
-    // Only the label of a call can be computed; all others must be numbers or names. If the first line of a block is
-    // refused, all its lines are refused.
+    // Only the label of a call can be computed; all other labels must be numbers or names. If the first line of a block
+    // is refused, all lines of the block are refused.
     fails("o#1 sub\nX1\no#1 endsub\nX2", &[81; 3], &[2]);
     fails("o[1] repeat [2]\nX1\no[1] endrepeat\nX2", &[81; 3], &[2]);
     fails("o#1 if [1]\nX1\no#1 endif\nX2", &[81, 81], &[2]);
@@ -375,11 +375,11 @@ fn blocks_that_are_left_open() {
         ("X1\n\no1 do\no2 repeat [2]\no2 endrepeat", Some(3)),
         ("o1 repeat [2]\nX1\no1 endrepeat", None),
         ("o1 if [0]\nM2\no1 endif\nX1\nM2", None),
-        // Blocks in which M2 ends the program.
+        // M2 within an open block, run or skipped.
         ("X1\no1 if [1]\nM2", Some(2)),
         ("X1\no1 if [0]\nM2", Some(2)),
         ("o1 if [1]\nM2\nG4 P0\no2 if [1]\no2 endif", None),
-        // A loop or a call that M2 ends is not open either.
+        // A loop or a call that M2 ends is no longer open.
         ("o1 sub\nM2\no1 endsub\no1 call", None),
         ("o1 repeat [2]\no2 if [1]\nM30\no2 endif\no1 endrepeat", None),
         ("o2 if [1]\no1 repeat [2]\nM30\no1 endrepeat", Some(1)),
@@ -460,8 +460,8 @@ fn states_saved_until_a_call_returns() {
         "o1 sub\nG91\nM70\nG90\no2 call\nM72\nX1\no1 endsub\no2 sub\nM70\nG90\nM72\no2 endsub\nM70\nX5\no1 call\nM72\nX1",
         &[5, 6, 1],
     );
-    // M73 restores, at the end of the call, the state that a later M70 has saved, even after M71. After M71 without M70
-    // nothing is restored. M72 restores at once, and M73 restores again at the end of the call.
+    // If M70 comes after M73, the end of the call restores the state that M70 has saved, even after M71. After M71
+    // without a later M70, nothing is restored. M72 restores at once, and M73 restores again at the end of the call.
     goes("o1 sub\nM73\nG91\nM70\nG90\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
     goes("o1 sub\nM73\nM71\nM70\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 1]);
     goes("o1 sub\nM73\nM71\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
@@ -477,7 +477,7 @@ fn states_of_other_calls_are_not_restored() {
     fails("o1 sub\nM72\no1 endsub\nM70\no1 call\nX1", &[123], &[1]);
     fails("o1 sub\nM73\no1 endsub\no1 call\nM72\nX1", &[123], &[1]);
     fails("o1 sub\nM70\no2 call\no1 endsub\no2 sub\nM72\no2 endsub\no1 call\nX1", &[123], &[1]);
-    // An error ends the subroutine. The saved state is not restored, neither at once nor by a later call.
+    // An error ends the subroutine. The saved state is restored neither at once nor by a later call.
     fails(
         "o1 sub\nM73\nG91\nnonsense\no1 endsub\nX5\no1 call\nX1\no2 sub\nX1\no2 endsub\no2 call\nG90\nX1",
         &[2],

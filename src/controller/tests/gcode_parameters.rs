@@ -99,8 +99,7 @@ fn unset_parameters() {
     assert_eq!(program.error("X#<A>"), 74);
 }
 
-/// A line that is refused for any reason sets no parameter. A line that is only checked and a jog set no parameter
-/// either.
+/// A line that is refused for any reason sets no parameter. Neither does a line that is only checked, nor a jog.
 #[test]
 fn a_refused_line_sets_nothing() {
     let mut program = ready();
@@ -223,7 +222,7 @@ fn the_machine_shows_its_state() {
     }
 }
 
-/// With three axes the names of other axes are free for programs, but their numbers belong to the machine.
+/// With three axes, programs may use the names of the other axes' parameters, but their numbers belong to the machine.
 #[test]
 fn names_of_axes_that_the_machine_lacks() {
     for letter in ["A", "B", "C"] {
@@ -241,7 +240,7 @@ fn names_of_axes_that_the_machine_lacks() {
     assert_eq!(["#<_Z>=1", "#<_ABS_Z>=1"].map(|line| program.error(line)), [200; 2]);
 }
 
-/// The parameter that tells whether G92 is in force is independent of those with its values.
+/// The parameter that tells whether G92 is in force is independent of the parameters that hold the offsets of G92.
 #[test]
 fn the_offset_of_g92() {
     let mut program = ready();
@@ -305,7 +304,8 @@ fn what_the_probe_found() {
     assert_eq!([x(&program, "#5061"), x(&program, "#5070")], [0.0, 0.0]);
 }
 
-/// The last digit of a computed coordinate is taken from its value, as for a written coordinate.
+/// The value of a coordinate's last decimal (`digit`) follows from a computed value as from a written number: for
+/// 11.125 it is 0.001 mm.
 #[test]
 fn digits_of_computed_values() {
     let mut program = ready();

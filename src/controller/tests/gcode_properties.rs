@@ -145,7 +145,7 @@ proptest! {
         }
     }
 
-    /// After a move, the work coordinate that is read is the one that was programmed, whatever the offsets are.
+    /// After a move, the work coordinate reads exactly as it was programmed, whatever the offsets are.
     #[test]
     fn programmed_is_reached(
         offsets in prop::collection::vec(-1_000_000_000_i64..1_000_000_000, 4),

@@ -111,7 +111,7 @@ fn check_position(interpreter: &Interpreter<3>, report: &str, at: &str) {
     }
 }
 
-/// Plays a group, up to the record `end`.
+/// Plays the first `end` records of a group (a file of recordings), and compares answers, states and positions.
 fn replay(group: &str, end: usize) {
     let path = format!("{}/../../tests/transcripts/{group}.jsonl", env!("CARGO_MANIFEST_DIR"));
     let text = std::fs::read_to_string(&path).unwrap();

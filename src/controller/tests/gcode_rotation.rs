@@ -33,7 +33,8 @@ fn a_rotated_system() {
     assert_eq!(angle.degrees(), Decimal::from_int(-90));
 }
 
-/// G92 is along the axes of the system; tool offset and origin are along those of the machine.
+/// The offset of G92 is along the axes of the rotated system. The tool offset and the origin of the system are along
+/// the axes of the machine.
 #[test]
 fn offsets_of_a_rotated_system() {
     let program = play(

@@ -69,8 +69,8 @@ fn arcs() {
         assert_eq!((way(arc.i), way(arc.j), arc.clockwise), (2.5, 0.0, true), "{line}");
         assert_eq!(in_mm(&arc.target)[..2], [8.5, 0.0], "{line}");
     }
-    // Full circles stay full, and the tolerance for an end point that the program has rounded is that of the unscaled
-    // numbers.
+    // Full circles stay full. An end point that the program has rounded may be as far off the circle as in unscaled
+    // coordinates.
     let mut program = ready("G51 X0 Y0 P20\nG0 X1.234 Y0");
     let MotionCommand::Arc(arc) = program.run("G3 I-1.234").motion else { panic!() };
     assert_eq!(arc.start, arc.target);
@@ -113,7 +113,7 @@ fn cycles() {
     let mut program = ready("G0 Z20\nG51 X0 Y0 Z0 P2");
     assert_eq!(heights(&mut program, "G99 G83 X1 Y1 Z-2 R1 Q2"), [20.0, 20.0, 2.0, -2.0, 2.0, -1.0, -4.0, 2.0]);
     assert_eq!(program.machine(), [2.0, 2.0, 2.0]);
-    // The modal values are the unscaled ones.
+    // R, Z and Q stay in force as they were written, unscaled.
     program.run("G51 Z0 K3");
     assert_eq!(heights(&mut program, "X5"), [3.0, 3.0, 3.0, -3.0, 3.0, -2.0, -6.0, 3.0]);
     let mut program = ready("G0 Z20\nG51 P2 X0 Y0 Z0\nG91");

@@ -52,8 +52,8 @@ fn one_control_point() {
     gives("G91 G0 X1 Y2", "G5.1 X3 I.1 J0", [[1.0 + 0.2 / 3.0, 2.0], [2.0 + 0.2 / 3.0, 2.0], [4.0, 2.0]]);
 }
 
-/// Units, offsets and rotations act on control points as on all coordinates. Control points are distances even with
-/// G90.1.
+/// Units, offsets and rotations act on control points as on all coordinates. Control points are written as distances
+/// even with G90.1.
 #[test]
 fn what_acts_on_control_points() {
     gives("G20", "G5 I1 J2 P-1 Q0 X3 Y0", [[25.4, 50.8], [50.8, 0.0], [76.2, 0.0]]);

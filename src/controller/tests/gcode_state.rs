@@ -253,7 +253,7 @@ fn errors_of_their_own() {
             let line = format!("{word} X1 Z-1 R1 Q1 P1 F100 S1");
             assert_eq!(program.error(&line), 121, "{word}");
         }
-        // With P, G8 is a switch of the look-ahead.
+        // G8 is a switch of the look-ahead only with P. Without P it is refused.
         assert_eq!(program.error("G8 X1 F100"), 121);
         // G31 is a probing move, which does not use R.
         let code = if cfg!(feature = "full") { 36 } else { 121 };
@@ -289,8 +289,8 @@ fn g92_and_m72() {
     ]);
 }
 
-/// P and Q are lengths in the unit of the line. LinuxCNC takes the same numbers for them, and also uses P for a missing
-/// Q.
+/// P and Q are lengths in the unit of the line. LinuxCNC reads the same lengths from these words, and also uses P for a
+/// missing Q.
 #[cfg(feature = "full")]
 #[test]
 fn path_tolerances() {

@@ -1,4 +1,4 @@
-//! The order of a pump's round, checked with a pump that logs each call.
+//! The order of the calls in one round of a pump, checked with a pump that logs each call.
 
 use crate::board::{PROFILE, started};
 use oxmill_controller::messages::{
@@ -14,8 +14,8 @@ struct Scribe<const WOKEN: bool> {
     controller: Controller<3>,
     log: Vec<String>,
     events: Vec<(Source, Event<3>)>,
-    /// Events that arrive with the next store operation, including the store's answer. If empty, the store reports
-    /// success.
+    /// Events that arrive with the next store operation, the store's answer among them. If there are none, the store
+    /// only reports success.
     with_store: Vec<(Source, Event<3>)>,
     lines: VecDeque<u8>,
     epoch: u16,
@@ -354,8 +354,9 @@ fn a_reset_while_a_setting_is_stored_leaves_no_failure_behind() {
     assert_eq!(scribe.answer_to("G10L2P1X1\n"), "ok\r\n");
 }
 
-/// The mark of a change of hosts comes after a byte that waits for the command of its epoch. If the mark were dropped
-/// early, while the door is open, it would overtake that byte.
+/// Each reset, stop and jog cancel opens an epoch, whose bytes can arrive before the command and then wait for it. Here
+/// the mark of a change of hosts (`HOST_CHANGED`) comes after such a byte. If the mark were dropped early, while the
+/// door is open, it would overtake that byte.
 #[test]
 fn a_change_of_hosts_is_not_taken_in_front_of_a_byte_that_waits() {
     let mut controller = started(PROFILE, 16);

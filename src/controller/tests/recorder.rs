@@ -30,7 +30,7 @@ fn line(ring: &mut Ring, board: &Board, time: u64, epoch: u16, text: &str) {
     }
 }
 
-/// Returns the listed entries, without the pieces that are not entries.
+/// Returns the entries of the listing, without its other pieces (board, records, start time, end).
 fn entries(ring: &mut Ring) -> Vec<(u64, Noted)> {
     let mut found = Vec::new();
     let mut more = true;
@@ -91,7 +91,7 @@ fn what_came_in_is_listed_with_its_time() {
 fn bytes_of_before_a_reset_are_left_out_and_those_behind_it_are_not() {
     let board = board();
     let mut ring = Ring::begin(vec![Page::EMPTY; 4], &Restart::POWER);
-    // The first byte of the next epoch comes before its command.
+    // The first byte that was sent after the reset (epoch 1) arrives before the reset itself.
     line(&mut ring, &board, 10, 1, "Y");
     ring.record(Instant::from_ticks(20), &Event::<3>::Realtime(Realtime::Reset), &board);
     line(&mut ring, &board, 30, 0, "G1X10\n");
@@ -130,8 +130,8 @@ fn after_a_reset_it_is_kept_until_a_program_begins() {
     let ended = Noted::Ended { crash: Some(CrashKind::Stuck), place: [1, -2, 3], line: 7 };
     let found = entries(&mut ring);
     assert_eq!(found[1..], [(1_000_000_000_000, host("N7G1X10\n")), (1_000_000_004_321, ended)]);
-    // In a locked machine a job that continues is refused and leaves the recording as it is. So do `$` lines, and
-    // another reset.
+    // A job that continues on a locked machine is refused and leaves the recording as it is. `$` lines and another
+    // reset leave it as it is, too.
     board.restarted(restart);
     line(&mut ring, &board, 10, 0, "G1X5\n");
     let mut ring = Ring::begin(pages(&ring), &SOFTWARE);
@@ -147,8 +147,8 @@ fn after_a_reset_it_is_kept_until_a_program_begins() {
     assert_eq!(found[1..], [(40, host("G4P1\n"))]);
 }
 
-/// A failure is stored with the time of the last turn of the control task before it. If the line that caused the
-/// failure was received after that time, the failure is listed right after that line.
+/// A failure is stored with the time (`moment`) at which the control task last recorded position and line. If the line
+/// that caused the failure was received after that time, the failure is listed right after that line.
 #[test]
 fn a_failure_in_the_line_that_came_last_comes_right_behind_it() {
     let board = board();

@@ -146,7 +146,7 @@ impl<const N: usize> Controller<N> {
     fn reach(&self, axis: Axis, travel: f32) -> f32 {
         let resolution = self.m.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);
         let steps = travel * resolution;
-        // A product can be whole only because it was rounded, so a small share is allowed even then.
+        // The product can be whole only because it was rounded, so 0.02 steps are allowed even then.
         let share = if steps as i32 as f32 == steps { 0.02 } else { 0.5 };
         travel + share / resolution
     }

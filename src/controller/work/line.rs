@@ -28,7 +28,7 @@ pub(crate) struct LineInWork<const N: usize> {
     told: u8,
     /// The tool change of the line, if its tool is measured.
     change: ToolChange<N>,
-    /// The last message of the program, for a host that takes over. Takes no memory without `DESCRIPTIONS`.
+    /// The last message of the program, for a host that takes over. Takes no memory without `FULL_IMAGE`.
     message: [Message; FULL_IMAGE as usize],
     /// Why the last refused line was refused. Takes no memory without `REASONS`.
     refusal: [Refusal; REASONS as usize],
@@ -92,7 +92,7 @@ impl<const N: usize> LineInWork<N> {
         }
     }
 
-    /// Explains that the line is refused because it has `length` characters, of which only `fit` fit.
+    /// Explains that the line is refused because it has `length` characters, more than the maximum `fit`.
     #[cold]
     pub(crate) fn explain_length(&mut self, length: usize, fit: usize) {
         if let Some(refusal) = self.refusal.first_mut() {

@@ -29,7 +29,8 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     fn has_room_for_change(&mut self) -> bool {
         let idle = self.m.motion.is_idle();
-        // Only checks whether the mark of the next block can be set. `change_output` sets it.
+        // Only checks whether the next block can be given a mark, which ties the change to that block. `change_output`
+        // sets the mark.
         let can = self.m.accessories.digital().has_room(idle) && self.m.motion.takes_mark();
         if !can {
             self.start_queued();

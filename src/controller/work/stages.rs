@@ -48,7 +48,7 @@ impl<const N: usize> Controller<N> {
             || self.starts_to_turn()
     }
 
-    /// If G61.1 is in force for the previous line: whether the machine comes to rest before this line.
+    /// Whether the machine comes to rest before this line, if G61.1 is in force for the previous line.
     fn ends_line_before(&self) -> bool {
         let action = &self.line.action;
         action.motion != gcode::MotionCommand::None || action.modal().path != PathControl::ExactStop
@@ -70,7 +70,8 @@ impl<const N: usize> Controller<N> {
             && !settings.is_on(Key::Laser)
     }
 
-    /// Whether S changes the accessories, so that the next report must show them.
+    /// Whether S changes a spindle that is on, or a laser that is on if the line does not move. The next report must
+    /// show the change.
     fn shows_speed(&self) -> bool {
         self.line.action.speed_changed
             && self.m.accessories.is_on()
@@ -185,8 +186,8 @@ impl<const N: usize> Controller<N> {
         let checking = matches!(self.state, State::Check);
         let mut progressed = false;
         loop {
-            // The first arms are the stages of a line that only moves, as nearly all lines do. Such a line has nothing
-            // to show to the host or to wait for between its stages.
+            // The first arms are the stages of a line that only moves, as nearly all lines do. Between its stages, such
+            // a line has nothing to show to the host, and nothing to wait for.
             let next = match job.stage {
                 // Such a line waits only if a record of an earlier line is still being stored.
                 Stage::Apply if self.line.action.moves_only() && self.m.records.are_stored() => {
@@ -216,7 +217,8 @@ impl<const N: usize> Controller<N> {
         progressed
     }
 
-    /// Handles all other stages. Returns the next stage; `None` if the line has to wait.
+    /// Handles the stages that `advance_line` does not handle itself. Returns the next stage; `None` if the line has to
+    /// wait.
     // Not inlined, because otherwise every line that only moves would pay for the registers and the stack of these
     // stages.
     #[inline(never)]
@@ -262,13 +264,13 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether the effects of a stage are output, and shown to the host, before the next stage begins.
+    /// Whether the effects of a stage must be output, and shown to the host, before the next stage begins.
     fn is_shown_before(&self, stage: Stage, next: Stage) -> bool {
         match stage {
             Stage::Apply => self.line.action.changes_outputs(),
             Stage::Via => matches!(self.line.action.motion, gcode::MotionCommand::Line { via: Some(_), .. }),
             Stage::Target => matches!(self.line.action.motion, gcode::MotionCommand::Cycle(_)),
-            // One chord in each call of `advance`.
+            // Each call of `advance` queues only one chord.
             Stage::Chords => next == Stage::Chords,
             Stage::Drain | Stage::Probing | Stage::Measuring => true,
             _ => false,
@@ -458,7 +460,7 @@ impl<const N: usize> Controller<N> {
             }
             Answer::Held(caller) => self.task = Task::Held(caller),
             Answer::Startup(index, host_waits) => {
-                // The program that a startup line ends is not that of the host.
+                // If the startup line has ended a program (M2), that was not the program of the host.
                 self.m.interpreter.begin_program();
                 self.echo_startup_line(index);
                 self.say_ok();

@@ -187,8 +187,8 @@ impl Task {
         }
     }
 
-    /// Returns when the task has to be advanced, if it waits for a time. `late` returns the time of the next check of a
-    /// spindle whose spin-up time ends at the given time.
+    /// Returns when the task has to be advanced, if it waits for a time. `late`: for a spindle whose spin-up time ends
+    /// at the given time, returns when to check the spindle next.
     pub(crate) fn wakeup(&self, late: impl Fn(Instant) -> Instant) -> Option<Instant> {
         match self {
             Task::Job(Job { stage: Stage::SpinningUp, until, .. }) => Some(late(*until)),

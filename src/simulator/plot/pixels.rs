@@ -1,9 +1,9 @@
 //! Renders the picture as pixels: paints the few kinds of elements in an SVG of [`super::svg`], antialiased, and packs
 //! the pixels as PNG. An unknown element is an error, so other SVGs are not supported.
 //!
-//! To fill an outline, each pixel is painted by the share that the outline covers. A line with a width is an outline,
-//! too: a bar for each piece and a mitre on the outer side of each corner, all with the same sense of rotation, so that
-//! they add up to one area.
+//! To fill an outline, each pixel is mixed with the colour in proportion to the share of it that the outline covers. A
+//! line with a width is an outline, too: a bar for each piece and a mitre on the outer side of each corner, all with
+//! the same sense of rotation, so that they add up to one area.
 
 use super::SIZE;
 use super::style::FINE;
@@ -12,9 +12,9 @@ use ab_glyph_rasterizer::Rasterizer;
 use anyhow::{Context, Result, bail};
 use std::f32::consts::TAU;
 
-/// Pixels per pixel of the drawing.
+/// Pixels of the PNG per pixel of the drawing.
 const DENSITY: f32 = 1.5;
-/// Pixels per unit of the drawing's SVG.
+/// Pixels of the PNG per unit of the drawing's SVG.
 const SCALE: f32 = DENSITY / FINE as f32;
 
 /// Number of corners of a circle.
@@ -127,8 +127,8 @@ impl Element<'_> {
         Ok(())
     }
 
-    /// Adds the area or the edge of a closed shape. `wider` returns its corners, moved outwards by a distance. Returns
-    /// the name of the attribute that has the colour.
+    /// Adds the edge of a closed shape, or its area if it has no edge. `wider` returns the corners, moved outwards by a
+    /// distance. Returns the name of the attribute that has the colour.
     fn closed<const N: usize>(&self, shape: &mut Shape, wider: impl Fn(f32) -> [Point; N]) -> Result<&'static str> {
         if self.value("stroke")? == "none" {
             shape.polygon(&wider(0.0));
@@ -231,8 +231,7 @@ impl Shape {
                 let turn = before.x * side.y - before.y * side.x;
                 let zero = point(0.0, 0.0);
                 let (a, b) = if turn > 0.0 { (zero - before, zero - side) } else { (side, before) };
-                // The distance from the corner to the tip of its mitre is `reach` times the distance to the middle of a
-                // and b.
+                // The tip of the mitre is at `reach` times the sum of a and b, seen from the corner.
                 let open = half * half + a.x * b.x + a.y * b.y;
                 let reach = half * half / open;
                 let tip = pair[0] + point((a.x + b.x) * reach, (a.y + b.y) * reach);

@@ -118,7 +118,8 @@ pub(super) fn scale_bar(area: &Area, title: [&str; 2], scale: &Scale) -> Drawn {
     area.draw_text(title[0], &small(), (left, top - px(46)))?;
     area.draw_text(title[1], &small(), (left, top - px(28)))?;
     let parts = 98;
-    // Each part reaches up to the top and is covered by the next, so that no seams show.
+    // Each part is drawn up to the top of the bar, and the next one covers all but its lower end, so that no seams
+    // show.
     for part in 0..parts {
         let at = |part: i32| bottom - (bottom - top) * part / parts;
         let color = scale.colour(f64::from(part) / f64::from(parts - 1));

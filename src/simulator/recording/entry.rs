@@ -90,8 +90,8 @@ pub(super) fn traced(simulator: &Simulator, begin: u64) -> String {
     format!("{}{TRACED}{hash:016x}", place(simulator))
 }
 
-/// Compares the state of a machine and its history with the recorded ones. Recordings of older versions end after the
-/// step hash or after the outputs.
+/// Compares the state of a machine and the hash of its times with the recorded ones. A state recorded by an older
+/// version has nothing after the step hash, or nothing after the outputs.
 ///
 /// # Errors
 /// A text that says what differs.

@@ -22,7 +22,7 @@
 //! ignored, and the last of several listings counts. A board writes further kinds of lines, which `protocol::recording`
 //! of the controller formats and [`crate::board_replay`] plays.
 //!
-//! Lines begin with their time, except those before `begin` and those of a job.
+//! Each line after `begin` starts with its time, except the lines of a job.
 
 mod entry;
 mod reader;
@@ -117,8 +117,8 @@ impl Recording {
     }
 
     /// Plays the inputs into a machine that has just been powered up, up to the start of the recorded job if there is
-    /// one, otherwise to the end of the recording. `hear` receives the machine's output; `pass` is called from time to
-    /// time with the time since the beginning, in ticks of the step clock.
+    /// one, otherwise to the end of the recording. `hear` receives the machine's output; `pass` is called as time
+    /// passes, with the ticks of the step clock since the beginning.
     ///
     /// # Errors
     /// A text that says where the machine differs from the recording.

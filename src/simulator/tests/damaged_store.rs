@@ -51,7 +51,7 @@ fn listing(mill: &mut Simulator) -> Vec<String> {
     lines
 }
 
-/// For each bit of each record: at most one value changes, a message is sent, and motion is locked.
+/// Whichever bit of a record is wrong: at most one value changes, a message is sent, and motion is locked.
 #[test]
 fn a_wrong_bit_costs_one_value_at_most() {
     let folder = Folder::new();

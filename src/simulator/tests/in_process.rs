@@ -262,7 +262,7 @@ fn more_answers_than_anyone_fetches_are_kept() {
         }
         answers += said.matches("error:20\r\n").count();
     }
-    // The loop counts only replies that one fetch returns whole.
+    // The loop misses a reply if two fetches return its two parts.
     assert!((19_990..=20_000).contains(&answers), "{answers}");
     assert!(mill.is_idle());
 }
@@ -346,8 +346,8 @@ fn a_flood_of_resets_tears_no_welcome() {
     assert_eq!(mill.take_output(), "ok\r\n");
 }
 
-/// The board's link limits overtaking: commands pass only the line bytes that fit into the queue and the link (255 and
-/// 192).
+/// The board's link limits overtaking: a command overtakes only line bytes that fit into the queue and the link (255
+/// and 192).
 #[test]
 fn what_finds_no_room_waits_in_the_port() {
     for (lines, passes) in [(80, true), (100, false)] {

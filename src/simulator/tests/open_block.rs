@@ -1,5 +1,5 @@
-//! While its subroutine, loop or condition is open, a host keeps the machine. If another host could take over, for
-//! example with `?`, the rest of the block would be executed as separate lines.
+//! A host keeps the machine while a subroutine, loop or condition that it has sent is still open. If another host could
+//! take over, for example with `?`, the rest of the block would be executed as separate lines.
 
 use oxmill_simulator::{Options, Simulator};
 

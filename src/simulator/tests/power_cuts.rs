@@ -113,7 +113,7 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
         for cut in 0..operations {
             let mut cut_store = begin.clone();
             cut_store.cut_power_after(cut, dice.throw(u32::MAX));
-            // The power can already be cut during this power-up, if it writes to the flash.
+            // If this power-up writes to the flash, the power can already be cut here.
             let mut mill = power_up(cut_store);
             let mut under_way = 0;
             while !mill.power_is_gone() {
@@ -182,8 +182,8 @@ fn job(value: usize) -> Vec<String> {
     lines.iter().map(|line| line.replace('#', &value.to_string())).collect()
 }
 
-/// The lines of the job arrive at once, as from a sender that counts characters. All answered lines must be stored,
-/// and possibly some lines after them, without a gap.
+/// The lines of the job arrive at once, as from a sender that counts characters. All answered lines must be stored.
+/// Lines after them may be stored, too, but none may be skipped.
 #[test]
 fn a_job_whose_end_meets_a_power_cut_has_stored_what_it_has_answered() {
     let mut begin = Store::with_sectors_of(SECTOR);

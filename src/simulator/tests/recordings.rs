@@ -82,7 +82,8 @@ fn digest(mill: &Simulator) -> (u64, u64, [i32; 3]) {
     (digest.time_hash(), digest.order_hash(), mill.machine().position())
 }
 
-/// Returns a machine with a switch and non-default settings, recorded from power-up on, and its output.
+/// Returns a machine with a switch and non-default settings, its recorder since power-up, the recorded file, and the
+/// output.
 fn machine() -> (Simulator, Recorder, File, String) {
     let fittings = oxmill_simulator::Fittings::parse(MACHINE).unwrap();
     let mut mill = Simulator::new(Options { fittings, ..Options::default() });
@@ -127,8 +128,7 @@ proptest! {
     }
 }
 
-/// Returns the text of a recording in which a host sends `sent` and the state is recorded a second later, and the
-/// machine.
+/// Records a host that sends `sent`, and the state a second later. Returns the text of the recording, and the machine.
 fn recorded(sent: &str) -> (String, Simulator) {
     let (mut mill, mut recorder, file, _) = machine();
     recorder.input(&mill, &Input::Host(sent.as_bytes().to_vec())).unwrap();
@@ -138,7 +138,7 @@ fn recorded(sent: &str) -> (String, Simulator) {
     (file.text(), mill)
 }
 
-/// Plays a recording and returns the result.
+/// Plays a recording on a machine that has just been powered up, and returns the result.
 fn played(text: &str) -> Result<(), String> {
     let recording = Recording::parse(text).unwrap();
     recording.play(&mut recording.power_up().unwrap(), |_| {}, |_| {})
@@ -312,8 +312,8 @@ proptest! {
         let mut again = recording.power_up().unwrap();
         let arrival = oxmill_simulator::board_replay::play(&recording, &mut again, |_| {}, |_| {});
         if log.rfind(" stored]") > log.rfind(" state ") {
-            // The recording has no state at which a replay can begin, because a setting was changed while a switch was
-            // active.
+            // A setting was changed while a switch was active, so no state was recorded after it at which a replay can
+            // begin.
             prop_assert!(arrival.parted.is_some_and(|why| why.starts_with("begins in the middle")), "{}", log);
             return Ok(());
         }
@@ -370,8 +370,8 @@ fn a_replay_says_how_much_it_has_compared() {
     assert!(arrival(cut).unwrap().notes[0].starts_with("the listing breaks off"));
 }
 
-/// Returns the listing of a board to which a host has sent these texts, each with the milliseconds until the next, and
-/// the result of playing it.
+/// Sends texts to a board, each with the milliseconds until the next. Returns the board's listing, and the result of
+/// playing it.
 fn played_of_board(sent: &[(u64, &str)]) -> (String, oxmill_simulator::board_replay::Arrival) {
     let (mut mill, _, _, _) = machine();
     for (milliseconds, text) in sent {

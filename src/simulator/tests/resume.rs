@@ -44,8 +44,8 @@ fn run(settings: &[&str], before: &str, program: &str) -> Ran {
     (steps, simulator.controller().interpreter().clone())
 }
 
-/// Resumes the program at each line, on a machine at another position that has only its settings. At the lines
-/// `other_way` the steps are not compared. Returns the lines that are rejected, with the reasons.
+/// Resumes the program at each line, on a machine that is at another position and remembers only its settings. At the
+/// lines `other_way` the steps are not compared. Returns the lines that are rejected, with the reasons.
 fn compare_all(settings: &[&str], program: &str, elsewhere: &str, other_way: &[usize]) -> Vec<(u64, String)> {
     let words: Vec<String> =
         "XYZA".chars().filter(|c| elsewhere.contains(*c)).map(|c| format!(" {c}").replace(" Z", "Z")).collect();
@@ -69,7 +69,7 @@ fn compare_all(settings: &[&str], program: &str, elsewhere: &str, other_way: &[u
         let elsewhere = if words.iter().all(|word| way.contains(word)) { elsewhere } else { "" };
         let (in_front, _) = run(settings, "", &front);
         let remaining = whole.0.len() - in_front.len();
-        // The machine has stored these values when it ran the preceding lines.
+        // These lines store values permanently. A real machine has run them with the first part of the job.
         let stored: String =
             lines[..line - 1].iter().filter(|line| line.contains("G10")).map(|l| format!("{l}\n")).collect();
         let (steps, state) = run(settings, &format!("{stored}{elsewhere}"), &text);
@@ -249,8 +249,8 @@ fn what_cannot_be_known_is_refused() {
     refused("G21 G90 G0 X0 Y0 Z1\nG2 X2 I1 F100\nG17\n", 3, "no line moves");
 }
 
-/// The control points of a finished curve do not affect the lines after it; while a curve is being read, its order
-/// matters, too.
+/// The control points of a finished curve (G5.2 to G5.3) do not affect the lines after it. Directly after G5.2, only a
+/// curve of the default order can be resumed.
 #[test]
 fn curves_of_control_points() {
     let job = |order: &str| {
@@ -454,7 +454,7 @@ fn the_spindle_goes_no_higher_than_in_the_job() {
     assert_eq!(resumed(&[], &lower, &wish(8)).unwrap().prologue[3], "G0 Z15");
 }
 
-/// G98 would retract to the Z at which the cycles began, which is within the work.
+/// G98 would retract to the Z at which the cycles began, and this Z is within the work.
 #[test]
 fn cycles_that_began_in_the_work_do_not_go_on() {
     let program = "G21 G90\nG0 Z5\nG0 X1\nG1 Z-3 F100\nG98 G81 X2 Z-5 R2\nX3\nX4\n";
@@ -524,7 +524,8 @@ fn a_plunge_is_not_slower_than_grbl_goes() {
 }
 
 /// Homing at the beginning of a job, M0 between arcs, and changes of the feed mode before an F do not prevent resuming.
-/// A G5 without I and J that continues a preceding curve does, even after another move.
+/// A G5 without I and J prevents it if the curve that it continues is before the rest, even if another move is between
+/// them.
 #[test]
 fn what_matters_not_does_not_hinder() {
     assert!(resumed(&[], "$H\nG21 G90\nG0 Z5\nX1\n", &wish(4)).is_ok());

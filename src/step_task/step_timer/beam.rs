@@ -42,14 +42,15 @@ impl Beam {
         Power::wanted().from_segments || self.armed
     }
 
-    /// Adds the power of a segment that begins at the time `at`. Returns whether it is now the first change ahead.
+    /// Adds the power of a segment that begins at the time `at`. Returns whether this change is now the first one
+    /// ahead.
     pub fn segment(&mut self, at: u32, power: u16) -> bool {
         if power == self.made {
             return false;
         }
         if self.marks.is_full() {
-            // The new change replaces the last one. No event lies between these two, so the power of the last one would
-            // have acted on no step.
+            // The new change replaces the newest stored change. No event lies between the two, so the power of the
+            // stored one would have acted on no step.
             self.marks.pop_back();
         }
         let is_kept = self.marks.push_back((at, power)).is_ok();
@@ -100,8 +101,8 @@ impl Beam {
         self.arm(output);
     }
 
-    /// Updates the output if the power has changed; while the machine moves, a laser's power is that of the segments.
-    /// Returns whether it was updated. `is_dark`: keep a laser off.
+    /// Sets the output if the power has changed; while the machine moves, a laser's power is that of the segments.
+    /// Returns whether the output was set. `is_dark`: keep a laser off.
     #[inline(always)]
     pub fn show(&mut self, output: &mut StepPins, is_at_rest: bool, is_dark: bool) -> bool {
         let power = Power::wanted();

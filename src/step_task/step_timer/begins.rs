@@ -1,5 +1,5 @@
 //! Start times of segments whose first events are generated but not output yet ([`Begins`]). The step task does not
-//! count these segments as begun, and generates no more events while the ring is full.
+//! count these segments as begun. While this ring is full, it generates no more events.
 
 /// Maximum number of segment starts among the events ahead, and of changes of power.
 pub const MARKS: usize = 32;

@@ -1,6 +1,7 @@
 //! Generates step events ahead of time ([`Maker`]): receives segments, has the stepper execute ticks in batches or one
-//! by one, and commits them to the ring of the step outputs, with changes of direction and power. Computes when more
-//! events are needed.
+//! by one, and commits the resulting events to the ring of the step outputs, with changes of direction and power. A
+//! tick is one time at which the stepper decides which axes step; a tick without a step usually needs no event.
+//! Computes when more events are needed.
 
 use super::beam::Beam;
 use super::begins::Begins;
@@ -16,10 +17,11 @@ use rtic_sync::channel::Receiver;
 
 /// Cost of an event or tick that is generated alone, measured in events of a batch.
 const SINGLE_SHARE: usize = 4;
-/// Cost of starting a segment, with both of its messages, measured in events of a batch. A run starts at most one
-/// segment.
+/// Cost of starting a segment and loading the messages that belong to it, measured in events of a batch. A run starts
+/// at most one segment.
 const SEGMENT_SHARE: usize = 16;
-/// Stands for unknown directions at the outputs: the next tick writes them.
+/// Value of `directions` if the directions at the outputs are unknown; an event that writes them precedes the next
+/// tick.
 const UNKNOWN: u8 = u8::MAX;
 
 /// Result of [`Maker::make_one`].
@@ -30,7 +32,7 @@ enum Made {
     One,
     /// The tick that begins a segment.
     Segment,
-    /// The last tick of a motion: an underrun, or as planned.
+    /// The last tick of a motion, which ends by an underrun or as planned.
     Last { underrun: bool },
 }
 
@@ -68,7 +70,8 @@ pub struct Maker {
     pub output: StepPins,
     segments: Receiver<'static, ToStep, SEGMENTS_DEPTH>,
     timing: StepTiming,
-    /// Whether all intervals of the running segment are in the range in which ticks are output unchanged, in batches.
+    /// Whether all intervals between ticks of the running segment are in the range in which a batch of ticks is output
+    /// at the computed times.
     is_regular: bool,
     /// Whether events are output one by one, each by an interrupt of its own.
     pub one_by_one: bool,
@@ -122,7 +125,7 @@ impl Maker {
     #[inline(never)]
     fn receive_one(&mut self) -> bool {
         let Ok(message) = self.segments.try_recv() else { return false };
-        // A message that has left the queue and is not loaded yet must not look like rest to `control`.
+        // `control` must not take the machine to be at rest while a message has left the queue and is not loaded yet.
         STEP.at_rest.store(false, Ordering::Relaxed);
         self.stepper.load(message);
         true
@@ -147,7 +150,7 @@ impl Maker {
         self.beam.put_off(by);
     }
 
-    /// Removes the segments that have not begun from the stepper's count. Call after a stop.
+    /// Subtracts the segments that have not begun from the stepper's count of begun segments. Call after a stop.
     pub fn take_back_segments(&mut self) {
         self.stepper.take_back_segments(self.begins.len());
         self.begins.clear();
@@ -195,8 +198,8 @@ impl Maker {
         ended
     }
 
-    /// Returns whether enough events are ahead, and the next event need not be ready until [`HORIZON_TICKS`] after the
-    /// time `from`.
+    /// Returns whether enough events are ahead, and the deadline for committing the next event is at least
+    /// [`HORIZON_TICKS`] after the time `from`.
     #[inline(always)]
     pub fn is_far_ahead(&self, from: u32) -> bool {
         let until = self.output.joins_until(self.stepper.moment());
@@ -211,13 +214,14 @@ impl Maker {
         self.output.ahead() < LEAST_EVENTS || self.last.wrapping_sub(self.output.now()) as i32 <= IN_TIME_TICKS as i32
     }
 
-    /// Returns whether the next tick can be output at its time, without a change of directions before it.
+    /// Returns whether the next tick can be output at its planned time, and needs no change of directions before it.
     #[inline(always)]
     fn is_free(&self) -> bool {
         self.stepper.moment().wrapping_sub(self.free_from) as i32 >= 0 && self.directions == self.stepper.directions()
     }
 
-    /// Generates up to `most` plain ticks in a row and returns how many. Returns `most` if there is no room.
+    /// Generates up to `most` plain ticks in a row and returns how many. Returns `most` if it could generate none, for
+    /// lack of room.
     #[inline(always)]
     fn make_batch(&mut self, most: usize) -> usize {
         let Free { table, words, moments } = self.output.free();
@@ -239,7 +243,7 @@ impl Maker {
             return Made::Nothing;
         }
         if onset == Onset::FromRest && self.stepper.is_moving() {
-            // Before a motion begins there is time, so wait until the next segment has arrived.
+            // Before a motion begins there is time: receive what has arrived, and wait for the next segment.
             self.receive();
             if self.stepper.lacks_segment() {
                 return Made::Nothing;
@@ -264,7 +268,7 @@ impl Maker {
         // A tick without a step makes no edge, so it keeps its time, whatever came before.
         let is_edge = self.one_by_one || self.stepper.steps_next();
         let at = if is_edge { self.soonest(later(moment, self.free_from)) } else { moment };
-        // If this tick is delayed, all later ones are, too: catching up would change the speed abruptly.
+        // If this tick is delayed, delay all later ones by the same time: catching up would change the speed abruptly.
         self.stepper.begin_at(at);
         let tick = self.stepper.tick();
         let is_out = (tick.steps != 0 || self.one_by_one) && self.commit(tick.steps, at);
@@ -324,7 +328,7 @@ impl Maker {
         }
     }
 
-    /// Returns the time until which the next tick can wait for its segment.
+    /// Returns the latest time at which the segment of the next tick can still be received without an underrun.
     fn last_chance(&self) -> u32 {
         let margin = if self.one_by_one { StepPins::SOON + BEGIN_TICKS } else { 2 * RUN_TICKS };
         self.output.joins_until(self.stepper.moment()).wrapping_sub(margin)
@@ -372,14 +376,14 @@ impl Maker {
         if ahead <= left {
             return Some(self.last_chance());
         }
-        // A run that begins a segment and changes directions generates fewer events than are output meanwhile, so half
-        // of the ring does not always last long enough.
+        // A run that begins a segment and changes directions generates fewer events than are output meanwhile. So it
+        // may be too late to wait until only half of the events ahead are left.
         let early = sooner(self.output.moment_before(left), self.before_two_runs());
         Some(sooner(early, self.last_chance()))
     }
 
-    /// Returns the time that is `IN_TIME_TICKS` (two runs and a pause) before the last event ahead, but not before
-    /// there is room for a batch.
+    /// Returns the time `IN_TIME_TICKS` (two runs, a pause and the start of the output) before the last event ahead,
+    /// but not a time before there is room for a batch.
     #[inline(never)]
     fn before_two_runs(&self) -> u32 {
         later(

@@ -25,7 +25,8 @@
 //!   motion ends with a report.
 //! * A report to `control` is kept until it has been sent.
 //!
-//! The stepper decides when and what to step; the board generates the edges.
+//! The stepper computes ticks, the times at which axes may step, and which axes step at each tick; the board generates
+//! the edges.
 
 use crate::boards::{AXES, Due, StepOutput, StepPins, Undone};
 use crate::shared::{self, STEP, Wake};
@@ -50,13 +51,14 @@ mod timing;
 enum State {
     /// Nothing is output.
     Rest,
-    /// Messages gather before the start; the first tick is at this time.
+    /// Messages are collected before the start; the first tick is at this time.
     Starting(u32),
     /// The first events are generated; the first tick is at this time.
     Preparing(u32),
     /// Events are output.
     Running,
-    /// The remaining events are output. After them the motion ends, or resumes if the next event was too late.
+    /// The events ahead are still output. After them the motion ends, or is resumed: its next event was too late, or
+    /// events must be output one by one from there on.
     Ending,
 }
 
@@ -64,7 +66,8 @@ enum State {
 pub struct Step {
     maker: Maker,
     state: State,
-    /// Deadline for the next tick of a motion whose events were late; `None` for a motion that begins from rest.
+    /// Latest allowed time of the next tick of a motion whose events were late; `None` for a motion that begins from
+    /// rest.
     latest: Option<u32>,
     /// Time of the next scheduled call for more events.
     asked: u32,
@@ -100,8 +103,8 @@ impl Step {
     /// change of laser power. Other tasks call it after they requested a stop, queued a message or changed the power.
     #[inline(never)]
     pub fn run(&mut self) {
-        // A stop comes before all else, because an event can begin in each cycle before it. No task that requests stops
-        // preempts this one, so one check suffices.
+        // A stop comes before all else, because events still begin until it takes effect. No task that requests stops
+        // preempts this task, so one check suffices.
         if shared::stops_asked() != self.stops_done {
             self.stop();
         }
@@ -114,8 +117,8 @@ impl Step {
             self.look_at_probe();
         }
         match self.state {
-            // The task was called before more events are needed. Generate none, so that the pause after the last run is
-            // kept.
+            // The task was called although no events are needed yet. Generate none, so that other tasks get their pause
+            // after the last run.
             State::Running | State::Preparing(_) if !self.maker.one_by_one && !due.has(Due::MORE) => self.call_sooner(),
             State::Running => self.go_on(),
             State::Ending => self.end(),
@@ -222,8 +225,8 @@ impl Step {
         let now = self.maker.output.now();
         let left = self.maker.output.joins_until(self.maker.stepper.moment()).wrapping_sub(now) as i32;
         if !self.maker.one_by_one && (left < RUN_TICKS as i32 || self.maker.stepper.is_watching()) {
-            // It is too late to join, or events must be output one by one from here on. In both cases, first output the
-            // events that are ahead.
+            // It is too late to join, or events must be output one by one from here on. In both cases, generate no more
+            // until the events ahead have been output.
             self.state = State::Ending;
         } else {
             self.make(now);
@@ -250,7 +253,8 @@ impl Step {
         }
     }
 
-    /// Clears the deadline if enough events follow a late one, so that the next late event gets a new deadline.
+    /// Clears the deadline if enough events are ahead again after a late event, so that the next late event gets a new
+    /// deadline.
     #[inline(always)]
     fn count_anew(&mut self) {
         if self.maker.output.ahead() >= LEAST_EVENTS {
@@ -278,7 +282,7 @@ impl Step {
     fn give_up(&mut self, undone: [i32; AXES], miscounted: bool) {
         self.maker.take_back_segments();
         if self.reports.underrun.is_some() {
-            // An underrun that has not been reported yet and this one count as one stop.
+            // If an earlier underrun has not been reported yet, both count as one stop.
             self.maker.stepper.take_back(undone);
         } else {
             let _ = self.maker.stepper.stop(undone);
@@ -291,7 +295,8 @@ impl Step {
         self.maker.beam.switch_off(&mut self.maker.output);
     }
 
-    /// After the last event was output: goes to rest, or resumes a motion whose next event was too late.
+    /// When all events ahead have been output: goes to rest if the motion has ended; otherwise resumes it, because its
+    /// next event was too late, or because events must be output one by one from here on.
     #[inline(never)]
     fn end(&mut self) {
         let out_at = self.maker.out_at();
@@ -314,8 +319,8 @@ impl Step {
         }
     }
 
-    /// Resumes a motion whose next event was too late: not before its planned time, and with no step before the set-up
-    /// time of the directions is over.
+    /// Resumes a motion after the events ahead: its next tick is not before the planned time, and no step is before the
+    /// set-up time of the directions is over.
     #[cold]
     fn resume(&mut self) {
         let planned = self.maker.stepper.moment();
@@ -323,7 +328,7 @@ impl Step {
         // force.
         let latest = planned.wrapping_add(MOST_LATE_STEPS.wrapping_mul(self.maker.stepper.step_interval()));
         self.latest = Some(self.latest.unwrap_or(latest));
-        // Leave time for one run more than necessary.
+        // The start needs `IN_TIME_TICKS`; leave time for one more run and pause.
         let soon = IN_TIME_TICKS + RUN_TICKS + PAUSE_TICKS;
         let moment = later(planned, self.maker.output.now().wrapping_add(soon));
         self.maker.beam.resume_at(moment);

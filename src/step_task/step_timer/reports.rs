@@ -8,9 +8,9 @@ use rtic_sync::channel::Sender;
 /// Events that have not been sent yet. One slot per kind suffices: after a contact or an underrun nothing moves until
 /// `control` has received and answered the report, and of several stops only the newest must be answered.
 pub struct Reports {
-    /// The probe's contact was seen.
+    /// The probe's contact was detected, but has not been reported yet.
     pub touched: bool,
-    /// An underrun or a miscount.
+    /// An underrun or a miscount that has not been reported yet.
     pub underrun: Option<StepEvent<AXES>>,
     pub stopped: Option<StepEvent<AXES>>,
     events: Sender<'static, StepEvent<AXES>, EVENTS_DEPTH>,

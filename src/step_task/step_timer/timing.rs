@@ -17,8 +17,8 @@ const fn in_ticks(cycles: u32) -> u32 {
 pub const START_TICKS: u32 = 2_000 * TICKS_PER_US;
 /// How far ahead events are generated, if there is room.
 pub const HORIZON_TICKS: u32 = 300 * TICKS_PER_US;
-/// Time before a motion's first tick at which the generation of its events begins. An abrupt start has so many segments
-/// that each of the first runs begins one and generates few events.
+/// Time before a motion's first tick at which the generation of its events begins. An abrupt start has many short
+/// segments, so each of the first runs begins a segment and generates few events.
 pub const PREPARE_TICKS: u32 = 450 * TICKS_PER_US;
 /// Minimum number of events ahead, however long they last.
 pub const LEAST_EVENTS: usize = 4;
@@ -26,20 +26,21 @@ pub const LEAST_EVENTS: usize = 4;
 pub const MOST_EVENTS: usize = 32;
 /// Upper bound of the time from a run's reading of the clock to its last event.
 pub const RUN_TICKS: u32 = in_ticks(RUN_CYCLES);
-/// Upper bound of the time to start the output.
+/// Maximum duration of the start of the output.
 pub const BEGIN_TICKS: u32 = in_ticks(1_500);
-/// Minimum time before the first event at which the output starts: two more runs, a pause, and the start itself.
+/// The output is started at least this long before its first event: time for two more runs, a pause, and the start
+/// itself.
 pub const IN_TIME_TICKS: u32 = 2 * RUN_TICKS + BEGIN_TICKS + PAUSE_TICKS;
 /// Time added to `IN_TIME_TICKS` for a motion that starts from rest, because interrupts can be masked before its output
 /// is started.
 pub const SPARE_TICKS: u32 = 100 * TICKS_PER_US;
-/// Minimum pause from the end of a run to the next scheduled one, for other tasks.
+/// Minimum pause between the end of a run and the next scheduled run: time for other tasks.
 pub const PAUSE_TICKS: u32 = RUN_TICKS / 4;
 /// Interval of further attempts to report to `control` at rest.
 pub const RETRY_TICKS: u32 = 1_000 * TICKS_PER_US;
 /// Time from the end of the last pulse of a motion until the event of this pulse counts as output.
 pub const OUT_TICKS: u32 = 2 * TICKS_PER_US;
-/// After late events, the motion is resumed only if its next tick is late by at most the time of this many steps. The
-/// motors continue to turn meanwhile. With eight or more microsteps per full step, they stay less than a full step
-/// ahead of the field.
+/// After late events, the motion is resumed only if its next tick is late by at most the time of this many steps. Until
+/// then the motors continue to turn. With eight or more microsteps per full step, they stay less than a full step ahead
+/// of their magnetic field.
 pub const MOST_LATE_STEPS: u32 = 8;

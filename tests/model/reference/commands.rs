@@ -26,10 +26,10 @@ impl Model {
                     self.spindle_stopped = true;
                 }
             }
-            // Oxmill: at any time; ignored in Grbl's dialect.
+            // Oxmill: acts at any time; ignored in Grbl's dialect.
             action::SINGLE_BLOCK if !self.setup.grbl => self.toggle_single_block(also),
             action::FLOOD_TOGGLE if matches!(self.mode, Mode::Free | Mode::Hold) => self.flood = !self.flood,
-            // Oxmill: also in an alarm that only a reset ends.
+            // Oxmill: overrides also act in an alarm that only a reset ends.
             _ => self.override_speed(byte),
         }
     }
@@ -75,7 +75,7 @@ impl Model {
         self.slow_down(ratio(0).min(ratio(1)).min(1.0), ratio(0).max(ratio(1)).max(1.0));
     }
 
-    /// Extends the rest of a motion by a factor between `least` and `most`.
+    /// Extends the remaining time of a motion by a factor between `least` and `most`.
     pub(super) fn slow_down(&mut self, least: f64, most: f64) {
         let Some(motion) = self.motion.as_mut().filter(|_| self.mode != Mode::Jog && least != most) else { return };
         let now = if motion.held { Span::at(0.0) } else { self.now };

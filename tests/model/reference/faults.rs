@@ -41,19 +41,19 @@ impl Model {
         }
     }
 
-    /// Names the input and its axis, except in Grbl's dialect.
+    /// Reports the input that caused the alarm, and its axis, except in Grbl's dialect.
     fn name_input(&mut self, alarm: u8) {
         if !self.setup.grbl && ![HOST, SLOW].contains(&alarm) {
             self.say(format!("[MSG:{}*", input(alarm)));
         }
     }
 
-    /// Brakes for a fault: the input is named at once, the alarm follows at rest.
+    /// Brakes for a fault: the input is reported at once, the alarm when the machine is at rest.
     fn brake_for(&mut self, alarm: u8) {
         self.name_input(alarm);
         self.brake();
         if matches!(self.mode, Mode::Door { .. }) {
-            // The spindle is off at a door; the coolant stays on until the machine is at rest.
+            // An open door switches the spindle off at once; the coolant stays on until the machine is at rest.
             self.spindle_stopped = true;
         }
         self.mode = Mode::Fault { alarm, later: false };
@@ -77,7 +77,7 @@ impl Model {
     }
 
     fn lock_until_reset(&mut self, alarm: u8) {
-        // Outputs that a door or the operator has stopped stay off; at an open door all are off.
+        // Outputs that a door or the operator has switched off stay off. At an open door all outputs are off.
         let at_door = self.on(Pin::Door) || matches!(self.mode, Mode::Door { .. });
         let stopped = self.spindle_stopped || self.stops_at_rest || self.outputs_off || at_door;
         if self.setup.reaction(alarm) < 3 || stopped {
@@ -112,11 +112,11 @@ impl Model {
     /// The host timeout has expired.
     pub(super) fn host_is_silent(&mut self, also: &mut Vec<Model>) {
         self.say("[MSG:The host is silent]");
-        // The timeout starts again, so the silence is reported once, and lines after a jog have the whole time.
+        // The timeout starts again. So the silence is reported only once, and lines after a jog have the whole timeout.
         self.heard = self.now;
         self.host_fails(also);
         if self.mode == Mode::Jog && self.braking.is_some_and(|rest| rest.from <= self.now.to) {
-            // A jog that has not moved can be over before a waiting line is read.
+            // A jog that has not moved yet can end before a waiting line is read.
             let mut rested = self.clone();
             rested.braking = None;
             rested.rest(also);

@@ -1,4 +1,4 @@
-//! Homing: each cycle seeks its switches, pulls off, locates them again and pulls off.
+//! Homing: each cycle seeks its switches, pulls off, approaches them again slowly (locate) and pulls off.
 
 use super::super::action::{Pin, TRAVEL};
 use super::{Mode, Model, Span, Work};
@@ -36,7 +36,7 @@ pub(super) struct Homing {
     /// 0: Z; 1: X and Y.
     cycle: usize,
     phase: Phase,
-    /// Whether the motion of the phase has ended and the switches settle.
+    /// Whether the motion of the phase has ended and the controller waits for the switches to settle.
     settles: bool,
     touched: [bool; 3],
     /// Time at which the phase's motion ends if no switch ends it, or at which the switches have settled.
@@ -81,7 +81,7 @@ impl Model {
             homing.settles = true;
             homing.time = now.plus(Span::length(DEBOUNCE, 0.0));
         } else if is_new {
-            // Oxmill: from here the other axis has the whole distance again.
+            // Oxmill: when one axis has found its switch, the other axis may move the whole distance again.
             homing.time = now.plus(homing.phase.length());
         }
     }

@@ -4,11 +4,11 @@ use super::super::action::{self, Line, Pin, TRAVEL};
 use super::{MANY, Mode, Model, Motion, Places, SLACK, Span, Work};
 
 impl Model {
-    /// Reads the received lines, as long as nothing makes them wait.
+    /// Reads the received lines up to the first one that has to wait.
     pub(super) fn read(&mut self, also: &mut Vec<Model>) {
         while self.reads() && !self.waiting.is_empty() {
             if self.next_silence().is_some_and(|span| span.from <= self.now.to) {
-                // The host timeout can be noticed before this line is read.
+                // The controller can notice the host timeout before it reads this line.
                 let mut silent = self.clone();
                 silent.host_is_silent(also);
                 silent.read(also);
@@ -106,7 +106,7 @@ impl Model {
             Line::TooLong => self.refuse(25),
             Line::Move(axis, to, feed) => self.travel(axis, f64::from(to), feed, also),
             Line::Outside => self.travel(0, action::OUTSIDE, true, also),
-            // Oxmill. In Grbl M6 is unknown, and T has no effect.
+            // Oxmill: M6 loads a tool. In Grbl's dialect M6 is unknown, and T has no effect.
             Line::Tool(..) | Line::Change if self.setup.grbl => self.refuse(20),
             Line::Select(tool) => {
                 self.selected = tool;
@@ -179,7 +179,8 @@ impl Model {
         }
     }
 
-    /// Answers `$G`. In check mode the words of spindle and coolant are not checked, but the tool is.
+    /// Answers `$G`. In check mode the model does not predict the words of spindle and coolant, but it does predict the
+    /// tool.
     pub(super) fn tell_modal_state(&mut self) {
         let words = format!("M{} M{} ", if self.spindle { 3 } else { 5 }, if self.flood { 8 } else { 9 });
         let words = if self.mode == Mode::Check { "*" } else { &words };
@@ -252,8 +253,8 @@ impl Model {
         self.checked.or(self.motion.as_ref().map(|motion| motion.target)).unwrap_or(self.place)
     }
 
-    /// Returns whether soft limits forbid a target. If that depends on how far a motion got, `also` gets a model in
-    /// which they forbid it.
+    /// Returns whether soft limits forbid a target. If this depends on how far an interrupted motion got, returns
+    /// `false`, and `also` gets the model in which they forbid it.
     pub(super) fn is_forbidden(&self, target: Places, also: &mut Vec<Model>, refuse: impl Fn(&mut Model)) -> bool {
         let outside = |mm: f64| !(-TRAVEL - 1e-6..=1e-6).contains(&mm);
         if !self.setup.soft_limits {

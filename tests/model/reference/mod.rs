@@ -4,7 +4,7 @@
 //! such a difference is marked "Oxmill:". It models no steps: a motion is a period at whose end the machine is at a
 //! position. Times are known to within a [`Span`], derived from rate and acceleration. If the outcome depends on
 //! whether something happens before an instant within its span, the model splits in two, one for each outcome; what the
-//! machine does next shows which one holds. Apart from that the model leaves only this open:
+//! machine does next shows which one holds. Apart from these spans, the model leaves only this open:
 //! * how far an interrupted motion got: the position is taken from the report;
 //! * whether a motion without any step so far counts as one at a reset, an emergency or a hold;
 //! * the order of a host timeout and a waiting line that are due at the same time;
@@ -23,12 +23,13 @@ use std::collections::VecDeque;
 
 /// Pattern for any number of lines of a listing.
 pub const MANY: &str = "[listing]";
-/// Tolerance of all times, s: segments queued for the step task, and the end of a segment.
+/// Tolerance of all times, s: a motion continues for the segments that are already queued for the step task, and to the
+/// end of a segment.
 const SLACK: f64 = 0.035;
 /// Delays after a door, s: from spindle on to coolant on, and from coolant on to motion.
 const RESTORE: [f64; 2] = [4.0, 1.0];
 
-/// A period in which something happens, s; also a duration that is not known exactly.
+/// The earliest and the latest time of an event, s; also the minimum and maximum of a duration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
     pub from: f64,
@@ -44,7 +45,7 @@ impl Span {
         Span { from: self.from + length.from, to: self.to + length.to }
     }
 
-    /// Returns a duration that is up to 5 ms shorter, or up to `more` and [`SLACK`] longer, than `seconds`.
+    /// Returns the span of a duration that can be 5 ms shorter than `seconds`, or longer by `more` and [`SLACK`].
     fn length(seconds: f64, more: f64) -> Span {
         Span { from: (seconds - 0.005).max(0.0), to: seconds + more + SLACK }
     }
@@ -85,7 +86,7 @@ enum Work {
     Forbidden,
     /// `$H`.
     Homing,
-    /// An alarm has ended the activity, so the line is answered at the reset.
+    /// No activity any more: an alarm has ended it, and the line is answered at the reset.
     Owed,
 }
 
@@ -95,8 +96,8 @@ enum Mode {
     Free,
     Jog,
     Hold,
-    /// Oxmill: brakes for a fault; the alarm follows at rest. `later`: another limit switch closed meanwhile, and its
-    /// name follows the alarm.
+    /// Oxmill: brakes for a fault; the alarm follows when the machine is at rest. `later`: another limit switch closed
+    /// while it braked, and is reported after the alarm.
     Fault {
         alarm: u8,
         later: bool,
@@ -128,12 +129,12 @@ pub struct Model {
     heard: Span,
     /// Time since when the spindle has been below its speed.
     slow: Option<Span>,
-    /// Override of the running spindle at the last check, and the time by which the spindle must have reached that
-    /// speed. Checked only in states that carry out lines.
+    /// Override (percent) of the running spindle at the last check, and the time by which the spindle must have reached
+    /// the speed with that override. Checked only in states that carry out lines.
     given: Option<(u32, Span)>,
     /// Oxmill: whether the outputs stay on in the door state in which a job waits for its host.
     keeps_outputs: bool,
-    /// Whether motion and lines that are still pending in a door state will be dropped.
+    /// Whether a door state will drop the motion and the lines that are still pending.
     forgets: bool,
     work: Option<Work>,
     /// Lines that have not been read.
@@ -261,7 +262,8 @@ impl Model {
         (!self.moves()).then_some(self.place)
     }
 
-    /// Takes over from the machine where it came to rest and whether a step occurred, which the model cannot predict.
+    /// Takes two facts that the model cannot predict from the machine: the position at which it came to rest, and
+    /// whether a step occurred.
     pub fn adopt(&mut self, place: [f64; 3], stepped: bool) {
         if let Some(motion) = &mut self.motion {
             motion.stepped |= stepped && !motion.held;
@@ -275,7 +277,8 @@ impl Model {
         self.spindle && !self.spindle_stopped && !self.outputs_off
     }
 
-    /// Returns whether the spindle spins up after a door, with the coolant still off.
+    /// Returns whether the machine is in the first delay after a door: the spindle spins up, and the coolant is still
+    /// off.
     fn restores_spindle(&self) -> bool {
         let Mode::Door { restoring: Some(end) } = self.mode else { return false };
         self.spindle && end.from - self.now.to > RESTORE[1]
@@ -400,8 +403,8 @@ impl Model {
         }
     }
 
-    /// Returns the end of what is in progress and ends without an event from outside. There is never more than one such
-    /// activity.
+    /// Returns the end time of the activity that ends by itself, without an event from outside. There is never more
+    /// than one such activity.
     fn timer(&mut self) -> Option<&mut Span> {
         if let Some(span) = &mut self.braking {
             return Some(span);
@@ -419,7 +422,8 @@ impl Model {
         self.timer().map(|span| *span)
     }
 
-    /// Oxmill: returns the host timeout that applies, s: during a job and during a jog.
+    /// Oxmill: returns the host timeout that applies at present, s: that of a job or that of a jog; `None` in other
+    /// states.
     fn watched(&self) -> Option<f64> {
         match self.mode {
             Mode::Free if self.setup.watch && self.is_at_work() => Some(action::JOB_SILENCE),
@@ -428,7 +432,7 @@ impl Model {
         }
     }
 
-    /// Oxmill: gives the spindle time to reach its speed after it was turned on or its override changed.
+    /// Oxmill: allows the spindle time to reach its speed after it was turned on or its override changed.
     fn look_at_spindle(&mut self) {
         if !self.turns() {
             self.given = None;
@@ -442,7 +446,7 @@ impl Model {
         self.motion.is_some() || self.work.is_some()
     }
 
-    /// Oxmill: returns when the spindle will have been below its speed for too long during a job.
+    /// Oxmill: returns the time at which a slow spindle becomes a fault of the job.
     fn next_slowness(&self) -> Option<Span> {
         let needs_speed = self.mode == Mode::Free && self.is_at_work() && self.turns() && self.setup.at_speed;
         let slow = self.slow.filter(|_| needs_speed)?;

@@ -32,7 +32,7 @@ impl Model {
         }
     }
 
-    /// Call when a motion that was stopped has come to rest.
+    /// Called when a motion that was stopped has come to rest.
     pub(super) fn rest(&mut self, also: &mut Vec<Model>) {
         self.spindle_stopped |= std::mem::take(&mut self.stops_at_rest);
         if let Mode::Fault { alarm, later } = self.mode {
@@ -151,7 +151,7 @@ impl Model {
         }
     }
 
-    /// Oxmill: sends the state that no report shows.
+    /// Oxmill: sends messages to the new host about state that no report shows.
     fn tell_inherited(&mut self) {
         if self.single_block {
             self.say("[MSG:Single block on]");
@@ -276,7 +276,7 @@ impl Model {
     }
 
     /// Oxmill: an event that ends a jog also ends all jogs that have been received and not started, including those
-    /// behind a hold that still brakes. They are answered as if they had been carried out.
+    /// that wait while the machine brakes for a hold. They are answered as if they had been carried out.
     pub(super) fn end_jogs(&mut self, keeps_later_jogs: bool) {
         self.cancelled = self.waiting.len();
         self.keeps_later_jogs = keeps_later_jogs;
@@ -337,7 +337,7 @@ impl Model {
                 self.go_on(also);
             }
             Mode::Door { restoring: None } if self.braking.is_none() && !self.on(Pin::Door) => {
-                // Oxmill: the delays also apply where a fault has left the outputs on.
+                // Oxmill: the delays after a door also apply if a fault has left the outputs on.
                 let seconds =
                     RESTORE[0] * f64::from(u8::from(self.spindle)) + RESTORE[1] * f64::from(u8::from(self.flood));
                 self.outputs_off = false;

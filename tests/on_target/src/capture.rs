@@ -17,7 +17,7 @@
 use core::sync::atomic::{AtomicU16, Ordering, fence};
 use oxmill_boards::pac;
 
-/// Maximum number of edges recorded for a line; later ones are lost.
+/// Maximum number of edges recorded for a line (an input pin with its wire); later edges are lost.
 pub const DEPTH: usize = 2048;
 /// The lines' pins: their numbers on port B.
 const PINS: [u32; 3] = [6, 7, 8];
@@ -65,7 +65,7 @@ impl Capture {
     pub fn new(timer: pac::TIM4, dma: pac::DMA1, port: &pac::GPIOB, rcc: &pac::RCC) -> Capture {
         rcc.apb1enr().modify(|_, w| w.tim4en().set_bit());
         rcc.ahb1enr().modify(|_, w| w.dma1en().set_bit());
-        // An enabled clock takes two bus cycles to arrive; reading back waits for them.
+        // An enabled clock starts after two bus cycles; reading the register back waits for them.
         let _ = rcc.ahb1enr().read();
         for pin in PINS {
             let two = 2 * pin;

@@ -21,7 +21,7 @@ const STEP_CLOCK_HZ: u32 = 25_000_000;
 pub struct Rig {
     controller: Controller<AXES>,
     stepper: Stepper<AXES>,
-    /// Step-clock ticks for which the stepper was busy. This is the simulated time.
+    /// Step-clock ticks during which the step generator was busy. This is the simulated time.
     busy: u64,
     moving: bool,
     directions: u8,

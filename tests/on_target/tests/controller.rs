@@ -44,9 +44,9 @@ mod suite {
         defmt::assert_eq!(Coordinate::from_inches(Decimal(10_000_000)).0, 254_000_000);
     }
 
-    /// Each axis must stay within half a step of its place on the straight line. For a line to (dx, dy) it follows that
-    /// at each position (x, y) |x dy - y dx| <= (|dx| + |dy|) / 2. The test checks max(|dx|, |dy|), which is at least
-    /// as much, in exact integers.
+    /// Each axis must stay within half a step of its position on the straight line. For a line to (dx, dy) it follows
+    /// that |x dy - y dx| <= (|dx| + |dy|) / 2 at each position (x, y). The test uses the bound max(|dx|, |dy|), which
+    /// is at least as large and a whole number.
     #[test]
     fn a_line_stays_within_half_a_step_of_itself() {
         for (program, dx, dy) in [

@@ -48,14 +48,15 @@ const STEP_Y: usize = 2;
 
 const TICKS_PER_US: i32 = (boards::PROFILE.step_clock_hz / 1_000_000) as i32;
 
-/// Maximum by which a pulse can exceed `$0`. A pulse can also be up to [`EDGE_NS`] shorter than `$0`. The reason is
-/// that DMA outputs both edges and may have to wait for other transfers.
+/// Maximum by which a pulse can exceed `$0`. A pulse can also be up to [`EDGE_NS`] shorter than `$0`. Both happen
+/// because DMA outputs the two edges and may have to wait for other transfers.
 const LATEST_PULSE_END_US: i32 = 1;
 /// Maximum delay of an edge, because its transfer may have to wait for other transfers, such as those of the recorder.
 const EDGE_NS: i32 = 250;
 /// Maximum error of a period, because its edges can be delayed.
 const PERIOD_ERROR_US: i32 = 1;
-/// Maximum error of the time of a train's last pulse but one. It is small, because errors must not accumulate.
+/// Maximum error of the time of the last pulse but one of a train (a series of evenly spaced pulses). It is small,
+/// because errors must not accumulate.
 const DRIFT_US: i32 = 1;
 /// Maximum time between the pulses of one tick, because ports are written one after the other.
 const SKEW_NS: i32 = 500;
@@ -83,7 +84,8 @@ fn TIM5() {
     unsafe { cortex_m::register::basepri::write(before) };
 }
 
-/// A straight piece of a move: axes that step (bit 0 for X), axes that move backwards, number of steps of each of them.
+/// A straight piece of a move: axes that step (bit 0 for X), axes that move backwards, and the number of steps of each
+/// stepping axis.
 struct Piece {
     axes: u8,
     backwards: u8,
@@ -289,7 +291,8 @@ fn periods(edges: &Edges, interval: u32) -> (Seen, i32) {
     let (mut errors, mut sum) = (Seen::NOTHING, 0);
     let pulses = edges.count() as u32 / 2;
     for pulse in 1..pulses {
-        // A period of pulses can be longer than the period of the recorder's timer, but its error is much shorter.
+        // A period of the pulses can be longer than that of the recorder's 16-bit timer. The subtraction is still right
+        // modulo 2^16, because the error is small.
         let period = rise(edges, pulse).wrapping_sub(rise(edges, pulse - 1));
         let error = i32::from(period.wrapping_sub(whole as u16) as i16);
         errors.see(error);
@@ -466,7 +469,8 @@ mod suite {
     #[test]
     fn directions_change_between_pulses(bench: &mut Bench) {
         zigzag(bench, 5_000, 10, 10);
-        // Here the set-up time is longer than the pause between two pulses, so the pulse after a turn has to wait.
+        // Here the direction set-up time is longer than the pause between two pulses, so the pulse after a change of
+        // direction has to wait.
         zigzag(bench, 20_000, 10, 50);
         zigzag(bench, 50_000, 10, 10);
         zigzag(bench, 50_000, 10, 0);

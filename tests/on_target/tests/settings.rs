@@ -61,7 +61,7 @@ mod suite {
         defmt::assert!(matches!(flash.read(Sector::B, last), Ok(u32::MAX)));
         defmt::assert!(flash.erase(Sector::B).is_ok());
         defmt::assert!(matches!(flash.read(Sector::A, last), Ok(0x1234_5678)), "the sectors are apart");
-        // The word was read before the erase, so this also detects a stale word from a cache.
+        // The word was also read before the erase, so this read detects a stale word in a cache.
         defmt::assert!(flash.erase(Sector::A).is_ok());
         defmt::assert!(matches!(flash.read(Sector::A, last), Ok(u32::MAX)));
     }

@@ -10,13 +10,13 @@ from .failures import tell
 from .stops import StopWatch
 
 BEHIND_CYCLES = 400
-"""Maximum number of cycles from the last edge until the laser is off. It is not 0, because an imminent change of power
-is awaited first."""
+"""Maximum number of cycles from the end of the step output at a stop until the laser is off. It is not 0, because the
+firmware first waits for a change of power that is about to happen."""
 
 
 def laser_start(bench):
-    """Moves start with so much acceleration that many segments, each with its own power (M4), begin before the first
-    step."""
+    """Moves start with such a high acceleration that many segments, each with its own power (M4), begin before the
+    first step."""
     bench.boot()
     fast(bench, 10_000)
     bench.settings(s100=1280, s110=9000, s30=1000, s31=0, s32=1)
@@ -63,8 +63,8 @@ class BeamWatch:
 
 def raster(bench):
     """A laser draws rows of 20 pixels/mm at 12 m/min, each pixel with a different power. The power must change at the
-    edge of the step that begins the pixel, also while interrupts are masked at random times, and must be off after a
-    stop at any time."""
+    edge of the step that begins the pixel, even if interrupts are masked at random times. After a stop at any time, the
+    laser must be off."""
     bench.boot()
     fast(bench, 10_000)
     bench.settings(s100=80, s110=12_000, s30=1000, s31=0, s32=1)
@@ -81,7 +81,7 @@ def raster_rows(bench, mode, rows, masked_s):
     board, hz, random = bench.board, bench.wiring.core_hz, Random(12)
     scope, beam, pixels, masks = Scope(board), BeamWatch(board), 70, 0
     begins = []
-    """For each pixel, the step with which it begins, and its power as a share of full power."""
+    """For each pixel, the index of the step with which it begins, and its power as a share of full power."""
     for row in range(rows):
         shares = [0]
         while len(shares) <= pixels:
@@ -120,8 +120,8 @@ def raster_rows(bench, mode, rows, masked_s):
 
 
 def raster_starts(bench):
-    """Interrupts are masked when a motion is about to begin, until before or after the time of its first step. The
-    motion may be delayed, but each step must have the same power as without the mask."""
+    """Interrupts are masked when a motion is about to begin; the mask ends shortly before or after the planned time of
+    its first step. The motion may be delayed, but each step must have the same power as without the mask."""
     bench.settings(s110=6_000)
     bench.settings(s100=1280)
     board, hz = bench.board, bench.wiring.core_hz
@@ -206,9 +206,9 @@ def raster_stops(bench):
         moment = board.now + away()
         if what == "0x18":
             # The board has read a byte 9.5 bits after the byte's start; with DMA, it notices the byte at the next
-            # sample of the inputs. From then on it takes at least `takes` cycles until the laser is off. That is the
-            # shortest time so far; the first three stops only measure it. If the step task is running, the stop is
-            # delayed by up to one run.
+            # sample of the inputs. From there to the laser's end it takes at least `takes` cycles: the minimum of all
+            # stops so far. The first three stops only measure it. If the step task is running, the stop is delayed by
+            # up to one run.
             lead = 40 * US * hz if k < 3 else takes + 240 - 30 * k if k < 15 else takes + random.uniform(-300, 3000)
             seen = heard = round(moment - lead)
             if bench.wiring.uart_irq is None:
@@ -247,8 +247,8 @@ def raster_stops(bench):
 
 
 def raster_stops_at_full_rate(bench):
-    """Sends 0x18 at the board's maximum step rate so that it is executed just before a change of power: the event
-    counters must agree, as at any other stop."""
+    """Sends 0x18 at the board's maximum step rate, timed so that the stop comes just before a change of power: the
+    firmware's event counters must agree, as at any other stop."""
     board, hz, random, beam = bench.board, bench.wiring.core_hz, Random(103), BeamWatch(bench.board)
     bench.ask("$X")
     # Set the pulse first, because with a longer pulse the rate would be rejected.
@@ -284,7 +284,7 @@ def raster_stops_at_full_rate(bench):
         bench.wait(lambda goal=goal: len(beam.changes) >= goal, 0.1, "a change of power")
         after = len(bench.host.text)
         # The time from a byte to its stop varies, because a byte that DMA has received is found only at the next sample
-        # of the inputs. So various leads are tried.
+        # of the inputs. So the test varies the lead, the time by which the byte precedes the change of power.
         lead_s = random.uniform(5, 110) * US
         # A pixel lasts 500 us.
         heard = bench.host.send(b"\x18", at=beam.changes[-1][0] + (500 * US - 9.5 / 115_200 - lead_s) * hz)
@@ -308,8 +308,8 @@ def raster_stops_at_full_rate(bench):
 
 
 def brown_out_of_a_beam(bench):
-    """The supply falls during a raster, and the next change of power comes while the outputs are being made safe:
-    neither power nor a pulse may follow."""
+    """The supply falls during a raster, and the next change of power falls into the time in which the firmware makes
+    the outputs safe: after that there may be neither power nor a pulse."""
     bench.boot()
     board, hz = bench.board, bench.wiring.core_hz
     fast(bench, 10_000)

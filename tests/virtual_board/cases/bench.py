@@ -14,7 +14,7 @@ from ..usb import UsbHost
 US = 1e-6
 
 JITTER_S = 0.1 * US
-"""Maximum error of a period. Edges may wait for other transfers of DMA, but never for the program."""
+"""Maximum error of a step period. An edge may have to wait for another DMA transfer, but never for the program."""
 
 SAMPLE_S, FILTER_SAMPLES = 50 * US, 8
 
@@ -26,8 +26,8 @@ BYTE_STOP_S = 75 * US
 input samples, which read received bytes, and a run of the step task."""
 
 BEAM_STOP_S = {"blackpill_f401": 130 * US}
-"""Maximum time from the last bit of a byte that stops the machine until the laser is off, if the board's image is built
-for size: such a board takes longer than `BYTE_STOP_S` (docs/limits.md)."""
+"""Maximum time from the last bit of a byte that stops the machine until the laser is off, for boards whose image is
+built for size: these take longer than `BYTE_STOP_S` (docs/limits.md)."""
 
 RUN_CYCLES = 4450
 """Longest run of the step task (`run_cycles` in profiles.rs)."""
@@ -43,7 +43,8 @@ STACK_LEFT = 4096
 """Bytes of the stack that must stay unused in all cases."""
 
 LATEST_PULSE_END_S = 0.15 * US
-"""Maximum by which a pulse may exceed `$0`, because DMA outputs its end and may have to wait for other transfers."""
+"""Maximum by which a pulse may be longer than `$0`: DMA outputs its falling edge, and may first have to finish other
+transfers."""
 
 
 class Bench:
@@ -71,15 +72,15 @@ class Bench:
         nvic.plan(nvic.zero_at)
 
     def note_stack(self):
-        """Records the deepest stack, except of a board that was made to fail."""
+        """Records the maximum stack use, except on a board that was made to fail."""
         if self.board is not None and not self.board.faults_expected:
             used, size = self.board.stack_used()
             self.deepest = max(self.deepest, (used, size, self.case))
 
     def boot(self):
         self.fresh()
-        # The limit is long: with DMA the greeting is sent while flash is erased, but the interrupt at the greeting's
-        # end comes only after the erase.
+        # The limit is long: with DMA the greeting is sent while flash is erased, but the interrupt that ends the
+        # transfer is served only after the erase.
         self.wait_text("Grbl 1.1h ['$' for help]\r\n", 1.1)
         self.forget_masks()
 
@@ -204,14 +205,14 @@ def fast(bench, acceleration, pulse_us=2):
 
 
 def hard(bench, acceleration):
-    """Scales an acceleration (mm/s^2), so that a board with a safe rate above 490 kHz reaches its safe rate in the same
-    time as the others."""
+    """Raises an acceleration (mm/s^2) for a board with a safe rate above 490 kHz, so that it reaches that rate in the
+    same time as the others."""
     return round(acceleration * max(1, bench.wiring.safe_step_hz / 490_000))
 
 
 def step_load(board, begin, end):
-    """Returns the share of processor time that the step task takes between two cycles, and its longest run that begins
-    there, in cycles."""
+    """Returns the share of processor time that the step task takes from cycle `begin` to `end`, and its longest run
+    that begins in between, in cycles."""
     runs = [(entry, left) for entry, left in board.step_runs if begin <= entry < end]
     return sum(left - entry for entry, left in runs) / (end - begin), max(left - entry for entry, left in runs)
 
@@ -228,8 +229,8 @@ def step_clock(board):
 
 
 def joins_for(board):
-    """Returns the number of cycles left until the next event must be committed, so that the output continues without a
-    stop. This deadline is the time of the last queued event but one."""
+    """Returns the number of cycles from now to the deadline for the next step event: if it is queued later, the output
+    stops. The deadline is the time of the last queued event but one."""
     clock = step_clock(board)
     name, stream, _ = next(place for place, who in REQUESTS.items() if who == f"{clock.name}_CH1")
     registers = 0x10 + 0x18 * stream
@@ -237,7 +238,7 @@ def joins_for(board):
     ring = dma.values[registers + M0AR]
     places = dma.whole[stream]
     moments = [board.word(ring + 4 * place) for place in range(places)]
-    # The stream is one event time ahead of the output. The slot after the last event holds a past time.
+    # The DMA stream of event times is one event ahead of the output. The slot after the last event holds a past time.
     at = (places - dma.values[registers + NDTR] - 1) % places
     while (moments[(at + 1) % places] - moments[at] & 0xFFFF_FFFF) < 1 << 31:
         at = (at + 1) % places
@@ -312,4 +313,4 @@ def with_usb(bench):
 
 
 class LeftOut(Exception):
-    """The board lacks the tested feature according to its entry in parts.py: neither a failure nor a pass."""
+    """The board's entry in parts.py says that the image lacks the tested feature: neither a failure nor a pass."""

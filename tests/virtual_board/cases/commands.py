@@ -10,8 +10,8 @@ from .bench import JOB_SETTINGS, fast, moving, simulated, us
 from .patching import hang, unpatch
 
 ANSWER_S = 20e-3
-"""Maximum time from a `?` after a burst of overrides, which makes the controller replan a full queue, to the first byte
-of its report."""
+"""Maximum time from a `?` to the first byte of its report, if the `?` follows a burst of overrides, which makes the
+controller replan a full queue."""
 
 
 def flood(bench):

@@ -51,8 +51,8 @@ def lost_clock(bench):
 
 
 def low_at_power_up(bench):
-    """A slowly rising supply: it must not count as a failure, and neither the full clock nor a task may start before
-    the supply is good."""
+    """The supply rises slowly: this must not be reported as a failure, and neither the full clock nor a task may start
+    before the voltage is high enough."""
     for low_s in (0.12, 1.2):
         board = bench.fresh()
         board.set_supply(1.8)
@@ -241,7 +241,8 @@ def brown_out(bench):
 
 
 def tell(bench, *words):
-    """Checks that after the reset the greeting is followed by the cause, and that nothing is on."""
+    """Checks that after the reset the board reports a cause with one of these words after its greeting, and that no
+    output is on."""
     board = bench.board
     bench.wait_text("Grbl 1.1h", 2, bench.host.text.rfind(b"Grbl 1.1h") + 1)
     board.run(seconds=0.05)

@@ -38,8 +38,8 @@ def trips(bench):
 
 
 def emergency_stop(bench):
-    """Emergency stop in full motion: everything off except the drivers, latched, reported with position and line;
-    afterwards the position must not be trusted."""
+    """Emergency stop in full motion: everything must go off except the drivers. The stop must be latched and reported
+    with position and line, and `$X` must then report that the position may be lost."""
     bench.boot()
     board, wiring, host = bench.board, bench.wiring, bench.host
     bench.settings(s912=1)
@@ -88,7 +88,8 @@ def noise(bench):
         board.drive(wiring.limits[0], 0)
         board.run(seconds=length)
         board.drive(wiring.limits[0], None)
-        # A run of the step task can delay a sample, so a shorter pause might be missed.
+        # A run of the step task can delay a sample of the inputs. If the pause between two glitches were shorter, no
+        # sample might see it.
         board.run(seconds=(110 + 37 * k % 60) * US)
     bench.wait_state("Idle", 3)
     shown = {line[5:].split(",")[0]: line[:-1].split(",")[1:] for line in bench.ask("$PINS") if line.startswith("[PIN:")}

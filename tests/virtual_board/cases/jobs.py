@@ -85,8 +85,8 @@ def streamed(bench, job):
 
 def waiting_line(bench):
     """A line arrives one byte at a time during a hold, so its last bytes wait in the serial task. After the hold the
-    control task takes the first bytes. Then it must call the serial task for the others, because nothing else calls it:
-    no answer is being sent, and no byte arrives."""
+    control task takes the first bytes. The control task must then call the serial task, so that it passes on the other
+    bytes. Nothing else calls it: no answer is being sent, and no byte arrives."""
     bench.boot()
     board, host = bench.board, bench.host
     for line in ("G1X.01F600", "G1X.125F600"):

@@ -32,8 +32,8 @@ LONGEST_RUN = (RUN_CYCLES, 5200)
 
 def pulses(bench):
     """Pulse width, direction set-up and period at 1, 10, 50 and 100 kHz (or the safe rate), all three axes together;
-    also with the longest pulse, 255 us. At its rate there are ticks without a step, so this pulse lasts longer than the
-    time between two ticks."""
+    also with the longest pulse, 255 us. At this test's rate there are ticks (events of the step timer) without a step,
+    so the pulse lasts longer than the time between two ticks."""
     yield from at_rates(bench, (1_000, 60, 10), (10_000, 400, 10), (50_000, 2500, 10), (100_000, 5000, 2), (3_000, 180, 255))
 
 
@@ -120,7 +120,7 @@ def at_rates(bench, *rates, acceleration=3_000, ways=(1, 1, 1), meanwhile=None, 
             board.run(seconds=0.1)
         bench.wait_state("Idle", 5)
         events, widths, setups, holds = scope.read()
-        # Keep only events with a step of the fastest axis; at low rates, other axes also step between these events.
+        # Keep only events with a step of X, the fastest axis; at low rates, other axes also step between these events.
         events = [event for event in events if event.axes & 1]
         if scope.counts() != [0, 0, 0] or len(events) != 2 * steps:
             raise Failure(f"{rate} steps/s: {len(events)} steps, ends at {scope.counts()}")
@@ -176,9 +176,9 @@ def hard_start(bench):
 
 
 def turns(bench):
-    """Directions change at speed: a zigzag whose corners are passed without stopping, also with long set-up times that
-    delay ticks. Later ticks must be delayed by the same amount, so that no step follows the previous one sooner than
-    planned."""
+    """Directions change at speed: a zigzag whose corners are passed without stopping, also with direction set-up times
+    so long that they delay ticks (step events). All later ticks must be delayed by the same amount, so that no step
+    follows the previous one sooner than planned."""
     for pulse_us, setup_us in ((2, 10), (1, 60), (1, 200), (4, 60)):
         bench.boot()
         fast(bench, 10_000, pulse_us)
@@ -209,7 +209,7 @@ def turns(bench):
 def turns_at_full_rate(bench):
     """Directions change at the maximum rate, with interrupts masked for 20 us at random times. A run of the step task
     that begins a segment and changes a direction generates few events. Even after such a run, enough events must be
-    ahead for the next run to be late by the length of one mask."""
+    queued that the next run may be late by the length of one mask."""
     bench.boot()
     board, hz, random = bench.board, bench.wiring.core_hz, Random(25)
     rate = at_full_rate(bench)
@@ -219,7 +219,7 @@ def turns_at_full_rate(bench):
 
     def call(offset, value):
         write(offset, value)
-        # Writing CCR2 is the end of a run that has generated events.
+        # A run of the step task that has generated events ends by writing CCR2.
         if offset == timer.CCR2 and is_at_speed:
             rests.append(joins_for(board))
 
@@ -253,8 +253,8 @@ def turns_at_full_rate(bench):
 
 
 def called_at_turns(bench):
-    """Calls the step task right before ticks, as other tasks may do, in a zigzag that turns at every corner: no
-    direction may change within a pulse."""
+    """Calls the step task right before ticks (step events), as other tasks may do, in a zigzag that turns at every
+    corner: no direction may change within a pulse."""
     for pulse_us, lead_us in ((10, 1.0), (10, 2.5), (10, 3.75), (2, 1.0), (2, 2.5)):
         bench.boot()
         fast(bench, 10_000)
@@ -300,8 +300,8 @@ def at_full_rate(bench, acceleration=10_000):
 
 def masked_long(bench):
     """Interrupts are masked for longer than the queued events last: slow moves must continue later, with no step lost
-    and no step too soon. At rates at which motors could not follow such a pause, the machine must stop and report
-    it."""
+    and no step too soon. At rates at which a motor could not continue at speed after the pause, the machine must stop
+    and report it."""
     bench.boot()
     board, hz = bench.board, bench.wiring.core_hz
     fast(bench, 10_000)
@@ -344,13 +344,13 @@ def masked_long(bench):
 
 
 def late_segments(bench):
-    """The control task hangs until the step task has nothing left but the queued events. A segment that arrives at that
-    time must be received at once, and not only when the last of these events are output. So interrupts that are masked
-    after its arrival must not delay a step."""
+    """The control task hangs until the step task has used up all segments and only events are queued. A segment that
+    arrives now must be received at once, and not only when the last of these events are output. So interrupts that are
+    masked after its arrival must not delay a step."""
 
     def late(released_s=None):
         """Without `released_s`, returns the time of the last step, in cycles. With it, lets the control task continue
-        that long before this step, and returns the longest time between two steps, in s."""
+        `released_s` before the time of that step, and returns the longest time between two steps, in s."""
         bench.boot()
         board, hz = bench.board, bench.wiring.core_hz
         fast(bench, 10_000)
@@ -421,8 +421,8 @@ def late_starts(bench):
     if max(harmless) > US:
         raise Failure(f"masked for 100 us up to 480 us before, a start is put off by {us(max(harmless))}")
     # The masks begin before the step task is called, or while it generates the first events. They end just before or
-    # just after the planned time of the first event, or just after the first step without a mask. The first event comes
-    # at one of these times, or in between.
+    # just after the planned time of the first event, or just after the time at which the first step comes without a
+    # mask.
     delays = {}
     for before in range(200, 500, 6):
         for end in (-60 * US, -2 * US, 5 * US, max(usual) + 5 * US):
@@ -445,8 +445,8 @@ def late_starts(bench):
 
 
 def miscounts(bench):
-    """TIM1 misses a trigger, DMA serves a request too many, or a stream reports an error, at a slow and at the maximum
-    rate: the motion must end soon, with ALARM:103."""
+    """TIM1 misses a trigger, DMA serves one request too many, or a DMA stream reports an error, each at a slow rate and
+    at the maximum rate: the motion must end soon, with ALARM:103."""
 
     def miss(tim1):
         trigger = tim1.trigger

@@ -16,8 +16,8 @@ CALL_CYCLES = 140
 """Maximum cycles from the call of an idle step task until no event can begin: less than 2 us on all boards."""
 
 SERIAL_S = 100e-6
-"""Maximum time from the last bit of a command that stops the machine to the run of the serial task: the longest runs of
-the tasks above it."""
+"""Maximum time from the last bit of a command that stops the machine to the run of the serial task, which waits for the
+longest runs of the tasks with higher priority."""
 
 
 def hold(bench):
@@ -39,7 +39,8 @@ def hold(bench):
     steps = [step.at for step in scope.steps()]
     later = [at for at in steps if at > heard]
     intervals = [(b - a) / hz for a, b in pairwise(later)]
-    # Single intervals have jitter, so the ramp is taken to begin where twenty intervals are longer by 1 % on average.
+    # Single intervals have jitter. So the ramp begins, for this test, where twenty intervals are longer by 1 % on
+    # average.
     begin = next((k for k in range(len(intervals) - 20) if sum(intervals[k : k + 20]) > 20.2 / speed), None)
     if begin is None:
         raise Failure("there is no ramp")
@@ -108,7 +109,8 @@ def stops(bench):
 
 class StopWatch:
     """Records for each stop the cycles from the call of the step task until no event can begin, and the slot of the
-    ring. `halts` counts the ends of output, by a stop or because the ring ran dry."""
+    event ring (the DMA buffer of step events) at that moment. `halts` counts how often the output ended, by a stop or
+    because the ring ran dry."""
 
     def __init__(self, board):
         self.board, self.called, self.stopped, self.halts, self.halted_at = board, None, [], 0, None
@@ -119,8 +121,8 @@ class StopWatch:
             if offset == EGR and value & 16:
                 self.called = board.now
             elif offset == timer.CCR2:
-                # A run has ended, so forget its call. A later run can notice a stop before it is called for that stop,
-                # and must not be timed from the old call.
+                # A run of the step task has ended, so forget the call that started it. A later run can notice a stop
+                # before it is called for that stop, and must not be timed from the old call.
                 self.called = None
             to_tim5(offset, value)
 
@@ -145,7 +147,7 @@ def ring_stops(bench):
     worst, place, watch, most = 0, 0, StopWatch(board), int(os.environ.get("OXMILL_RANDOM_STOPS", "48"))
     for k in range(most):
         bench.ask("$X")
-        # Limits the memory of long runs.
+        # Limits the memory that long runs need.
         board.edges.clear()
         scope, watch.halts = Scope(board), 0
         sign = "-" if k % 2 else ""
@@ -173,7 +175,7 @@ def ring_stops(bench):
         f"{most} stops, half of them at {bench.wiring.safe_step_hz} steps/s, at {places} of 128 places of the ring: counts exact; at most {us(slowest)} "
         f"from the call, pulses end at most {us(max(worst, 0))} after the byte"
     )
-    # Expected number of different slots: 22 for 24 random stops, 40 for 48.
+    # Number of different slots that random stops hit on average: 22 for 24 stops, 40 for 48.
     if places < min(30, most // 2):
         raise Failure("too few places: this proves little")
     if cycles > CALL_CYCLES:

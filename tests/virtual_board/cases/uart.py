@@ -15,7 +15,7 @@ UART_LINES_S = {"blackpill_f411": 700, "blackpill_f401": 700, "nucleo_f446re": 5
 """Short lines per second that a board accepts over the UART at its maximum rate while it moves."""
 
 LONGEST_GAP_S = 125 * US
-"""Maximum time between two samples of the inputs: a run of the step task may delay a sample."""
+"""Maximum time between two samples of the inputs, including the delay by a run of the step task."""
 
 
 def restart_at(bench, baud):
@@ -36,8 +36,8 @@ def boot_fast(bench):
 
 
 def baud_rates(bench):
-    """`$931` sets the rate from the next start on, except if hold and start are both active at that start. Also stores
-    settings while bytes arrive."""
+    """`$931` sets the UART's rate from the next start of the board on, except if the hold and start inputs are both
+    active at that start. Also stores settings while bytes arrive."""
     bench.boot()
     board, host = bench.board, bench.host
     fast_baud = bench.wiring.most_baud
@@ -118,8 +118,8 @@ def disturbed_line(bench):
     yield f"{len(disturbed.lines)} bytes of {len(values)} lines disturbed, {refused} lines refused"
     if carried_out := [line for line in disturbed.lines if answers[line] == "ok"]:
         raise Failure(f"disturbed lines {carried_out} were carried out")
-    # The board refuses the line itself and, at a high rate, the lines that arrive within two samples of the inputs
-    # before and after it.
+    # The board refuses the disturbed line. At a high rate it also refuses the lines that arrive within two samples of
+    # the inputs before or after that line.
     if refused > 3 * len(disturbed.lines):
         raise Failure("more lines are refused than were disturbed")
     listing = bench.ask("$$")
@@ -210,8 +210,8 @@ def uart_lines(bench):
 
 
 def fast_flood(bench):
-    """At the safe rate, with a host that floods the UART at its maximum rate: no period may be off and no byte lost, as
-    nothing interrupts the step task."""
+    """Moves at the safe rate while a host floods the UART at its maximum rate: no period may be off and no byte lost.
+    Nothing interrupts the step task."""
     boot_fast(bench)
     lines = yield from flooded_at_safe_rate(bench, lambda: bench.board.run(seconds=200 * US))
     yield f"{lines} lines meanwhile at {bench.board.usart.baud():.0f} baud, {bench.host.bytes_sent} bytes"

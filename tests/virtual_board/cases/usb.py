@@ -16,8 +16,8 @@ LINES_S = {"blackpill_f411": 4200, "blackpill_f401": 2850}
 
 
 def usb_port(bench):
-    """Checks enumeration, the greeting when the port is opened, a job by character counting, and a second host at the
-    UART."""
+    """Checks enumeration, the greeting when the port is opened, a job sent by character counting, and a second host at
+    the UART."""
     board, host = with_usb(bench)
     device = host.descriptors[1, 0]
     number = host.descriptors[3, 3][2:].decode("utf-16-le")
@@ -34,8 +34,8 @@ def usb_port(bench):
     host.stream("\n".join(["G91 F3000"] + [f"G1 X{'-' if k % 2 else ''}0.5 Y0.25" for k in range(20)]))
     polls, moving, masks = 0, True, []
     while moving:
-        # Writing the log masks interrupts for longer than any code during motion, but happens only at rest. Its masks
-        # are left out below.
+        # Writing the log masks interrupts for longer than any code that runs during motion, but happens only at rest.
+        # So the masks of log writing are left out below.
         masks.append(bench.longest_mask())
         moving = not (bench.status().startswith("<Idle") and host.all_answered)
         polls += 1
@@ -64,9 +64,9 @@ SENT_AHEAD = 64
 
 
 def usb_waits_for_answers(bench):
-    """The commands of the UART's host are done, but its answer is still being sent: a line of the USB host must be
-    refused, and no byte may be lost or misrouted. If the rest of the answer is already in the UART's own queue, which
-    is always sent to its end, the line may also be accepted."""
+    """The commands of the UART's host are done, but the answer to them is still being sent: a line of the USB host must
+    be refused, and no byte may be lost or go to the wrong host. If the rest of the answer is already in the UART's own
+    queue, which is sent in any case, the line may also be accepted."""
     host, uart = bench.host, bench.uart
     bench.host = uart
     bench.ask("G4P0")
@@ -116,7 +116,8 @@ def usb_flood(bench):
     yield f"{len(text)} bytes poured in: {host.waits} times told to wait, nothing lost, {(board.now - begin) / bench.wiring.core_hz:.2f} s; longest time masked {us(mask)} ({where})"
     if not host.waits:
         raise Failure("the host was never told to wait: this proves nothing")
-    # The port is closed while the host is held back: DTR must be noticed, and the next host must find a working link.
+    # The port is closed while the board holds the host back: the board must notice the change of DTR, and the next host
+    # must find a working link.
     host.send("G1X3F300\n" + "G4P0.01\n" * 100)
     board.run(seconds=0.3)
     if not host.packets:
@@ -150,9 +151,9 @@ BELTS = {"s0": 2, "s29": 0, "s100": 80, "s101": 80, "s110": 60000, "s111": 60000
 
 
 def usb_lines(bench):
-    """Sends short lines over USB by character counting: up to the promised rate a job must last only as long as its
-    motion, because the look-ahead never runs low. Also measures how many lines per second the board accepts if the
-    motion needs more than that."""
+    """Sends short lines over USB by character counting: up to the promised number of lines per second, a job must last
+    only as long as its motion, because the look-ahead never runs low. Also measures how many lines per second the board
+    accepts if the motion would need more than it can accept."""
     with_usb(bench)
     bench.settings(**BELTS)
     yield from many_lines(bench, LINES_S[bench.wiring.name])
@@ -291,8 +292,8 @@ def usb_unplugged(bench):
 
 
 def usb_unread(bench):
-    """Packets that wait for space must not keep other tasks from running, and must be discarded when their host
-    leaves."""
+    """Packets that wait for space in the firmware's queue must not keep other tasks from running, and must be discarded
+    when their host closes the port."""
     board, host = with_usb(bench)
     otg, step = board.otg, Scope(board)
     bench.settings(**JOB_SETTINGS)
@@ -345,8 +346,8 @@ def usb_unread(bench):
     board.run(seconds=3)
     reopen()
     yield "closed while it waited: what was still under way is thrown away, and the next host is greeted"
-    # Emulates that the driver has twice enabled the endpoint before the firmware saw the end of a packet: one packet is
-    # in the driver, and another one stays in the FIFO and keeps the interrupt pending.
+    # Emulates a driver that enables the endpoint twice before the firmware sees the end of a packet: one packet is in
+    # the driver, and a second one stays in the FIFO and keeps the interrupt pending.
     hang(bench)
     host.send(64 * b"?")
     host.send(b"?")

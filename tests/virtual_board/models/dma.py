@@ -1,12 +1,12 @@
 """DMA controllers (RM0390 chapter 9, RM0383 chapter 9), as used for a USART in both directions, for captures of a
 timer, and for the step output.
 
-Modelled: transfers one after the other, each with a delay, whatever requested them; a stream that is switched off
-completes its current transfer, and EN stays set until then; the number of data; the flag and the interrupt at the end
-of a transfer; clearing of flags.
-For a USART: half-words or bytes on both sides from it, once or circular; bytes to it, once. A transfer holds the
-controller for as long as the slower bus takes (`usart_hold`).
-For compare events of timers: words in direct mode, in both directions, incrementing either address, circular. From
+Modelled: transfers one after the other, each with a delay, for requests from any source; a stream that is switched off
+completes its current transfer, and EN stays set until then; the number of data left (NDTR); the flag and the interrupt
+at the end of a transfer; clearing of flags.
+For a USART: reception in half-words or bytes (the same size on both sides), once or circular; transmission in bytes,
+once. A transfer holds the controller for as long as the slower bus takes (`usart_hold`).
+For compare events of timers: words in direct mode, in both directions, with either address incremented, circular. From
 memory to a peripheral, the first word is fetched when the stream is enabled, and each further word right after the
 previous one has been written. A request that no stream serves stays pending until its timer is reset.
 For captures of timers: half-words, once, transferred at the time of the request.
@@ -50,8 +50,8 @@ to the next (AN4031, tables 4 and 5)."""
 USART_HOLD = 8
 """Cycles for which a transfer of a USART holds the controller, in addition to four clocks of its bus."""
 SETTLE = 8
-"""Minimum cycles between two stores that switch streams on, and from such a store to a read of CR. In no manual:
-measured on STM32F4 by the project brio, which saw streams hang."""
+"""Minimum cycles between two stores that switch streams on, and from such a store to a read of CR. No manual says this:
+the project brio measured it on an STM32F4 and saw streams hang."""
 GPIO = range(0x4002_0000, 0x4002_2000)
 """Ports A to H: RM0383, RM0390, "Memory map", register boundary addresses."""
 
@@ -93,7 +93,8 @@ class Dma(Peripheral):
         self.taken = [0] * 8
         """Number of requests that each stream has taken, but not served yet."""
         self.ending = [0] * 8
-        """CR of a stream that was switched off during a transfer, until that transfer ends."""
+        """For each stream that was switched off during a transfer: its CR from before, kept until the transfer ends;
+        else 0."""
         self.under_way = {}
         """Number of requests not served yet, by source."""
         self.unserved = set()
@@ -107,7 +108,8 @@ class Dma(Peripheral):
             if register == CR and self.ending[stream]:
                 return super().read(offset) | EN
             if register == NDTR and is_chosen("counted-at-fetch") and self.fetched[stream] is not None:
-                # The fetched word is counted already; at the end of the ring the count restarts.
+                # NDTR already counts the word that the stream has fetched ahead; at the end of the ring it restarts
+                # from the full number.
                 return super().read(offset) - 1 or self.whole[stream]
         return super().read(offset)
 
@@ -231,8 +233,8 @@ class Dma(Peripheral):
         self.unserved = {who for who in self.unserved if not who.startswith(timer)}
 
     def ask(self, who, at, pulse=None):
-        """Requests a transfer for a compare event at cycle `at`. The request is dropped if `pulse` has been cut by
-        then."""
+        """Requests a transfer for a compare event at cycle `at`. The request is dropped if `pulse` has been cut short
+        at or before that cycle."""
         streams = self.streams.get(who)
         if streams:
             self.under_way[who] = self.under_way.get(who, 0) + 1
@@ -286,8 +288,8 @@ class Dma(Peripheral):
         return USART_HOLD + 4 * (rcc.hclk // getattr(rcc, bus))
 
     def ask_for_usart(self, who, data_address, bus, at, serve):
-        """Requests a transfer for a USART that has received a byte or can send one. The request dates from cycle `at`,
-        which may be a while ago. Returns whether a stream takes the request; if so, it calls `serve(byte, at)`, which
+        """Requests a transfer for a USART that has received a byte or can send one. The request came at cycle `at`,
+        possibly long before now. Returns whether a stream takes the request; if so, it calls `serve(byte, at)`, which
         returns the received byte, or accepts the byte to be sent."""
         for stream in self.streams.get(who, ()):
             base = 0x10 + 0x18 * stream

@@ -1,11 +1,11 @@
 """The core's own peripherals: NVIC, system control block, SysTick, cycle counter (ARMv7-M architecture manual, part B).
 
-Modelled: enable, pending, active and 4-bit priorities of interrupts; level-sensitive lines (a line that is still high
-at the return pends again); preemption, tail-chaining, PRIMASK, BASEPRI, software pending, SysTick from the core clock,
-the reset request, the NMI, FPU access control, the fault registers as plain words, DWT_CYCCNT.
-Not modelled: priority grouping; late arrival (a higher interrupt that arrives during entry is taken after it); faults
-other than HardFault; SLEEPONEXIT and deep sleep; MPU; ITM; the reference clock of SysTick; FPU access before it is
-enabled (works here, faults on a real part).
+Modelled: enable bits, pending bits, active bits and 4-bit priorities of interrupts; level-sensitive lines (a line that
+is still high at the return pends again); preemption, tail-chaining, PRIMASK, BASEPRI, software pending, SysTick from
+the core clock, the reset request, the NMI, FPU access control, the fault registers as plain words, DWT_CYCCNT.
+Not modelled: priority grouping; late arrival (here, an interrupt of higher priority that arrives during exception entry
+is taken after the entry); faults other than HardFault; SLEEPONEXIT and deep sleep; MPU; ITM; the reference clock of
+SysTick; FPU access before it is enabled (works here, faults on a real part).
 """
 
 from .peripheral import NEVER, Misuse, Peripheral, Unmodelled

@@ -4,7 +4,7 @@ Modelled: soft connect; bus reset and end of enumeration; suspend and wake-up; t
 (a packet and, a moment later, its end); NAK and enable of endpoints; transmit FIFOs; transfer-complete of IN endpoints;
 the interrupt. After a packet, an OUT endpoint answers NAK until it is enabled again; a SETUP packet is always accepted.
 A packet that arrives while its predecessor is unread stays in the FIFO. Each data endpoint has its data toggle: an OUT
-packet with the wrong one is answered by ACK and dropped, as a repetition.
+packet with the wrong toggle is taken for a repetition, answered by ACK and dropped.
 Not modelled: the host role, isochronous transfers, SOF, VBUS sensing (which must be off), errors on the bus, FIFO sizes
 except their sum, EP0's STALL beyond the current transfer, transfers of more than one packet, CRC.
 """

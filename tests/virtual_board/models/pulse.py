@@ -1,8 +1,8 @@
 """The advanced timer TIM1 as a one-pulse slave of TIM5 (RM0390 chapter 16, RM0383 chapter 12).
 
 Modelled: one-pulse mode started by a trigger (SMS = 110, TS = 000: TIM5), compare events of four channels with their
-DMA requests, the stop at the update event, reset, a stop by software. A trigger has its effect some clocks late
-(`SYNCHRONIZE`), each time the same.
+DMA requests, the stop at the update event, reset, a stop by software. A trigger takes effect after a fixed number of
+clocks (`SYNCHRONIZE`).
 Not modelled: all other modes, prescaler, repetition, outputs, dead time, interrupts, reading the status.
 
 On a real part a trigger that arrives while the counter runs is ignored, and a step is lost. Here it is misuse.

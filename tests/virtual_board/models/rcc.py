@@ -1,10 +1,10 @@
 """Reset and clock control (RM0390 chapter 6, RM0383 chapter 6).
 
-Modelled: HSI; HSE (crystal or bypass, as on the board: with the wrong one it never becomes ready); the main PLL with
-its limits; the system clock and the bus prescalers with their limits; peripheral clock enables, which take a few cycles
-to take effect (errata sheets, "Delay after an RCC peripheral clock enabling"), and resets; LSI; the reset flags; a
-failing HSE with clock security (without it, the emulation fails). Oscillators and PLL are ready at once: the firmware's
-waiting loops see the bit at the first read.
+Modelled: HSI; HSE (crystal or bypass, as on the board: if the firmware selects the wrong one, HSE never becomes ready);
+the main PLL with its limits; the system clock and the bus prescalers with their limits; peripheral clock enables, which
+take a few cycles to take effect (errata sheets, "Delay after an RCC peripheral clock enabling"), and resets; LSI; the
+reset flags; a failing HSE with clock security (without it, the emulation fails). Oscillators and PLL are ready at once:
+the firmware's waiting loops see the bit at the first read.
 Not modelled: the other PLLs, MCO, RTC and the backup domain, start-up times. It is misuse if the processor sleeps while
 the low-power enables would stop a clock that is on.
 """
@@ -24,7 +24,8 @@ LSI_HZ = 32_000
 
 HSE_ON, CLOCK_SECURITY, PLL_ON = 1 << 16, 1 << 19, 1 << 24
 SOFTWARE_RESET, WATCHDOG_RESET, POWER_ON_RESET = 1 << 28 | 1 << 26, 1 << 29 | 1 << 26, 1 << 27 | 1 << 26 | 1 << 25
-"""RCC_CSR: the cause of the reset, and the flag of the reset pin, which every reset pulls; at power-up also BORRSTF."""
+"""RCC_CSR: the flag of the reset's cause, and PINRSTF, because every reset also pulls the reset pin; at power-up also
+BORRSTF."""
 
 
 class Rcc(Peripheral):
@@ -127,8 +128,8 @@ class Rcc(Peripheral):
             raise Misuse(f"{peripheral.name} is used before its clock, which has just been switched on, is there")
 
     def check_sleep(self):
-        """Called when the processor goes to sleep: raises Misuse if an enabled clock would stop, as the firmware relies
-        on its peripherals during sleep."""
+        """Called when the processor goes to sleep: raises Misuse if an enabled clock would stop, because the firmware
+        relies on its peripherals during sleep."""
         for enable, asleep in zip(ENABLES, SLEEP_ENABLES, strict=True):
             if standing := self.values[enable] & ~self.values[asleep]:
                 names = {p.name: p.CLOCK for p in self.board.peripherals.values() if p.CLOCK}
@@ -149,7 +150,7 @@ class Rcc(Peripheral):
 
     def _slow_down(self):
         """Makes HSI the system clock, even while models run. The ratios of the clocks do not change. The watchdog keeps
-        its time; other events that are scheduled in core cycles come later in real time."""
+        its timeout in seconds; other events are scheduled in core cycles and come later in real time."""
         divider1, divider2 = self.hclk // self.pclk1, self.hclk // self.pclk2
         self.hclk = HSI_HZ
         self.pclk1, self.pclk2 = HSI_HZ // divider1, HSI_HZ // divider2

@@ -74,15 +74,15 @@ class Timer(Peripheral):
         return self.values[CR1] & 1
 
     def count(self, now=None):
-        """Returns the present count; `began` and `since` may be from an earlier period."""
+        """Returns the count at cycle `now` (default: the present); the counter may have wrapped since `since`."""
         if not self.running:
             return self.began
         counts = ((self.board.now if now is None else now) - self.since) // self.cycles
         return (self.began + counts) % (self.values[ARR] + 1)
 
     def _hold(self, value=None):
-        """Sets the reference for the count to the present time, keeping the fraction of a count; with `value`, sets the
-        count."""
+        """Moves the reference (`since`, `began`) to the present time and keeps the fraction of a count; with `value`,
+        also sets the count and drops the fraction."""
         now = self.board.now
         if value is None:
             value = self.count(now)
@@ -201,7 +201,7 @@ class Timer(Peripheral):
         for channel in range(1, 5):
             if off >> 8 + channel & 1 and any(dma.under_way.get(f"{self.name}_CH{channel}") for dma in self.board.dma):
                 raise Misuse(f"{self.name}: a request of DMA is taken back while it is under way")
-            # Channel 1 is exempt, because software requests its first word right afterwards anyway.
+            # Channel 1 is exempt, because the firmware requests its first word right afterwards anyway.
             if channel == 3 and on >> 8 + channel & 1 and self.values[SR] >> channel & 1 and not self.captures(channel):
                 raise Misuse(f"{self.name}: requests of channel 3 are switched on while its flag is set")
 
@@ -220,8 +220,8 @@ class Timer(Peripheral):
         self.board.nvic.level(self.irq, bool(self.values[SR] & self.values[DIER] & 0x1F))
 
     def _schedule_flag(self, flag, now):
-        """Schedules the next event of a flag: when the counter, after `now`, arrives at the value that sets the
-        flag."""
+        """Schedules the next event of a flag: the first time after `now` at which the counter arrives at the value that
+        sets the flag."""
         if not self.running:
             self.matched[flag] = NEVER
             return

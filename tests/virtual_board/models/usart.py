@@ -1,11 +1,11 @@
 """USART (RM0390 chapter 25, RM0383 chapter 19), 8 bits, no parity, one stop bit, 16-fold oversampling.
 
-Modelled: baud rate from BRR. Bytes whose rate differs by more than 2.5 %, and bytes that had begun when the receiver
-was switched on, are sampled bit by bit from the levels of the line, which gives wrong bytes and framing errors. A byte
-becomes readable in the middle of its stop bit; overrun if the previous byte is unread (the new byte is lost, ORE stays
-until SR and DR are read). TXE, TC, IDLE; transmit data register and shift register with the duration of each frame;
-interrupt enables, including the one for errors while DMA receives; DMA requests in both directions. A DMA stream that
-reads DR does not read SR: the manuals do not say which unread flags this clears (`readings`).
+Modelled: baud rate from BRR. Two kinds of bytes are sampled bit by bit from the levels of the line, which gives wrong
+bytes and framing errors: bytes whose rate differs by more than 2.5 %, and bytes that had begun when the receiver was
+switched on. A byte becomes readable in the middle of its stop bit; overrun if the previous byte is unread (the new byte
+is lost, ORE stays until SR and DR are read). TXE, TC, IDLE; transmit data register and shift register with the duration
+of each frame; interrupt enables, including the one for errors while DMA receives; DMA requests in both directions. A
+DMA stream that reads DR does not read SR: the manuals do not say which unread flags this clears (`readings`).
 Not modelled: parity, hardware flow control, synchronous and LIN modes, noise, IDLE as an interrupt.
 """
 
@@ -124,7 +124,7 @@ class Usart(Peripheral):
         self._plan()
 
     def listen(self):
-        """Called when there are new bytes on the wire, or the receiver has changed."""
+        """Called when there are new bytes on the wire or the receiver's settings have changed."""
         self._plan()
 
     @property

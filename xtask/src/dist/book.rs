@@ -13,7 +13,7 @@ const MDBOOK: &str = "0.5.4";
 /// The folder in the book for linked files from outside `docs/`.
 const FILES: &str = "files";
 
-/// Returns kind and files of the book: HTML pages, or the Markdown pages on a machine without mdBook.
+/// Returns the kind of the book and its files: HTML pages, or the Markdown pages on a machine without mdBook.
 pub fn make() -> Result<(&'static str, Vec<Entry>), Failure> {
     let pages = root().join("target/book-pages");
     prepare(&pages)?;
@@ -57,8 +57,8 @@ fn prepare(folder: &Path) -> Result<(), Failure> {
 }
 
 /// Returns a page whose links out of `docs/` point to files within the book, and the paths of those files in the
-/// workspace. A link to a Markdown file is replaced by its name, because the links of that file would be broken in the
-/// book.
+/// workspace. A link to a Markdown file outside `docs/` is replaced by the file's name, because the links within that
+/// file would be broken in the book.
 fn inward(page: &str) -> (String, Vec<String>) {
     let (mut text, mut files, mut rest) = (String::new(), Vec::new(), page);
     while let Some((before, from)) = rest.split_once("](../") {

@@ -91,7 +91,7 @@ pub fn make(names: &[&str]) -> Result<(), Failure> {
     fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     parts.iter().try_for_each(|part| part.make(&folder, &compiler))?;
     let made = files(&folder)?;
-    // Several kinds of machines make parts of one release: each writes its own list.
+    // The parts of one release are made on machines of several kinds, so each kind writes its own list.
     write(&folder.join(format!("SHA256SUMS-{}.txt", compiler.host)), sums(&made).as_bytes())?;
     println!("{} files and their checksums in {}", made.len(), folder.display());
     Ok(())
@@ -266,8 +266,8 @@ mod tests {
          --notes \"What is new - CHANGELOG.md. How to check and flash it - docs/release.md.\" dist/*",
     ];
 
-    /// Everything a workflow does can be done by hand with the same commands; and no workflow runs code that can change
-    /// under the same name.
+    /// Whatever a workflow does can be done by hand with the same commands. Every action is pinned to a commit, so its
+    /// code cannot change.
     #[test]
     fn workflows_call_only_what_can_be_called_by_hand() {
         let mut called = BTreeSet::new();

@@ -50,8 +50,8 @@ impl Sbom {
         write(path, format!("{json}\n").as_bytes())
     }
 
-    /// Returns the output of `cargo tree`: all linked crates, each below the one that needs it, with the depth before
-    /// its name.
+    /// Returns the output of `cargo tree`: all linked crates, each below the crate that needs it, with its depth in the
+    /// tree before its name.
     fn tree(&self) -> Result<String, Failure> {
         let mut arguments = vec!["tree", "--locked", "--package", self.package, "--target", &self.target];
         arguments.extend(["--edges", "normal,no-proc-macro", "--prefix", "depth", "--no-dedupe", "--format", "{p}"]);
@@ -62,7 +62,7 @@ impl Sbom {
     }
 
     fn crates(&self) -> Result<Crates, Failure> {
-        // All features: otherwise the metadata would lack the board's own crates.
+        // With all features: otherwise the metadata would lack the crates that only a board's feature needs.
         let metadata = parsed(&told(&["metadata", "--locked", "--all-features", "--format-version", "1"])?)?;
         let lock: toml::Table = text(&root().join("Cargo.lock"))?.parse().map_err(|e| format!("Cargo.lock: {e}"))?;
         Crates::new(&metadata, &lock, linked(&self.tree()?)?)

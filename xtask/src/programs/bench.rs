@@ -1,5 +1,5 @@
 //! Jobs for comparing motion with other controllers; `docs/motion.md` has a table of them. Points of curves are
-//! computed in `f64` with + - * / only, so they are the same on every machine, too.
+//! computed in `f64` with only + - * /, so every machine computes the same ones.
 
 use std::io::{Result, Write};
 

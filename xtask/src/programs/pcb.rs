@@ -22,7 +22,8 @@ const PAD_RADIUS: i64 = 800;
 const BOARD: [i64; 2] = [60_000, 44_000];
 /// Centre of the eight-way fan of traces.
 const FAN_MIDDLE: [i64; 2] = [20_000, 22_000];
-/// Pitch of the traces at the chip, then distance of the chip's pins from the centre; the same for the terminals.
+/// Pitch of the traces at the chip, and distance of the chip's rows of pins from the centre; then the same two lengths
+/// for the terminals.
 const CHIP_PITCH: i64 = 2_540;
 const CHIP_ROW: i64 = 3_810;
 const TERMINAL_PITCH: i64 = 4_445;
@@ -81,7 +82,7 @@ pub fn write(out: &mut dyn Write) -> Result<()> {
 type Trace = [[i64; 2]; 4];
 
 /// Returns eight traces above the chip and their mirror images below. Traces left of the middle run to the right, so
-/// each must turn below its right neighbour; right of the middle it is the mirror image.
+/// each of them must turn below its right neighbour; those right of the middle are the mirror image.
 fn traces() -> Vec<Trace> {
     let mut all = Vec::new();
     for side in [1, -1] {
@@ -146,7 +147,8 @@ fn isolate_trace(w: &mut Writer, trace: &Trace, distance: i64) -> Result<()> {
     let line = |w: &mut Writer, [x, y]: [i64; 2]| w.line_to("G1", [Some(x), Some(y), None], Some(FEED));
     line(w, corner(second, out, across, half))?;
     line(w, corner(third, across, opposite(back), half))?;
-    // The trace arrives at its last pad against `back`, so its left is on the right of `back`.
+    // The trace arrives at its last pad in the direction opposite to `back`, so the trace's left side is on the right
+    // of `back`.
     let arrive = at(last, back, meet, -half);
     line(w, arrive)?;
     let leave = at(last, back, meet, half);

@@ -1,6 +1,6 @@
 //! Two pockets as CAM programs write them: one in millimetres with helical entry, one in inches with a zigzag ramp.
-//! Both step down, clear from the middle outwards in rounded rectangles, and finish the wall with a pass that arrives
-//! and leaves on a quarter circle.
+//! Both step down, clear from the middle outwards in rounded rectangles, and finish the wall with a pass that begins
+//! and ends on a quarter circle.
 
 use super::writer::Writer;
 use std::io::{Result, Write};
@@ -17,7 +17,7 @@ struct Pocket {
     step_over: i64,
     step_down: i64,
     depth: i64,
-    /// Material that clearing leaves for the finishing pass.
+    /// Thickness of the material that clearing leaves for the finishing pass.
     allowance: i64,
     clear: i64,
     feed: i64,
@@ -142,7 +142,7 @@ impl Pocket {
                     z = (z - pitch).max(next);
                     w.arc_to(counter_clockwise, [Some(radius), Some(0), Some(z)], [-radius, 0], Some(self.plunge))?;
                 }
-                // One turn at constant depth, because the helix leaves a slope.
+                // One turn at constant depth, because the helix leaves a sloping floor.
                 w.arc_to(counter_clockwise, [Some(radius), Some(0), None], [-radius, 0], Some(self.feed))?;
             }
             Entry::Zigzag { reach, fall } => {
@@ -158,7 +158,8 @@ impl Pocket {
         w.line_to(line, [Some(0), Some(0), None], Some(self.feed))
     }
 
-    /// Writes rounded rectangles from the middle outwards, up to the allowance for the finishing pass.
+    /// Clears one level: writes rounded rectangles from the middle outwards, up to the allowance for the finishing
+    /// pass.
     fn clear_level(&self, w: &mut Writer, words: [&'static str; 4]) -> Result<()> {
         let last = self.half.map(|half| half - self.tool_radius - self.allowance);
         // From the wall, each rectangle lies one step-over farther in; the innermost is a slot at most two step-overs

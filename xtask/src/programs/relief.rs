@@ -77,7 +77,7 @@ fn hill(u: i64, v: i64, radius: i64, height: i64) -> i64 {
     if square >= limit {
         return 0;
     }
-    // The share of the radius squared that is left, in units of 2^-20. No product here exceeds 2^49.
+    // 1 - d²/r² in units of 2^-20. No product here exceeds 2^49.
     let fall = ((limit - square) << 20) / limit;
     (((fall * fall) >> 20) * height) >> 20
 }

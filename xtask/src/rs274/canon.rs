@@ -1,5 +1,5 @@
-//! Reads the output of `rs274`: calls of canonical machining functions, in the unit of the program, with the offsets
-//! not applied.
+//! Reads the output of `rs274`: calls of canonical machining functions. Their positions are in the unit of the program,
+//! without the offsets.
 
 use super::{AXES, Event, NO_MOVE, Outcome};
 use crate::Failure;
@@ -10,7 +10,7 @@ use std::process::Command;
 #[derive(Default)]
 struct Reader {
     inches: bool,
-    /// First, second and third axis of the plane.
+    /// Indices of the first, second and third axis of the plane.
     plane: [usize; 3],
     system: [f64; AXES],
     /// Rotation of the system, degrees.
@@ -146,7 +146,7 @@ impl Reader {
         Some(())
     }
 
-    /// Records effects of a call other than motion, after it has been carried out.
+    /// Records the effects of a call other than motion; called after [`Self::call`].
     fn tell(&mut self, call: &str) -> Option<()> {
         let (name, arguments) = call.strip_suffix(')')?.split_once('(')?;
         match name {

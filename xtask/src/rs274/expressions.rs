@@ -1,12 +1,12 @@
 //! Random expressions of RS274NGC that have the same value in both interpreters.
 //!
-//! Functions that jump (`FIX`, `MOD`, `ROUND`, comparisons) must not jump because of rounding: LinuxCNC computes with
-//! binary numbers, in which `0.29 * 100` is below 29. So a number is an integer, a half, or has five random decimals,
-//! the last of them odd: sums and products of such numbers do not hit a limit by chance. An angle is never an integer:
-//! in LinuxCNC sine, cosine and tangent of some integers are slightly off 0, 0.5 and 1. The `y` of `ATAN` is never 0:
-//! for a binary -0 the angle of half a turn is negative. Arguments are within the range of their function, and powers
-//! and exponents are small: too large a result is an error only in Oxmill, and large binary numbers have no digits left
-//! after the point.
+//! Functions whose value jumps (`FIX`, `MOD`, `ROUND`, comparisons) must not jump because of rounding: LinuxCNC
+//! computes with binary numbers, in which `0.29 * 100` is below 29. So a number is an integer, a half, or has five
+//! random decimals, of which the last is odd: sums and products of such numbers do not fall on a jump by chance. An
+//! angle is never an integer: in LinuxCNC sine, cosine and tangent of some integers are slightly off 0, 0.5 and 1. The
+//! `y` of `ATAN` is never 0: for a binary -0 the angle of half a turn is negative. Arguments are within the range of
+//! their function, and powers and exponents are small, for two reasons: only Oxmill rejects a result that is too large,
+//! and large binary numbers have no digits after the point.
 
 use oxmill_test_support::Random;
 
@@ -14,7 +14,7 @@ use oxmill_test_support::Random;
 pub const NUMBERED: [&str; 10] = ["#1", "#2", "#3", "#4", "#5", "#31", "#32", "#33", "#34", "#35"];
 /// Named parameters that every program and every call sets; the last two are global.
 pub const NAMED: [&str; 4] = ["#<u>", "#<v>", "#<_g>", "#<_h k>"];
-/// A parameter that holds the number of another one.
+/// A parameter whose value is the number of another parameter.
 pub const POINTER: &str = "#40";
 
 /// Parameters that show the machine's state and do not depend on the unit of time. Stored positions, from #5161 on, are
@@ -111,7 +111,8 @@ pub fn chain(random: &mut Random, depth: u32) -> String {
 }
 
 /// Returns a value within 20 of 0: 20 times the sine or cosine of any expression. A fraction is added to the
-/// expression, because a condition is an integer, and the cosine of an integer can be slightly off in LinuxCNC.
+/// expression, because the value of a comparison is an integer, and the cosine of an integer can be slightly off in
+/// LinuxCNC.
 fn bounded(random: &mut Random) -> String {
     format!("[20 * {}[[{}] + 0.01357]]", random.of(&["SIN", "COS"]), chain(random, 1))
 }

@@ -1,18 +1,19 @@
-//! Random programs with parameters, expressions, names and O words, moves of A, and words whose effect shows only with
-//! these: G93, G90.1, messages, stops, block delete, computed G and M numbers.
+//! Random programs with parameters, expressions, names, O words and moves of A, and with words that are interesting
+//! only in such programs: G93, G90.1, messages, stops, block delete, computed G and M numbers.
 //!
-//! A statement is one line or a whole construct. Statements that Oxmill rejects are omitted, except for the last of a
-//! batch: `rs274` must reject the same line of it. Lines that show state are mixed in, within constructs, too.
+//! A statement is one line or a whole construct, such as a loop. Statements that Oxmill rejects are omitted, except for
+//! the last statement of a batch: `rs274` must reject the same line of it. Lines that show the machine's state are
+//! mixed in, also within constructs.
 //!
 //! Not generated, because the book lists it as a difference (see also `expressions`):
 //!
-//! * a label that is used again: in LinuxCNC each label belongs to one construct
+//! * a label used for two constructs: in LinuxCNC each label belongs to one construct
 //! * a call of a subroutine that does not exist or comes later: `rs274` reads on to the end of the file and names
 //!   another line
 //! * a name that is first set in the same line: 0 in LinuxCNC
 //! * setting a parameter of the machine other than #5420 and on: LinuxCNC allows it
-//! * anything that needs more memory or depth than Oxmill has, or a result that is too large: LinuxCNC has no such
-//!   limit
+//! * anything that needs more memory or a deeper nesting than Oxmill has, or a result that is too large for it:
+//!   LinuxCNC has no such limits
 //! * `break` and `continue` in a `repeat`: LinuxCNC rejects them
 //! * `do` after a `break` in a `while`: in `rs274` the `break` also ends the next `do` after one pass
 //! * `continue` in a `do`: in its last pass, within another loop, `rs274` never leaves the loop
@@ -21,10 +22,11 @@
 //! * `#5401` and on: in Oxmill the active offset, in LinuxCNC that of the tool in the spindle
 //! * the spindle after M6: LinuxCNC stops it, so M3 is written in the same line
 //! * a message in a line with words: `rs274` sends it before the words act, so it shows the earlier values
-//! * `#<_feed>` in another unit than F's, or in G93: LinuxCNC keeps the number of F; and F in a line with G20 or G21
+//! * `#<_feed>` after a change of the unit in which F was set, or in G93: LinuxCNC keeps the number of F; also F in a
+//!   line with G20 or G21
 //! * a change of units under a tool offset; M6 unless all axes have moved since the last change of offsets (the command
 //!   line has no machine)
-//! * G53 with G91; a rotation (the other generator has it)
+//! * G53 with G91; a rotation (the generator in `programs` has it)
 
 use super::expressions::{self, NAMED, NUMBERED, POINTER};
 use super::programs::Batch;
@@ -95,11 +97,11 @@ const PLACES: [&str; 12] =
 const MORE: usize = 60;
 /// Positions beyond this, mm, can be out of Oxmill's range.
 const FAR: f64 = 10_000.0;
-/// Maximum line length: longer lines are omitted, because `rs274` truncates them at another length.
+/// Maximum line length: longer lines are omitted, because `rs274` truncates lines at another length than Oxmill.
 const LONGEST: usize = 200;
 /// Maximum message length: longer messages are omitted, because Oxmill truncates them.
 const LONGEST_MESSAGE: usize = 80;
-/// Maximum nesting of constructs, not counting called ones.
+/// Maximum nesting of constructs, not counting those in subroutines that are called.
 const NESTED: u32 = 2;
 /// Planes: the word, the axes, the letters of the centre.
 const PLANES: [(&str, [char; 3], [char; 2]); 3] =
@@ -160,8 +162,8 @@ pub fn batch(seed: u64, programs: usize, deletes_blocks: bool) -> Batch {
     writer.end(between_marks)
 }
 
-/// Returns a line in the form that both sides share: without blanks, comments and the slash of block delete, in upper
-/// case.
+/// Returns a line in a form in which the lines of both interpreters can be compared: without blanks, comments and the
+/// slash of block delete, in upper case.
 pub fn without_blanks(line: &str) -> String {
     let mut text = String::new();
     let mut in_remark = false;
@@ -210,7 +212,7 @@ impl Writer {
             let result = runner.run(line, &mut events);
             of.resize(events.len(), self.batch.lines.len() + at);
             match result {
-                // The move is so short that rounding would decide whether it is one.
+                // The move is so short that rounding would decide whether there is a move at all.
                 _ if runner.mill.is_doubtful() => return false,
                 Ok(()) => {}
                 Err(refusal) => {
@@ -331,7 +333,8 @@ impl Writer {
             };
             line += &format!("{target} = {value} ");
         }
-        // The assignment is written before the motion, but takes effect after it: the motion uses the previous values.
+        // The assignment comes before the motion in the line, but takes effect only after the whole line is read: the
+        // motion uses the previous values.
         if random.below(5) == 0 {
             line += &format!("G0 X{}", expressions::length(random));
         }
@@ -459,7 +462,7 @@ impl Writer {
         ]
     }
 
-    /// Returns words whose numbers are computed.
+    /// Returns G and M words whose numbers are computed.
     fn selectors(&mut self) -> String {
         let random = &mut self.random;
         match random.below(12) {

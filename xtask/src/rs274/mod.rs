@@ -26,7 +26,7 @@ const TOLERANCE: f64 = 0.003;
 const VALUE_TOLERANCE: f64 = 3e-4;
 /// Maximum relative difference of G93 rates, in addition to [`TOLERANCE`].
 const RATE_TOLERANCE: f64 = 2e-4;
-/// Minimum G93 rate, by which `rs274` replaces lower rates: 0.1 in the unit of the program. Here in mm/min, for
+/// Minimum rate in G93: `rs274` replaces lower rates by 0.1 units of the program per minute. Here in mm/min, for
 /// programs in mm and in inches.
 const LEAST_RATES: [f64; 2] = [0.1, 2.54];
 /// Prefix of messages in programs.
@@ -50,7 +50,7 @@ pub enum Event {
     Rapid([f64; AXES]),
     /// A feed move to a position.
     Feed([f64; AXES]),
-    /// An arc: its end, its centre in the plane, and its turns, negative when clockwise.
+    /// An arc: its end, its centre in the plane, and its number of turns, negative if clockwise.
     Arc([f64; AXES], [f64; 2], i64),
     /// A spline with this number of control points.
     Spline(u8),
@@ -66,7 +66,8 @@ pub enum Event {
     Stop(bool),
 }
 
-/// Returns whether words are equal and numbers close. In stored positions `rs274` shows less than 0.0001 inch as 0.
+/// Returns whether words are equal and numbers close. In messages with stored positions, `rs274` shows values below
+/// 0.0001 inch as 0.
 fn is_same_text(a: &str, b: &str) -> bool {
     let least = if a.starts_with(PLACES_MARK) { TOLERANCE } else { VALUE_TOLERANCE };
     let is_same = |(a, b): (&str, &str)| match (a.parse::<f64>(), b.parse::<f64>()) {
@@ -106,7 +107,7 @@ pub struct Outcome {
     pub events: Vec<Event>,
     /// The line of each event, where known.
     pub of: Vec<usize>,
-    /// Text of the rejected line, if any; Oxmill's `events` contain no event of it or after it.
+    /// Text of the rejected line, if any; Oxmill's `events` end before it.
     pub refused: Option<String>,
 }
 
@@ -197,7 +198,8 @@ impl Totals {
 }
 
 fn one_batch(home: &Path, batch: usize, seed: u64, programs: usize) -> Result<Found, Failure> {
-    // Half of the batches have parameters and O words; half of these skip the lines that start with a slash.
+    // Half of the batches have parameters and O words; in half of these, both interpreters skip the lines that start
+    // with a slash.
     let has_flow = batch % 2 == 1;
     let deletes_blocks = batch % 4 == 3;
     let written = match has_flow {
@@ -255,7 +257,8 @@ fn compare(lines: &[String], ours: &Outcome, theirs: &Outcome) -> Option<String>
             }
         }
     }
-    // If both reject a line, further events of `rs274` are no difference: it can have moved before the error.
+    // If both reject a line, further events of `rs274` do not count as a difference: it can have moved before it found
+    // the error.
     if ours.refused != theirs.refused {
         return Some(format!("Oxmill refuses {:?}, rs274 {:?}", ours.refused, theirs.refused));
     }

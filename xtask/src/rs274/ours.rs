@@ -10,7 +10,7 @@ use oxmill_controller::gcode::{
 use oxmill_controller::units::Coordinate;
 use std::f64::consts::TAU;
 
-/// The clearance of a new controller, 0.01 inch.
+/// The clearance of peck cycles in a new controller, 0.01 inch.
 const CLEARANCE: Coordinate = Coordinate(2_540_000);
 
 /// An interpreter with a simulated position, without a machine.
@@ -19,7 +19,7 @@ pub struct Mill {
     interpreter: Interpreter<AXES>,
     /// End position of the last event, machine coordinates.
     place: [f64; AXES],
-    /// Whether the events do not show where the last one ended (after a spline).
+    /// Whether the end of the last event is missing in the events, because it was a spline.
     is_place_untold: bool,
     /// Whether rounding decides if the last line has a move, because it is so short.
     is_doubtful: bool,
@@ -139,8 +139,8 @@ impl Mill {
                 let mut is_first = true;
                 while let Some(step) = cycle.step(CLEARANCE) {
                     match step {
-                        // `rs274` makes no rise where none is needed. In that case the next move shows where a spline
-                        // has ended.
+                        // `rs274` outputs no rise if the tool is already at R. The next move then shows where a spline
+                        // before it ended.
                         CycleStep::Rapid(place) if std::mem::take(&mut is_first) && mm(&place) == self.place => {}
                         CycleStep::Rapid(place) => self.go(&place, true, &mut events),
                         CycleStep::Feed(place, _) => self.go(&place, false, &mut events),
@@ -162,7 +162,8 @@ impl Mill {
             MotionCommand::Line { target, feed, .. } => {
                 let ([x, y, z, a], [from_x, from_y, from_z, from_a]) = (mm(target), self.place);
                 let way = distance(&[x, y, z], &[from_x, from_y, from_z]);
-                // Degrees have no unit, but the rate that `rs274` derives from them is treated as one of lengths.
+                // Degrees do not depend on the unit of length, but `rs274` treats the rate that it derives from them as
+                // one in units of length.
                 let unit = if self.interpreter.modal().units == Units::Inch { 25.4 } else { 1.0 };
                 (if way > 0.0 { way } else { (a - from_a).abs() * unit }, feed)
             }
@@ -206,8 +207,8 @@ impl Mill {
 mod tests {
     use super::*;
 
-    /// The output of `rs274` does not contain the end of a spline. A cycle that starts there at the height of R has no
-    /// rise, so it must have no event for one.
+    /// The output of `rs274` does not contain the end of a spline. If a cycle starts at such an end at the height of R,
+    /// it needs no rise, and there must be no event for one.
     #[test]
     fn a_cycle_behind_a_spline_has_no_rise_of_no_length() {
         for (spline, moves) in [("G5.1 X4 Y2 I1 J3", 1), ("G5 X4 Y2 I1 J1 P-1 Q1", 1), ("G1 X4 Y2", 1)] {
@@ -227,7 +228,8 @@ mod tests {
             ];
             let found = run("G99 G86 X2 Y1 Z-2 R-1 P0.5");
             assert!(found.len() == expected.len() && found.iter().zip(&expected).all(|(a, b)| a.is_as(b)), "{found:?}");
-            // A rise that is needed has its event; R counts from where the series started.
+            // A rise that is needed has an event. In G91, R counts from the height at which the series of cycles
+            // started.
             let rises = run("G81 X1 Z-2 R3");
             assert!(rises[0].is_as(&Event::Rapid(way(6.0, 8.0))), "{rises:?}");
         }

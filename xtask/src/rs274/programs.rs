@@ -70,8 +70,8 @@ pub fn batch(seed: u64, programs: usize) -> Batch {
     };
     for _ in 0..programs {
         for line in BEGIN {
-            // If rounding decides whether this line has a move, because the machine is so near its target, move away
-            // first.
+            // If the machine is so near the target of this line that rounding decides whether there is a move, move
+            // away first.
             if !writer.put((*line).into()) && line.starts_with("G53") {
                 writer.put("G53 G0 X9 Y9 Z9 A9".into());
                 writer.put((*line).into());
@@ -181,7 +181,7 @@ impl Writer {
         }
     }
 
-    /// Call before a possible change of rotation: G92 must not be active.
+    /// Call before a possible change of rotation: clears G92 if it is active while a system is rotated.
     fn before_rotation(&mut self) {
         if self.mill.is_rotated_under_g92() {
             self.put("G92.1".into());
@@ -273,7 +273,7 @@ impl Writer {
         }
     }
 
-    /// Returns a word that clears, suspends or restores the offset of G92 before the motion of its line.
+    /// Returns a word that clears, suspends or restores the offset of G92; it acts before the motion in the same line.
     fn offset_acts(&mut self) -> &'static str {
         ["G92.1 ", "G92.2 ", "G92.3 "][self.below(3) as usize]
     }
@@ -425,7 +425,8 @@ impl Writer {
                 line += &format!(" R{}", number(r));
             }
             if pecks && (begins && self.percent(97) || self.percent(10)) {
-                // Not an integer number of pecks: rounding in `rs274` would add one of zero depth.
+                // The depth must not be an integer number of pecks: by rounding, `rs274` would add a peck of zero
+                // depth.
                 line += &format!(" Q{}37", self.length(0.5, 5.0));
             }
             if dwells && (begins && self.percent(97) || self.percent(10)) {
@@ -513,8 +514,8 @@ impl Writer {
         self.put(line);
     }
 
-    /// Writes a rapid of all axes. At M6 and M61 the machine stub of `rs274` forgets changes of offsets since the last
-    /// move.
+    /// Writes a rapid of all axes. Needed before M6 and M61, where the machine stub of `rs274` forgets changes of
+    /// offsets since the last move.
     fn move_all(&mut self) {
         let (x, y, z) = (self.coordinate(), self.coordinate(), self.coordinate());
         self.put(format!("G0 X{x} Y{y} Z{z}"));
@@ -588,7 +589,7 @@ impl Writer {
             }
         }
         (self.inches, self.incremental, self.plane) = now;
-        // State that is not restored explicitly must be unchanged.
+        // The subroutine can change units, distance mode and plane for its caller. The program sets them again below.
         let back = |on: bool, words: [&str; 2]| words[usize::from(on)].to_string();
         let word = if self.percent(30) { "return" } else { "endsub" };
         if word == "return" {

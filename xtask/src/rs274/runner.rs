@@ -26,7 +26,8 @@ impl Runner {
         Runner { mill: Mill::new(), deletes_blocks, lines: 0 }
     }
 
-    /// Carries out a line of the file, and the lines that it calls. `events` also gets the events before a rejection.
+    /// Carries out a line of the file, and the lines that it calls. If a line is rejected, `events` still gets the
+    /// events before it.
     pub fn run(&mut self, text: &str, events: &mut Vec<Event>) -> Result<(), Refusal> {
         let block_delete = self.deletes_blocks;
         let rules = || LineRules {

@@ -1,7 +1,7 @@
 //! The registers of QEMU's `mps2-an386` that the firmware uses: CMSDK UARTs, CMSDK timers, interrupt numbers.
 //!
 //! Written by hand from ARM's CMSDK technical reference manual (DDI 0479), as no crate describes this machine. Each
-//! peripheral has one owner, and access to registers is volatile; the meaning of values is left to the board.
+//! peripheral has one owner, and access to registers is volatile. The board decides which values to write.
 
 #![no_std]
 

@@ -95,7 +95,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Returns the words of the cycle: those in force, with the words of the line in their place.
+    /// Returns the words of the cycle: the words of the line, and for those that the line lacks the words in force.
     fn cycle_words(&mut self, kind: CycleKind, axes: PlaneAxes) -> Result<CycleWords, Error> {
         let (before, modal) = (&self.state.modal, self.action.modal);
         let series = matches!(before.motion, MotionMode::Cycle(_)) && self.state.cycle.plane == modal.plane;
@@ -131,7 +131,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(words)
     }
 
-    /// Returns the machine coordinate at which the series of cycles began.
+    /// Returns the machine coordinate at which the series of cycles began, adjusted to the tool length offset of the
+    /// line.
     fn level_of(&self, words: &CycleWords, axes: PlaneAxes) -> Coordinate {
         words.level + self.tool_offset(axes.linear)
     }

@@ -38,7 +38,8 @@ fn squared_ways<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coor
     squares
 }
 
-/// Not inlined, so that the division is not part of the code for lines in which F is a speed.
+/// Returns the feed for F with G93. Not inlined, so that the division is not part of the code for lines in which F is a
+/// speed.
 #[inline(never)]
 fn inverse_time(feed: Decimal) -> Feed {
     Feed::InverseTime(60.0 / feed.to_f32())
@@ -117,7 +118,7 @@ impl<'a, const N: usize> Draft<'a, N> {
         has
     }
 
-    /// Returns `others`, except that each axis with a word has the value that `place` returns for that axis and its
+    /// Returns `others` with new values for the axes that have a word: `place` computes the value from the axis and its
     /// word.
     pub(super) fn with_axis_words(
         &self,
@@ -154,7 +155,7 @@ impl<'a, const N: usize> Draft<'a, N> {
         along(&self.state.position, axis)
     }
 
-    /// Returns the program's position along an axis, in its own (scaled) coordinates.
+    /// Returns the present position along an axis in program coordinates after scaling.
     pub(super) fn program_coordinate(&self, axis: Axis) -> Coordinate {
         if FULL_IMAGE && let Some(rotated) = self.rotated {
             let [first, second] = self.state.in_program(rotated, rotated.part_of(&self.state.position));

@@ -75,8 +75,8 @@ impl<const N: usize> Draft<'_, N> {
         whole(self.line.value(b'D')).map(|_| true)
     }
 
-    /// Whether the line's spline word is a switch of the look-ahead instead of a curve: G5.1 with Q or G5 with P,
-    /// without a destination.
+    /// Whether the line's spline word is not a curve, but switches the look-ahead as on other controls: G5.1 with Q or
+    /// G5 with P, without a destination.
     #[inline(never)]
     pub(super) fn is_look_ahead(&self) -> bool {
         let letter = match self.line.modal.motion {

@@ -43,7 +43,7 @@ pub(super) fn check<const N: usize>(
     action: &mut Action<N>,
 ) -> Result<(), Error> {
     let mut draft = Draft::begin(state, line, dialect, purpose, action);
-    // One test skips these steps, because most lines have none of their words and this function must be fast.
+    // Most lines have no extended words, and this function must be fast, so one test skips the steps for them.
     let is_extended = line.extended.any;
     if is_extended {
         draft.sign_of_p()?;
@@ -52,7 +52,7 @@ pub(super) fn check<const N: usize>(
     }
     draft.line_number()?;
     draft.feed()?;
-    // In Grbl's dialect a line without T deselects the tool, so with a tool selected it is more than a move.
+    // In Grbl's dialect a line without T deselects the tool. While a tool is selected, such a line is more than a move.
     let is_move = line.is_move() && (dialect != Dialect::Grbl || state.modal.tool == 0);
     if !is_move {
         draft.speed();
@@ -234,7 +234,7 @@ impl<const N: usize> Draft<'_, N> {
         others == Letters::of(b"O") && self.line.groups == Groups::default() && !self.state.computed.assigns()
     }
 
-    /// Sets the value of the last digit of the line's words.
+    /// Sets [`Action::digit`].
     #[inline(always)]
     fn precision(&mut self) {
         let action = &mut *self.action;

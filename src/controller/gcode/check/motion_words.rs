@@ -137,7 +137,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// Returns the vector from the start of an arc to its centre, in centre format.
+    /// Returns the vector from the start to the centre of an arc that gives its centre (I, J, K).
     fn centre(&mut self, axes: PlaneAxes) -> Result<Vector, Error> {
         let (first, second) = (centre_letter(axes.first), centre_letter(axes.second));
         let (has_first, has_second) = (self.line.values.has(first), self.line.values.has(second));
@@ -167,7 +167,7 @@ impl<const N: usize> Draft<'_, N> {
         Vector::new(centre_along(axes.first), centre_along(axes.second)).checked()
     }
 
-    /// Returns the value of the last digit in the words of an arc. It is limited to 0.01 mm or 0.001 inch, because
+    /// Returns the value of the last decimal place in the words of an arc. It is at most 0.01 mm or 0.001 inch, because
     /// programs often omit trailing zeros.
     #[inline(never)]
     fn digit_of_arc(&self, axes: PlaneAxes) -> Coordinate {

@@ -47,7 +47,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G92.1, G92.2 and G92.3. A motion on the same line already uses the new offset, as in RS274NGC.
+    /// G92.1, G92.2 and G92.3. A motion on the same line already uses the new offset, as in RS274NGC; in Grbl's dialect
+    /// it does not.
     pub(super) fn offset_acts(&mut self) {
         match self.line.non_modal {
             Some(word @ (NonModal::ClearOffset | NonModal::SuspendOffset)) => {

@@ -58,8 +58,8 @@ impl<const N: usize> Draft<'_, N> {
         self.state.offsets.rotated_plane(system, &self.action.g92, &self.action.tool_length, rotation)
     }
 
-    /// G68: R is the angle. The centre is the present position for an axis of the plane without a word. The distance
-    /// mode has no effect.
+    /// G68: R is the angle. Along an axis of the plane without a word, the centre is at the present position. The
+    /// distance mode has no effect.
     fn new_rotation(&mut self) -> Result<Rotation, Error> {
         let plane = self.action.modal.plane;
         let axes = plane.axes();
@@ -84,7 +84,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(Rotation { plane, angle: Angle::of(self.line.value(b'R')), centre })
     }
 
-    /// Refuses arcs, splines and cycles outside the rotated plane: they must be in a plane of the machine's axes.
+    /// While a plane is rotated, refuses arcs, splines and cycles in another plane: after the rotation it would not be
+    /// a plane of two machine axes.
     pub(super) fn needs_plane(&self, axes: PlaneAxes) -> Result<(), Error> {
         match self.rotated {
             Some(rotated) if FULL_IMAGE && rotated.axes != axes => Err(Error::NotInRotatedPlane),
@@ -118,8 +119,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Returns the program coordinates of the present position, with those of the named axes replaced; `None` if no
-    /// axis of the plane is named.
+    /// Returns the program coordinates of the present position, in which the axis words of the line replace those of
+    /// their axes; `None` if no axis of the plane has a word.
     fn named_in(&self, rotated: RotatedPlane) -> Option<[Coordinate; 2]> {
         let axes = [rotated.axes.first, rotated.axes.second];
         if !axes.into_iter().any(|axis| self.line.axes.has(axis)) {
@@ -165,7 +166,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G10 L10 and L11 in a rotated system. Returns whether the system is rotated.
+    /// G10 L10 and L11 of a rotated system: sets the offset of the tool. Returns whether the system is rotated.
     pub(super) fn sets_rotated_tool(&mut self, l: i32, present: &PerAxis<Coordinate, N>) -> Result<bool, Error> {
         self.needs_no_rotation()?;
         let offsets = &self.state.offsets;

@@ -34,8 +34,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// G51: P is the factor of X, Y and Z; or I, J and K are one factor each, and a negative I or J mirrors. The centre
-    /// is the present position for an axis without a word. The distance mode has no effect.
+    /// G51: P is the factor of X, Y and Z; or I, J and K are one factor each, and a negative I or J mirrors. Along an
+    /// axis without a word, the centre is at the present position. The distance mode has no effect.
     fn new_scaling(&mut self) -> Result<Scaling, Error> {
         let named = self.line.axes;
         if Axis::of_machine::<N>().skip(3).any(|axis| named.has(axis)) {
@@ -55,7 +55,7 @@ impl<const N: usize> Draft<'_, N> {
         if factors.contains(&Decimal::ZERO) || z < Decimal::ZERO {
             return Err(Error::ValueOutOfRange);
         }
-        // A factor this large is most likely in thousandths, as industrial controls have it.
+        // A factor this large is most likely in thousandths, as industrial controls expect it.
         if factors.iter().any(|factor| factor.0.unsigned_abs() > FACTOR_MAX.0.unsigned_abs()) {
             return Err(Error::ThousandfoldScaling);
         }

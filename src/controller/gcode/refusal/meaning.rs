@@ -154,7 +154,7 @@ impl<const N: usize> Interpreter<N> {
 }
 
 impl<'a, const N: usize> ReadableLine<'a, N> {
-    /// Returns the word of a letter as it is written, or only the letter.
+    /// Returns the word of a letter as it is written, or only the letter if the line has no such word.
     #[inline(never)]
     fn word(&self, letter: u8) -> &'a [u8] {
         const LETTERS: &[u8; 26] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZ";

@@ -106,7 +106,7 @@ proptest! {
         compare_batches(single, Measure::of(&steps_by_axis).total, (level, ramp, start), &part, &table)?;
     }
 
-    /// The same with a fourth axis.
+    /// Like `a_batch_equals_its_ticks`, with a fourth axis.
     #[test]
     fn a_batch_of_four_axes_equals_its_ticks(
         steps_by_axis in steps_by_axis(3000), rest in steps_by_axis(3000), level in 0_u8..=4, ramp in -300_i32..300,

@@ -191,7 +191,7 @@ proptest! {
 
 /// Maximum distance of a step from an arc in addition to the tolerance of its chords, in steps. Each axis is within
 /// half a step of the chord, whose ends are exact to a fourteenth of a step (rounded to the nearest seventh). If both
-/// axes have their maximum error, the distance is √2 times 1/2 + 1/14.
+/// axes have their maximum error, the distance is √2 × (1/2 + 1/14).
 const MOST_OFF: f64 = std::f64::consts::SQRT_2 * 4.0 / 7.0;
 
 /// Runs an arc to its end, which must be reached exactly. Returns the maximum distance of a step from the circle in
@@ -283,7 +283,7 @@ proptest! {
     }
 }
 
-/// The segment that ends a constant speed reaches into the ramp after it, which here has only a few steps.
+/// The last segment at constant speed reaches into the ramp after it. Here this ramp has only a few steps.
 #[test]
 fn a_short_ramp_behind_a_constant_speed_is_no_steeper() {
     let g = geometry(2, 10.0_f64.powf(0.6588462477398048), -2.276435767022154, -1.2119748809651154, 0.0, 0, [0.0, 0.0]);

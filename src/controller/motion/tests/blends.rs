@@ -22,7 +22,7 @@ fn blocks(moves: &[Move<3>]) -> Vec<[i64; 3]> {
 fn a_square_corner_is_cut_off() {
     let job = |path| blocks(&[within(path, [10.0, 0.0, 0.0], FEED), within(path, [10.0, 10.0, 0.0], FEED)]);
     assert_eq!(job(0.0), [[1000, 0, 0], [0, 1000, 0]]);
-    // A tolerance of 0.05 mm takes 0.0707 mm of either move, which are seven steps.
+    // A tolerance of 0.05 mm shortens either move by 0.0707 mm, which is seven steps.
     assert_eq!(job(0.05), [[993, 0, 0], [7, 7, 0], [0, 993, 0]]);
     // Of a large tolerance, only as much is used as the acceleration needs. There are four vertices.
     let far = job(1.0);

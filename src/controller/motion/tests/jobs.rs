@@ -71,8 +71,8 @@ fn a_short_look_ahead_brakes_in_time() {
 
 #[test]
 fn corners_are_taken_at_the_junction_rule() {
-    // A right angle with a = 500, deviation 0.01: along the bisector the limit of both axes gives a·√2;
-    // v² = a_j·d·s/(1-s), s = sin 45°.
+    // A right angle with a = 500, deviation 0.01: along the bisector the limit of both axes gives a_j = a·√2. So v² =
+    // a_j·d·s/(1-s), with s = sin 45°.
     let mut rig = Rig::<3, 16>::new(settings(400.0, 500.0, 500.0));
     rig.moves.push_back(to([50.0, 0.0, 0.0], Speed::Feed(100.0)));
     rig.moves.push_back(to([50.0, 50.0, 0.0], Speed::Feed(100.0)));

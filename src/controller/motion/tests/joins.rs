@@ -11,7 +11,7 @@ use proptest::prelude::*;
 
 const FEED: Speed = Speed::Feed(100.0);
 
-/// Returns the ends of moves along a straight line, rounded to a digit.
+/// Returns the ends of moves along a straight line, rounded to multiples of `digit` (mm).
 fn chords(length: f64, angle: f64, chord: f64, digit: f64) -> Vec<[f64; 3]> {
     let (y, x) = angle.to_radians().sin_cos();
     let count = (length / chord).round();
@@ -171,8 +171,8 @@ impl Machine {
     }
 }
 
-/// Generates lines, bends and corners in short chords, rounded to a digit. Each piece has a direction, a turn per
-/// chord, and a chord length.
+/// Generates lines, bends and corners in short chords, rounded to three to five decimals. Each piece has a direction, a
+/// turn per chord, and a chord length.
 fn polylines() -> impl Strategy<Value = Vec<[f64; 3]>> {
     let piece = (0.0..360.0_f64, prop_oneof![Just(0.0), -3.0..3.0_f64], 0.001..0.05_f64, 1_usize..120, -0.3..0.3_f64);
     (prop::collection::vec(piece, 1..6), prop::sample::select(vec![1e-3, 1e-4, 1e-5])).prop_map(|(pieces, digit)| {

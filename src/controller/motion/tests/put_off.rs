@@ -41,7 +41,7 @@ enum Change {
 #[derive(Clone, Copy, Debug)]
 enum Path {
     Straight,
-    /// Bends so gentle, with blocks so short, that no block is steep.
+    /// Bends so gentle, with blocks so short, that no block is steep (`Block::is_steep`).
     Gentle,
     /// Straight until a turn is found, then with the tightest bends.
     Turning,
@@ -173,7 +173,7 @@ proptest! {
 }
 
 /// An entry reaches its cap so narrowly that rounding decides: in a bend, an exit speed² that is greater by one bit can
-/// make the entry speed² lower by one bit. Such an entry must not count as settled.
+/// make the entry speed² lower by one bit. Such an entry must not count as settled (final, whatever is appended).
 #[test]
 fn what_rounding_can_take_away_is_not_settled() {
     let bend = Block { length: 0.1, acceleration: 400.0, curve: CurveLoad::new(1000.0, 400.0), ..straight(1.0) };
@@ -230,8 +230,8 @@ fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
     }
 }
 
-/// A turn lowers two blocks. The entry of the second one does not change, but the settled entry depends on the entry of
-/// the first one.
+/// A turn that is found limits the entries of the last two blocks. That does not change the entry of the last block,
+/// but the settled entry depends on the entry of the block before.
 #[test]
 fn what_counts_on_a_lowered_entry_is_lowered() {
     let mut ring = planner(24);

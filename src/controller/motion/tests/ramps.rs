@@ -223,8 +223,8 @@ fn a_slow_axis_in_one_block_does_not_spoil_the_ramp() {
     assert!(course.faults(false).is_empty(), "{:?}", course.faults(false));
 }
 
-/// The second block loads an axis that has a hundredth of the jerk. Its very slow entry is slow enough that the machine
-/// can still come to rest at its end.
+/// The second block loads an axis that has a hundredth of the jerk. The machine enters this block so slowly that it can
+/// still come to rest at the end of the block.
 #[test]
 fn a_crawl_knows_the_jerk_of_the_next_block() {
     let mut config = machine(1.0e4);
@@ -362,8 +362,8 @@ fn an_override_raised_in_a_bend_leaves_the_braking() {
     }
 }
 
-/// A host sends a bend with coarse digits just in time, and then stops sending. The bend only shows on long spans,
-/// after the stop at the end of the queue was planned with all of the acceleration.
+/// A host sends a bend just in time, with only two decimals, and then stops sending. The bend is only detected on long
+/// spans, after the stop at the end of the queue was planned with all of the acceleration.
 #[test]
 fn a_bend_that_is_seen_late_leaves_the_stop_at_the_end() {
     let rounded = |mm: f64| (mm * 100.0).round() / 100.0;

@@ -24,7 +24,7 @@ pub struct Record {
     pub steps: u8,
     /// Direction levels that were output before this tick.
     pub directions: u8,
-    /// Path of the tick, mm.
+    /// Distance along the path that the tick advances, mm.
     pub path: f64,
     pub level: u8,
     /// Nominal speed of the block, mm/s.
@@ -267,7 +267,8 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         self.due = 0;
     }
 
-    /// Stops the step task at once. The control side must be informed with the returned event ([`Rig::handle_stop`]).
+    /// Stops the step task at once. The control side learns of the stop only when the returned event is passed to
+    /// [`Rig::handle_stop`].
     pub fn stop(&mut self) -> StepEvent<N> {
         let event = self.stepper.stop([0; N]);
         self.after_stop(event);
@@ -332,7 +333,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         let hz = f64::from(self.hz);
         for record in &self.trace {
             let interval = record.interval as f64 / hz;
-            // One percent, and the clock tick to which a time is rounded.
+            // Allows for one percent, and for the clock tick to which a time is rounded.
             assert!(
                 record.path <= record.nominal * (interval * 1.01 + 1.0 / hz) + 1e-9,
                 "too fast: {} of {} mm/s at {record:?}",
@@ -343,8 +344,9 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         self.check_acceleration(false);
     }
 
-    /// Checks the acceleration as in [`Rig::check_limits`]. `cut_short`: overrides or holds at very low speed can drop
-    /// or hurry a pending tick of one unit. So a jump by the speed that can be reached within one unit is allowed, too.
+    /// Checks the acceleration as in [`Rig::check_limits`]. `cut_short`: whether overrides or holds at very low speed
+    /// can drop or hurry a pending tick of one unit. In that case the speed is also allowed to jump by as much as can
+    /// be reached within one unit.
     pub fn check_acceleration(&self, cut_short: bool) {
         let hz = f64::from(self.hz);
         let mut window: Option<(f64, f64, f64)> = None; // middle, speed, acceleration limit

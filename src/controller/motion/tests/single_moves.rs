@@ -37,7 +37,7 @@ impl Taker {
     }
 }
 
-/// A move to a height at a feed (mm/s), which can be held after some messages, and the rest of it discarded.
+/// A move to a height (mm) at a feed (mm/s). If it is held after some messages, the rest of it is discarded.
 #[derive(Clone, Debug)]
 struct Single {
     z: f64,

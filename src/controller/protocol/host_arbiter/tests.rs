@@ -13,7 +13,7 @@ fn a_host_that_leaves_in_mid_line_leaves_no_half_line() {
     both.usb(b"G4P0\n");
     assert!(!both.arbiter.owes_cut());
     assert_eq!((both.text().as_str(), both.refusals()), ("G0X1\nG1 X|G4P0\n", (0, 0)));
-    // The cut contains the number of disconnected hosts, which shows whose lines precede it.
+    // The cut ([`HOST_CHANGED`]) contains the number of disconnected hosts, which shows whose lines precede the cut.
     let cuts = |both: &Both<16>| {
         both.queues.lines.iter().filter(|b| b.byte == HOST_CHANGED).map(|b| b.epoch).collect::<Vec<_>>()
     };
@@ -58,7 +58,8 @@ fn a_host_that_leaves_with_a_full_queue_makes_room_for_the_next() {
     assert_eq!(both.usb.held(), 7);
     both.usb.went(&mut both.arbiter);
     assert_eq!(both.usb.room(), 16);
-    // The cut precedes the first byte of the next host, whatever the link. Cut and byte wait together for room.
+    // The cut precedes the first byte of the next host, on whichever link it is. The byte waits until there is room for
+    // both.
     both.uart(b"$");
     both.queues.most_lines = 100;
     both.pass_on();

@@ -89,7 +89,8 @@ impl<const HELD: usize> Both<HELD> {
         self.usb.pass_on(&mut self.arbiter, &mut self.queues) || uart
     }
 
-    /// Returns the text in the queue, with `|` for a cut. A cut at the start has no effect and is omitted.
+    /// Returns the text in the queue, with `|` for each [`HOST_CHANGED`], which cuts the line before it. At the start
+    /// it has no effect and is omitted.
     pub fn text(&self) -> String {
         let shown = |byte: &LineByte| if byte.byte == HOST_CHANGED { '|' } else { char::from(byte.byte) };
         self.queues.lines.iter().map(shown).collect::<String>().trim_start_matches('|').into()
@@ -305,7 +306,8 @@ fn a_hold_in_a_remark_is_a_hold_where_bytes_are_lost_or_the_host_goes() {
     }
 }
 
-/// Bytes that wait for the rest of a character are queued as commands, in order, if that rest does not come.
+/// The first bytes of a character wait for its other bytes. If these do not come, the waiting bytes are queued as
+/// commands, in order.
 #[test]
 fn a_character_that_is_broken_off_is_commands() {
     use Realtime::{FeedReset, JogCancel, SafetyDoor, Status};
@@ -456,7 +458,8 @@ impl Both<40> {
 }
 
 proptest! {
-    /// Exactly the commands outside of remarks arrive, for any bytes, in any pieces, and with any amount of room.
+    /// Exactly the commands outside of remarks arrive, whatever the bytes are, however they are split, and however much
+    /// room there is.
     #[test]
     fn a_stop_byte_is_never_lost(
         mut bytes in proptest::collection::vec(

@@ -17,7 +17,7 @@ use crate::states::stops::orders::StopReason;
 use crate::states::{AfterBraking, State};
 use crate::units::{Duration, Instant};
 
-/// An open safety door, or whatever acts like one.
+/// An open safety door, or something that acts like one: sleep, a fault with retraction, a lost host.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Door {
     pub phase: DoorPhase,
@@ -29,7 +29,8 @@ pub(crate) struct Door {
 
 /// Phases of the safety door.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-// A tag of one byte. Without it, the 64-bit instants inside make the tags of this enum and of `State` 64 bits wide.
+// Makes the tag one byte. Otherwise the 64-bit instants in the variants would make the tags of this enum and of `State`
+// 64 bits wide.
 #[repr(u8)]
 pub(crate) enum DoorPhase {
     /// Braking; parking begins at rest.
@@ -57,14 +58,14 @@ pub(crate) enum DoorPhase {
 pub(crate) enum Interrupted {
     /// A job, which resumes when the door is closed.
     Job,
-    /// A jog, which is dropped at rest.
+    /// A jog, which is dropped once the machine is at rest.
     Jog {
         /// 0x19 has been received since the door opened.
         stopped: bool,
     },
     /// A job that was stopped (0x19). It is dropped when the door is closed.
     StoppedJob,
-    /// Nothing that would resume, because the machine falls asleep.
+    /// Nothing resumes, because the machine falls asleep.
     Sleep,
 }
 
@@ -266,7 +267,7 @@ impl<const N: usize> Controller<N> {
             DoorPhase::Parking if self.m.parking.motion().is_idle() => self.parked(),
             DoorPhase::Reopened if self.m.parking.motion().is_at_rest() => {
                 self.m.parking.discard();
-                // If the spindle is on, the tool can be in the cut. It leaves slowly, as when the door was first
+                // If the spindle is on, the tool can be in the cut. Then it leaves slowly, as when the door was first
                 // opened.
                 if !self.m.accessories.is_suspended() && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
                 {
@@ -421,7 +422,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Starts a parking move at the rate of this setting. Returns whether the tool is being parked at all.
+    /// Starts a parking move at the rate in the setting `rate`. Returns false, without a move, if the tool is not being
+    /// parked.
     fn parking_move(&mut self, to: ParkingPoint, rate: Key) -> bool {
         let parking = self.m.parking.move_to(to, rate, &self.m.settings);
         if parking {

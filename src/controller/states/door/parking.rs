@@ -62,14 +62,14 @@ impl<const N: usize> Parking<N> {
         }
     }
 
-    /// Whether the tool has left the job for the parking point.
+    /// Whether the tool is on its way to the parking point, is there, or is on its way back.
     pub fn is_away(&self) -> bool {
         self.route.is_some()
     }
 
-    /// Plans the parking moves from the end of the job's `motion`. Returns whether the tool will be parked. It is not
-    /// parked if parking or homing is off, in laser mode, if it is not `allowed`, or if the tool is already at or
-    /// beyond the parking point.
+    /// Plans the parking moves from the machine position of the job's `motion`. Returns whether the tool will be
+    /// parked. It is not parked if parking or homing is off, in laser mode, if it is not `allowed`, or if the tool is
+    /// already at or beyond the parking point.
     pub fn leave_job(&mut self, allowed: bool, settings: &Settings<N>, motion: &mut Motion<N>) -> bool {
         self.route = if allowed { Route::from(motion.machine_position(), settings) } else { None };
         if self.is_away() {
@@ -80,8 +80,8 @@ impl<const N: usize> Parking<N> {
         self.is_away()
     }
 
-    /// Starts a parking move at the rate (mm/min) of this setting. Returns false, without a move, if the tool is not
-    /// being parked.
+    /// Starts a parking move at the rate (mm/min) in the setting `rate`. Returns false, without a move, if the tool is
+    /// not being parked.
     pub fn move_to(&mut self, point: ParkingPoint, rate: Key, settings: &Settings<N>) -> bool {
         let Some(route) = &self.route else { return false };
         let target = match point {

@@ -1,6 +1,6 @@
-//! The homing cycle as a sequence: which axes seek their switches, pull off, and locate them again, and how an axis
-//! with two motors is squared. This module moves nothing itself. It returns an order (move, wait, done, failed), and is
-//! called again with the closed switches when that order has been carried out.
+//! The homing cycle as a sequence: which axes seek their switches (fast), pull off, and locate them again (slowly), and
+//! how an axis with two motors is squared. This module moves nothing itself. It returns an order (move, wait, done,
+//! failed), and is called again with the closed switches when that order has been carried out.
 //!
 //! ```text
 //!  each cycle ($44 and on; at first Z, then X and Y together):
@@ -8,9 +8,9 @@
 //!                                                                   └──────────────── $43 times ────────────────┘
 //! ```
 //! At a switch, motion stops without a ramp: the rates of homing are low enough for that, and during a ramp the axis
-//! could run into the end of the switch. Axes of a cycle that have not reached their switch continue. Afterwards an
-//! axis is one pull-off away from its switch. Its position is set at the end of its own cycle, so movement in later
-//! cycles, such as backlash in belts that two axes share, is counted.
+//! could run into the end of the switch. Axes of a cycle that have not reached their switch continue. At the end of its
+//! cycle, an axis is one pull-off away from its switch, and its position is set. So movement in later cycles, such as
+//! backlash in belts that two axes share, is counted.
 //!
 //! An axis with two motors and two switches is squared: the motor whose switch closes first holds still while the other
 //! moves alone, in each seek and each locate.
@@ -95,9 +95,9 @@ pub(crate) struct HomingCycle<const N: usize> {
     cycles: heapless::Deque<AxisMask, 8>,
     homed: AxisMask,
     pass: Pass,
-    /// Locates of the current cycle still to come.
+    /// Number of locates of the current cycle still to come.
     locates_left: u32,
-    /// Switches of the current approach that have not closed.
+    /// Switches of the current seek or locate that have not closed.
     approaching: AxisMask,
     /// Switches of `approaching` that the current move can reach.
     watched: AxisMask,

@@ -21,7 +21,7 @@ use crate::states::stops::reaction::{Braking, Reaction};
 use crate::states::{AfterBraking, State};
 
 impl<const N: usize> Controller<N> {
-    /// Stops for a fault as its setting says. The alarm follows when the machine is at rest.
+    /// Stops for a fault as the setting for that fault says. The alarm follows when the machine is at rest.
     pub(crate) fn fault(&mut self, alarm: Alarm, stopped: &mut Stopped) {
         let under_way = self.stop_under_way();
         let reason = under_way.map_or(StopReason::Alarm(alarm), |other| other.heavier(StopReason::Alarm(alarm)));

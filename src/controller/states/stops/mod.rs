@@ -57,7 +57,7 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Called when the step task has failed. If the machine was already stopping or braking for a reason at least as
-    /// serious, that reason will be reported.
+    /// serious, that reason will be reported in place of the failure.
     fn await_what_brakes(&mut self, failure: Alarm) {
         if let Some(reason) = self.stop_under_way()
             && reason.heavier(StopReason::Alarm(failure)) == reason
@@ -148,8 +148,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Latches the emergency stop or driver fault. Only a reset ends it, and if the input is still active at the reset,
-    /// it is reported again.
+    /// Latches the emergency stop or driver fault. Only a reset ends the alarm. If the input is still active at the
+    /// reset, the alarm is reported again.
     fn finish_emergency(&mut self, alarm: Alarm, stop: &Finished) {
         let homing = matches!(self.state, State::Homing(_));
         let drivers_off = self.m.settings.is_on(Key::EmergencyDriversOff);

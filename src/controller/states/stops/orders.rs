@@ -4,9 +4,10 @@
 //! ```text
 //!  order ──▶ Output::Stop ──▶ step task ──▶ StepEvent::Stopped ──▶ finish ──▶ ToStep::Resume
 //!                                 ▲
-//!  reset, armed input: they have stopped it already, and are only counted
+//!  reset, armed input: these have already stopped the step task themselves, and are only counted
 //! ```
-//! Both sides count stops, so a stop that has happened is never mistaken for one requested later.
+//! The controller and the step task both count stops, so a stop that has happened is never mistaken for one requested
+//! later.
 
 use crate::error::Alarm;
 
@@ -21,7 +22,8 @@ pub enum StopReason {
     Switch,
     /// A contact of the probe, for which the step task has already braked.
     Contact,
-    /// An armed input became active while the machine was already locked.
+    /// An armed input has stopped the step task and there is no reason to act, for instance because the machine was
+    /// already locked.
     Nothing,
 }
 
@@ -37,7 +39,7 @@ impl StopReason {
         match self {
             StopReason::Nothing => 1,
             StopReason::Switch | StopReason::Contact => 2,
-            // These alarms rank lowest, because they do not affect motors and position.
+            // The lowest of the alarms: a lost spindle speed and a lost host do not affect motors and position.
             StopReason::Alarm(Alarm::SpindleSpeed | Alarm::AbortInMotion) => 3,
             StopReason::Alarm(Alarm::DriverFault) => 5,
             StopReason::Alarm(Alarm::EmergencyStop) => 6,
@@ -66,9 +68,9 @@ pub struct Stops {
     expected: u16,
     /// Number of stops that have happened (wrapping).
     seen: u16,
-    /// Whether the machine was stepping at one of these stops.
+    /// Whether the machine was stepping at any stop since the last [`Stops::finish`].
     moving: bool,
-    /// N word of the move in execution at the last of these stops, 0 = none.
+    /// N word of the move in execution at the last stop reported to [`Stops::happened`], 0 = none.
     line: u32,
     /// A stop order is still to be sent to the step task.
     ordered: bool,
@@ -102,17 +104,17 @@ impl Stops {
         self.awaited.is_none() && self.seen == self.expected
     }
 
-    /// Counts stops by armed inputs as expected.
+    /// Adds the stops that armed inputs have made to the number of expected stops.
     pub fn count(&mut self, stops: u8) {
         self.expected = self.expected.wrapping_add(u16::from(stops));
     }
 
-    /// Awaits, for this reason, a stop that is already counted.
+    /// Awaits a stop for this reason, without counting it.
     pub fn wait_for(&mut self, reason: StopReason) {
         self.awaited = Some(self.awaited.map_or(reason, |awaited| awaited.heavier(reason)));
     }
 
-    /// Counts and awaits a stop. Whoever requests it has already stopped the step task.
+    /// Counts and awaits a stop that needs no order, because its cause (a reset) has already stopped the step task.
     pub fn begin(&mut self, reason: StopReason) {
         self.count(1);
         self.wait_for(reason);
@@ -141,7 +143,8 @@ impl Stops {
         ordered
     }
 
-    /// Returns the count of stops with which to reopen the step task, if that is due.
+    /// If the step task has to be reopened now, returns the number of stops that have happened, to be sent with the
+    /// order. Returns it only once.
     pub fn take_resume(&mut self) -> Option<u16> {
         core::mem::take(&mut self.resume).then_some(self.seen)
     }
@@ -177,7 +180,7 @@ impl Stops {
             return None;
         }
         let finished = Finished { reason, moving: self.moving, line: self.line };
-        // A stop that has happened but is not counted yet keeps the step task closed: see `is_open`.
+        // A stop that has happened but is not counted as expected yet keeps the step task closed: see `is_open`.
         *self = Stops { expected: self.expected, seen: self.seen, resume: true, ..Stops::NONE };
         Some(finished)
     }

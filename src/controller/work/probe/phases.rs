@@ -77,7 +77,7 @@ impl<const N: usize> Probe<N> {
         self.watch.take()
     }
 
-    /// Takes the contact that the step task has seen, and its position.
+    /// Records a contact that the step task has seen. `position` returns where it was.
     pub fn contact(&mut self, position: impl FnOnce() -> PerAxis<Coordinate, N>) {
         if self.is_seeking() {
             self.phase = Some(Phase::Braking);
@@ -96,12 +96,13 @@ impl<const N: usize> Probe<N> {
         self.phase.is_none() && self.watch.is_none()
     }
 
-    /// Reports that the step task has been stopped for any reason. A stop also ends its watch of the probe.
+    /// Call this when the step task has been stopped for any reason. A stop also ends the step task's watch of the
+    /// probe.
     pub fn stopped(&mut self) {
         self.watch = None;
     }
 
-    /// Reports that the stop was for the contact.
+    /// Records that the machine is at rest after the contact. Call this when the stop for the contact is over.
     pub fn rests_after_contact(&mut self) {
         self.phase = Some(Phase::Touched);
     }

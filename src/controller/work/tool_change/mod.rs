@@ -18,7 +18,7 @@ use crate::work::task::{Job, Stage};
 use crate::work::tool_change::plan::{ChangeOrder, ChangePlan, ToolChange};
 
 impl<const N: usize> Controller<N> {
-    /// Whether a tool setter measures what M6 has put into the spindle (`$918=2`).
+    /// Whether a tool setter measures each tool that M6 puts into the spindle (`$918=2`).
     pub(crate) fn measures_tools(&self) -> bool {
         self.m.settings.whole(Key::ToolChange) == 2
     }
@@ -180,7 +180,7 @@ impl<const N: usize> Controller<N> {
         if outside || self.limits_travel() && way.iter().any(|place| self.is_outside_travel(place)) {
             return self.fail_tool_change(Alarm::SoftLimit);
         }
-        // With a laser the move down is a rapid, because a rapid is the only move of a line with the laser off.
+        // With a laser the move down is a rapid, because in the moves of a line the laser is off only in rapids.
         let rate = per_second(self.m.settings.value(Key::ParkingPullOutRate));
         let feed = if self.m.settings.is_on(Key::Laser) { Feed::Rapid } else { Feed::PerMinute(rate) };
         self.line.action.return_with_tool(way, feed, length);

@@ -11,7 +11,7 @@
 //! All moves between positions are at one height: that of G30, or that of the tool if the tool is higher when the
 //! change begins. Until the tool has been measured, only probing moves go below that height, and at most `$342` below
 //! G30. Without a tool (T0) nothing is measured. The first measured tool cannot be compared with an earlier tool, so
-//! the height of its tip over the work is not known. It stays up, and the program waits for the operator.
+//! the height of its tip over the work is not known. That tool stays up, and the program waits for the operator.
 
 use crate::axes::{Axis, PerAxis};
 use crate::error::Alarm;
@@ -107,9 +107,9 @@ fn along<const N: usize>(place: &PerAxis<Coordinate, N>) -> Coordinate {
 pub enum ChangeOrder<const N: usize> {
     /// A rapid.
     Rapid(PerAxis<Coordinate, N>),
-    /// A move that always reaches its target, at a rate in mm/s.
+    /// A move at a rate in mm/s that always reaches its target.
     Move(PerAxis<Coordinate, N>, f32),
-    /// A move that ends when the tool touches the setter, at a rate in mm/s.
+    /// A move at a rate in mm/s that ends when the tool touches the setter.
     Probe(PerAxis<Coordinate, N>, f32),
     /// The operator is to change the tool. Continues at the operator's command.
     Prompt,
@@ -169,7 +169,7 @@ impl<const N: usize> ToolChange<N> {
         Self { plan, ..Self::NONE }
     }
 
-    /// Marks the tool that is being measured as the first one.
+    /// Marks the tool as the first one that has been measured.
     pub fn is_first_tool(&mut self) {
         self.is_first = true;
     }

@@ -50,7 +50,7 @@ export class App implements Page {
   private readonly first: FirstVisit;
   private running?: AbortController;
   private timer?: ReturnType<typeof setTimeout>;
-  /** The edited line of the job, which is shown again after the check; 0 if none. */
+  /** The line that the user has edited; it is selected again after the check. 0 if none. */
   private keptLine = 0;
 
   constructor(readonly description: Description) {
@@ -166,7 +166,7 @@ export class App implements Page {
     void this.check();
   }
 
-  /** Checks the job as soon as the settings have not changed for `QUIET`. */
+  /** Checks the job when its settings have stayed unchanged for `QUIET` ms. */
   soon(): void {
     clearTimeout(this.timer);
     if (this.job.lines.length) this.timer = setTimeout(() => void this.check(), QUIET);
@@ -282,7 +282,7 @@ export class App implements Page {
     onlaunch(openFile);
   }
 
-  /** Sets the light or dark theme: that of the system, until the user chooses one. */
+  /** Sets the light or dark theme: the theme of the system, until the user chooses one. */
   private theme(): void {
     const dark = matchMedia("(prefers-color-scheme: dark)");
     const set = (to: boolean) => {

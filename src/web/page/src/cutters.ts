@@ -31,8 +31,8 @@ export function cutterIn(text: string): Cutter | undefined {
   return { shape: isV ? "v" : isBall ? "ball" : "flat", diameter: width, angle: isV && angle !== undefined && angle > 0 ? Math.min(179, angle) : 60 };
 }
 
-/** Returns the cutters by tool. A comment describes the cutter of the tool that it names; without a number, that of the
- * next tool change. */
+/** Returns the cutters by tool number. A comment describes the cutter of the tool that it names, or of the next tool
+ * change if it names none. */
 export function cuttersOf(lines: string[]): Record<number, Cutter> {
   const found: Record<number, Cutter> = {};
   let last: Cutter | undefined;

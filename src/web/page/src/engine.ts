@@ -7,9 +7,9 @@ export interface Order {
   settings?: Record<string, number>;
   path?: boolean;
   machine?: object;
-  /** Work zero of G54 in mm of machine coordinates; the machine is then homed before its job. */
+  /** Work zero of G54 in mm of machine coordinates. If it is given, the machine is homed before its job. */
   work_zero?: number[];
-  /** Lines that the machine executes before its job: its offsets and tools. */
+  /** Lines that the machine executes before its job, to set its offsets and tools. */
   stored?: string[];
   baud?: number;
   resume?: Resume;
@@ -17,7 +17,7 @@ export interface Order {
 
 /** Where a job is resumed; like the options of `oxmill resume`. */
 export interface Resume { line: number; clearance?: number; plunge?: number; spin_up?: number }
-/** The rest of a job as a program. `prologue` are the added lines before those of the job. */
+/** The rest of a job as a program. `prologue`: the lines that were added before the lines of the job. */
 export interface Rest { program: string; line: number; lines: number; prologue: string[] }
 
 export interface LineError { line: number; code: number; text: string; source: string; advice: string }
@@ -41,7 +41,7 @@ export interface Summary {
 export function hindrance({ errors, more_errors, alarm, complete }: Summary): { text: string; line?: number; more?: string } | undefined {
   const refused = errors.length + more_errors;
   const [first] = errors;
-  // Name the alarm unless a line before it was rejected: lines after the alarm are rejected because of it.
+  // Name the alarm, unless a line before it was rejected. Rejected lines after the alarm are only its consequence.
   if (alarm && !(first && first.line < (alarm.line ?? 0))) return { text: `the job ends in alarm ${alarm.code}`, line: alarm.line ?? undefined, more: alarm.text };
   if (refused) return { text: `${refused.toLocaleString("en")} line${refused === 1 ? "" : "s"} would be refused`, line: first.line, more: `Line ${first.line}: ${first.text}` };
   return complete ? undefined : { text: "the job does not come to its end" };
@@ -55,7 +55,8 @@ export const workZero = (summary: Summary): [number, number, number] =>
 export const ROW = 6;
 export const RAPID = 0x80000000;
 export const ARC = 0x40000000;
-/** The rows, and for each row its line with RAPID or ARC, its tool, and its S (0 while the spindle is off). */
+/** The rows of a path. For each row: its line with the bit RAPID or ARC, its tool, and its S (0 while the spindle is
+ * off). */
 export interface Path { rows: Float32Array; lines: Uint32Array; tools: Uint32Array; speeds: Uint32Array }
 
 export interface Streamed { baud: number; forecast_s: number; complete: boolean; errors: number; lost: { line: number; seconds: number }[] }

@@ -63,12 +63,12 @@ export class FirstVisit {
     if ($("app").dataset.workspace === "first") void this.forecast();
   }
 
-  /** The start page is being shown. */
+  /** Call when the start page is shown. */
   show(): void {
     if (!this.drawn) void this.forecast();
   }
 
-  /** Another page is being shown: stops pending forecasts. */
+  /** Call when another page is shown: stops pending forecasts. */
   hide(): void {
     this.running?.abort(new Error("the start page is left"));
   }

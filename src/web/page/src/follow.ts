@@ -1,18 +1,19 @@
-// Finds the position of a machine in its job: reports give a position; the path gives the times at which the job is
-// there.
+// Finds the position of a machine in its job: reports give the machine's position, and the path gives the times at
+// which the job is at this position.
 import { type Path, ROW } from "./engine";
 import { endOf, isRapid, lineOf, placeAt, rowAt } from "./track";
 
-/** Maximum progress between two reports, as a multiple of the expected progress. Overrides at most double a speed. */
+/** Maximum progress of the job between two reports, as a multiple of the expected progress. Overrides at most double a
+ * speed. */
 const FASTEST = 2.2;
-/** Seconds that are searched in addition to the maximum progress. */
+/** Seconds of the job that are searched beyond the maximum progress. */
 const SLACK = 1;
-/** A machine nearer to the path than this is on it, mm. */
+/** A machine that is nearer to the path than this counts as on the path, mm. */
 const NEAR = 0.3;
 /** The same distance for the second search, which covers everything that was sent, mm. */
 const ASTRAY = 1;
-/** Cost of a deviation from the expected time, mm per s. It decides if the path passes a position twice or stands
- * still. */
+/** Cost of a deviation from the expected time, mm per s. It decides which time is chosen if the path passes a position
+ * twice or stands still. */
 const SECOND = 0.02;
 
 export interface Overrides { feed: number; rapid: number }
@@ -20,9 +21,9 @@ export interface Overrides { feed: number; rapid: number }
 export class Follower {
   /** Time within the job, s. */
   time = 0;
-  /** Seconds of feed up to the end of each row. */
+  /** Total seconds of feed moves up to the end of each row. */
   private readonly feed: Float32Array;
-  /** Seconds of rapids up to the end of each row. */
+  /** Total seconds of rapids up to the end of each row. */
   private readonly rapid: Float32Array;
 
   /** `zero`: position of work zero in the coordinates of the path, mm. */

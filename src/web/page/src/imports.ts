@@ -6,13 +6,13 @@ export interface Taken { number: number; value: number; from: string }
 export interface Import {
   what: string;
   taken: Taken[];
-  /** Lines that are not imported, with the reason. */
+  /** Lines that are not imported, each with the reason. */
   left: { text: string; why: string }[];
 }
 
 /** Numbers from here on are Oxmill's own settings. */
 const OWN = 900;
-/** Settings that are on or off here, but bit masks in grblHAL, with on or off in bit 0. */
+/** Settings that are on or off in Oxmill, but bit masks in grblHAL, whose bit 0 is on or off. */
 const FIRST_BIT = new Set([21, 22]);
 /** Settings that are left out because they affect only the reports or the wiring of another board, with the reason. */
 const OF_THE_BOARD = new Map([[10, "it decides on reports only"], [37, "another board's wiring"]]);

@@ -6,14 +6,14 @@ import { units } from "./units";
 
 /** Duration of each move of a held jog, s. */
 const JOG_SECONDS = 0.2;
-/** Moves of a held jog that are sent ahead of the last report. If the page dies, the machine makes only these. */
+/** Moves of a held jog that are sent ahead of the last report. If the page crashes, the machine makes only these. */
 const JOGS_AHEAD = 3;
 /** Steps in the displayed unit. */
 const STEPS = { mm: [0.001, 0.01, 0.1, 1, 10], inch: [0.0005, 0.005, 0.05, 0.5] };
 /** Jogging by keys switches itself off after this time without a jog, ms. */
 const FORGETFUL = 5 * 60_000;
 
-/** Directions by axis letter. */
+/** Direction of each axis that a jog moves, by axis letter. */
 export type Way = Record<string, 1 | -1>;
 const WAYS: { way: Way; turn: number; label: string }[] = [
   { way: { X: -1, Y: 1 }, turn: -45, label: "" }, { way: { Y: 1 }, turn: 0, label: "Y+" }, { way: { X: 1, Y: 1 }, turn: 45, label: "" },
@@ -24,7 +24,7 @@ const WAYS: { way: Way; turn: number; label: string }[] = [
 const named = (way: Way): string => Object.entries(way).map(([axis, sign]) => `${axis} to ${sign > 0 ? "plus" : "minus"}`).join(" and ");
 
 export class JogPanel {
-  /** The step in mm; 0 jogs while a button is held. */
+  /** The step in mm; 0 = jog for as long as a button is held. */
   private step = 1;
   private pads: HTMLButtonElement[] = [];
   private axes = "";
@@ -102,7 +102,7 @@ export class JogPanel {
   private feed(way: Way): number {
     const typed = units.parse($<HTMLInputElement>("jog-feed").value) ?? 1;
     const most = Object.keys(way).map(axis => this.machine.settings[110 + "XYZABC".indexOf(axis)] ?? Infinity);
-    // On a diagonal, each axis has only its share of the feed.
+    // On a diagonal, each axis moves at only a part of the feed, so the feed can be higher.
     return Math.max(1, Math.min(typed, Math.min(...most) * Math.sqrt(most.length)));
   }
 

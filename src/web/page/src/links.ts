@@ -42,7 +42,8 @@ export class PageLink implements Link {
   }
 }
 
-/** Calls `call` every `interval` ms, even in a hidden page, where browsers suspend timers. Returns the stop function. */
+/** Calls `call` every `interval` ms, even in a hidden page, where browsers suspend timers. Returns a function that ends
+ * the calls. */
 export function every(interval: number, call: () => void): () => void {
   const timer = new Worker(URL.createObjectURL(new Blob(["onmessage = ({ data }) => setInterval(() => postMessage(0), data)"], { type: "text/javascript" })));
   timer.onmessage = call;
@@ -92,8 +93,8 @@ export class SerialLink implements Link {
 
   /** Closes the port after all bytes have been written. */
   async close(): Promise<void> {
-    // Each step can fail if the board is gone; close the port nevertheless. Do not wait long for a board that takes no
-    // bytes.
+    // Each step can fail if the board is gone; go on to close the port nevertheless. Do not wait long for a board that
+    // takes no bytes.
     await Promise.race([this.writer.close(), new Promise(resolve => setTimeout(resolve, LONGEST_CLOSE))]).catch(() => {});
     this.writer.releaseLock();
     await this.reader.cancel().catch(() => {});

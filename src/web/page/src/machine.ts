@@ -61,7 +61,8 @@ export class Machine {
   private link?: Link;
   private endPoll = () => {};
   private stopping?: Stopping;
-  /** Counts presses of Stop and ended connections. After a change, a sequence of lines must not continue. */
+  /** Counts presses of Stop and ended connections. A sequence of lines must not continue if the count has changed since
+   * its start. */
   stopCalls = 0;
   private heard = 0;
   private reported = 0;
@@ -71,7 +72,7 @@ export class Machine {
   private rests = 0;
   /** Modes and offsets may have changed and must be requested. */
   private stale = true;
-  /** Modes and offsets have been requested and have not arrived. */
+  /** Modes and offsets have been requested, but have not arrived yet. */
   private asking = false;
   private limits = "";
   private readonly listeners: (() => void)[] = [];
@@ -112,7 +113,7 @@ export class Machine {
     return this.sender !== undefined;
   }
 
-  /** Whether bytes still reach the machine, as far as the page knows. */
+  /** Whether bytes of the page still reach the machine, as far as the page knows. */
   get isReached(): boolean {
     return this.isConnected && this.phase !== "lost";
   }
@@ -161,13 +162,13 @@ export class Machine {
     }
   }
 
-  /** Like `whyNot`, but a running jog is a reason, too. */
+  /** Like `whyNot`, but also gives a reason while a jog is running. */
   get whyNotAtRest(): string | undefined {
     return this.phase === "jog" ? "Off while the machine jogs." : this.whyNot;
   }
 
-  /** Whether the machine is at rest, so that a job can start. This needs two reports, because a single one can be older
-   * than the last move. Modes and offsets must also be known. */
+  /** Whether the machine is at rest, so that a job can start. Two reports must agree on this, because a single one can
+   * be older than the last move. Modes and offsets must also be known. */
   get isAtRest(): boolean {
     return this.rests >= 2 && !this.stale && !this.asking;
   }
@@ -202,7 +203,7 @@ export class Machine {
     this.sender?.realtime(REALTIME[command]);
   }
 
-  /** Sends typed text; a realtime command is sent without a line. */
+  /** Sends typed text: `!`, `~` or `?` alone as a realtime command, anything else as a line. */
   typed(text: string): void {
     const command = ({ "!": "hold", "~": "resume", "?": "status" } as const)[text.trim()];
     if (command === undefined) return void this.line(text);
@@ -370,7 +371,7 @@ export class Machine {
   private follow(name: string, passed: number): void {
     const { running, sender, status } = this;
     if (!running || !sender || !status) return;
-    // A simulated machine may be faster than the page's clock.
+    // A simulated machine may run faster than real time.
     const speed = this.isSimulated ? this.times : 1;
     const moving = name === "Run" || (name === "Idle" && sender.busy);
     if (moving) running.follower.report(status.work, passed * speed * Math.max(1, this.overrides[0] / 100), sender.sent || Infinity);

@@ -7,7 +7,8 @@ export type Shape = "flat" | "ball" | "v";
 export interface Cutter { shape: Shape; diameter: number; angle: number }
 /** A block, in mm of machine coordinates. */
 export interface Block { low: number[]; high: number[] }
-/** A rapid that went through material: its start and its maximum depth in material, mm. */
+/** A rapid that went through material: its line, its rows of the path, its start (s), and its maximum depth in material
+ * (mm). */
 export interface Crash { line: number; rows: number[]; seconds: number; depth: number }
 export interface Material {
   block: Block; cell: number; nx: number; ny: number; heights: Float32Array; crashes: Crash[];
@@ -20,7 +21,8 @@ const CELLS = 360_000;
 /** Maximum number of cells examined for all moves together. Examining them takes a second or two. */
 const WORK = 80_000_000;
 const SMALLEST_CELL = 0.02;
-/** Tolerance for rapids in material, sideways and downwards, mm. The path of a long job is not more accurate. */
+/** How far a rapid may enter material, sideways and downwards, without counting as a crash, mm. The path of a long job
+ * is no more accurate than this. */
 export const SLACK = 0.05;
 /** Rows between two progress reports. */
 const ROWS_AT_A_TIME = 2000;
@@ -73,9 +75,9 @@ export function blockOf(path: Path, cutters: Record<number, Cutter>, zero: numbe
 }
 
 /**
- * Cuts a block, up to a time of the job. A move lowers each cell to the lowest height that the cutter had over the
- * cell. The cutter's profile above its tip is convex, so the slope gives in closed form where on the move the cutter is
- * lowest over the cell.
+ * Cuts a block, up to the time `until` of the job. A move lowers each cell to the lowest height that the cutter had
+ * above it. The cutter's profile above its tip is convex, so the slope gives in closed form where on the move the
+ * cutter is lowest over the cell.
  */
 export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, cell: number, progress: (part: number) => void = () => {}, until = Infinity): Material {
   const nx = Math.max(1, Math.round((block.high[0] - block.low[0]) / cell));
@@ -95,7 +97,7 @@ export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, c
     if (Math.min(az, bz) >= block.high[2]) continue;
     const length = Math.hypot(bx - ax, by - ay);
     if (length < 1e-6) {
-      // Of a move straight up or down, only the lower end matters.
+      // In a move straight up or down, only the lower end matters: use it for both ends.
       [az, bz] = [Math.min(az, bz), Math.min(az, bz)];
     }
     const [ux, uy] = length < 1e-6 ? [1, 0] : [(bx - ax) / length, (by - ay) / length];
@@ -106,7 +108,7 @@ export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, c
     const last = Math.min(ny - 1, Math.floor((Math.max(ay, by) + radius - block.low[1]) / dy - 0.5));
     for (let j = first; j <= last; j++) {
       const y = block.low[1] + (j + 0.5) * dy;
-      // From `begin` to `end` of the move, in mm, the cutter reaches this row of cells.
+      // `begin` and `end`: the part of the move, in mm from its start, in which the cutter reaches this row of cells.
       let [begin, end] = [0, length];
       if (Math.abs(uy) > 1e-9) {
         const [one, other] = [(y - radius - ay) / uy, (y + radius - ay) / uy];

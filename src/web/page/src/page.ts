@@ -11,7 +11,7 @@ export type Workspace = "first" | "check" | "run" | "settings";
 /** Values of settings, as used by the forecast. */
 export interface Values {
   value(number: number): number;
-  /** The values that differ from a new controller's. */
+  /** The values that differ from those of a new controller. */
   values(): Record<string, number>;
   replace(values: Record<string, number>): void;
 }

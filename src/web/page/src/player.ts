@@ -27,7 +27,7 @@ export class Player implements Timeline {
   /** The second view, from above; `undefined` until it is shown the first time. */
   private second?: Picture;
   private machinePlace?: number[];
-  /** State of the machine when it was last marked. */
+  /** Position and state of the machine when its mark in the picture was last drawn. */
   private seen = "";
   /** State of the job when its line was last marked in the list. */
   private marked = "";
@@ -90,7 +90,7 @@ export class Player implements Timeline {
     this.picture.show(path, shades(path, "speed").shades);
   }
 
-  /** Shows no path, as the job has not been checked. */
+  /** Removes the path, because the job has not been checked. */
   clear(): void {
     if (this.playing) this.play();
     this.summary = this.path = undefined;
@@ -143,7 +143,7 @@ export class Player implements Timeline {
     const { running, status, sender } = machine;
     const place = status?.machine;
     const own = this.summary ? workZero(this.summary) : [0, 0, 0];
-    // The picture has the work zero of the job, the machine another one: convert by way of work coordinates.
+    // The work zero of the picture is that of the job; the machine's may differ. So convert through work coordinates.
     this.machinePlace = place && status ? [0, 1, 2].map(axis => status.work[axis] + own[axis]) : undefined;
     const live = running !== undefined && path !== undefined && running.job === this.page.job;
     if (live !== this.live) {
@@ -255,7 +255,7 @@ export class Player implements Timeline {
     if (!this.path) return;
     const travel = [130, 131, 132].map(number => this.page.settings.value(number));
     const shown = $<HTMLInputElement>("limits").checked;
-    // Homing assigns these coordinates to the travel, whichever ends have the switches.
+    // After homing, the travel is from minus its length to 0, whichever ends have the switches.
     const box = shown ? { low: travel.map(v => -v) as [number, number, number], high: [0, 0, 0] as [number, number, number] } : undefined;
     for (const picture of [this.picture, this.second]) picture?.limits(box);
   }
@@ -321,7 +321,7 @@ export class Player implements Timeline {
       this.showSecond();
       this.limits();
       this.seek(this.time);
-      // This has changed the width of the first view.
+      // Showing or hiding the second view has changed the width of the first.
       picture?.fit();
     });
     $("show-rapids").addEventListener("change", () => {

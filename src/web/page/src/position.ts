@@ -29,12 +29,12 @@ export class PositionPanel {
     void this.machine.line(`G10 L20 P${this.machine.system} ${axes.map(axis => `${axis}0`).join(" ")}`);
   }
 
-  /** Sets the work coordinate of the present position for an axis. */
+  /** Makes `text` the work coordinate of an axis at the present position. */
   private async name(axis: string, text: string): Promise<void> {
     const value = axis < "X" ? Number(text.replace(",", ".")) : units.parse(text);
     this.update();
     if (value === undefined || !Number.isFinite(value)) return;
-    // The machine interprets the number in the unit in force.
+    // The machine reads the number of the line in its present unit (G20 or G21).
     const unit = axis >= "X" && this.machine.modes.includes("G20") ? 25.4 : 1;
     await this.machine.line(`G10 L20 P${this.machine.system} ${axis}${Number((value / unit).toFixed(5))}`);
   }

@@ -10,7 +10,7 @@ import { isRapid, lineOf } from "./track";
 export type Grade = "yes" | "look" | "ask" | "wait" | "no";
 export interface Finding { grade: Grade; text: string; more?: string; line?: number }
 
-/** How long nothing may change before the job is tried with the machine's own settings, ms. */
+/** The job is tried with the machine's own settings when nothing has changed for this time, ms. */
 const QUIET = 250;
 
 export class Preflight {

@@ -5,7 +5,7 @@ import type { Machine } from "./machine";
 
 /** Distance that the tool retracts after a contact, mm. */
 const BACK = 2;
-/** Distance that the tool moves down beside a corner plate, starting 2 * BACK above it, mm. */
+/** Distance that the tool moves down beside a corner plate, mm. It starts 2 * BACK above the plate. */
 const BESIDE = 8;
 
 type Kind = "z" | "edge" | "corner" | "hole";
@@ -19,7 +19,7 @@ const KINDS: Record<Kind, [name: string, text: string]> = {
 const EDGES = ["X+", "X-", "Y+", "Y-"] as const;
 const CORNERS: Record<string, [number, number]> = { "front left": [1, 1], "front right": [-1, 1], "back left": [1, -1], "back right": [-1, -1] };
 
-/** Thrown to end a probing cycle early. */
+/** Error that is thrown to end a probing cycle early. */
 class Ended extends Error {}
 
 export class ProbePanel {
@@ -31,7 +31,7 @@ export class ProbePanel {
   private readonly go = button("Probe now", () => void this.probe(), "btn go");
   /** Whether the probe circuit was seen closed. */
   private closed = false;
-  /** Whether the probe circuit was seen open after it was closed. */
+  /** Whether the probe circuit was seen open after it was seen closed. */
   private opened = false;
   /** `stopCalls` of the machine when the cycle began. */
   private stops = 0;

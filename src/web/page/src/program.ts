@@ -17,7 +17,7 @@ export class Program {
   /** Why editing is disabled, if it is. */
   locked?: string;
   private line = 0;
-  /** Line number of the last line sent to the machine, which is executing `line`; 0 without a machine. */
+  /** Number of the last line that was sent to the machine, which still executes `line`; 0 without a machine. */
   private sent = 0;
   private editing = 0;
   private readonly list = $("lines");

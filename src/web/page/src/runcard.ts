@@ -35,7 +35,7 @@ export class RunCard {
     this.update();
   }
 
-  /** Returns why the job cannot start, if it cannot; with `asked`, the user can confirm and start it. */
+  /** Returns why the job cannot start, if it cannot. `asked`: the user can confirm the reason and start the job. */
   private get hindered(): { why?: string; asked?: boolean } {
     const { machine } = this;
     if (machine.whyNotAtRest !== undefined) return { why: machine.whyNotAtRest };
@@ -47,7 +47,7 @@ export class RunCard {
     return machine.isAtRest ? {} : { why: "Waiting for the machine to be at rest." };
   }
 
-  /** The job that has ended, while its file is still open. */
+  /** The job that was stopped or finished, if it is still the open job. */
   private get ended(): Pick<Machine, "stopped" | "finished"> {
     const { stopped, finished } = this.machine;
     const { name } = this.page.job;

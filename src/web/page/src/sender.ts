@@ -51,7 +51,8 @@ export class Sender {
   onmessage: (text: string) => void = () => {};
   onprogress: () => void = () => {};
   onrefused: (line: number, answer: string) => void = () => {};
-  /** Called when a job ends before its last line, with the line number of the last line that was sent. */
+  /** Called when a job ends before its last line, with the number of the last line that was sent or, if the machine was
+   * reset, of the last line that was answered. */
   onstopped: (line: number, why: string) => void = () => {};
   /** Called when the machine restarts without a reset by this sender: by a reset button, a supply dip or another host. */
   ongreeting: () => void = () => {};
@@ -144,7 +145,7 @@ export class Sender {
     this.onstopped(this.next, why);
   }
 
-  /** The controller has discarded all lines. */
+  /** Call when the controller has discarded all lines. */
   private forget(): void {
     const commands = [...this.flight.splice(0).map(sent => sent.command), ...this.commands.splice(0)];
     for (const command of commands) command?.answered({ answer: "reset", said: [] });
@@ -152,7 +153,8 @@ export class Sender {
     [this.next, this.done, this.stopped] = [0, 0, false];
   }
 
-  /** Writes no line before the controller's welcome, because answers before it belong to discarded lines. */
+  /** Keeps lines back until the controller's welcome, because answers before it belong to discarded lines; at most
+   * `longest` ms. */
   private expectGreeting(longest: number): void {
     this.resetting = true;
     this.pause(longest);
@@ -242,7 +244,7 @@ export class Sender {
     }
   }
 
-  /** Ends the job after a rejected line: the following lines assume that it was executed. */
+  /** Ends the job after a rejected line, because the following lines assume that this line was executed. */
   private refuse(line: number, answer: string): void {
     this.onrefused(line, answer);
     if (!this.busy || this.stopped) return;
@@ -284,9 +286,9 @@ function unsendable(text: string): string | undefined {
 }
 
 /**
- * Returns the first character outside comments that cannot be sent, or would be a realtime command. In comments, some
- * machines match nested parentheses, while others end the comment at the first `)`: only text that is a comment for
- * both counts as one.
+ * Returns the first character outside comments that cannot be sent, or would be a realtime command. Some machines match
+ * nested parentheses in comments, while others end the comment at the first `)`. Only text that is a comment for both
+ * kinds of machines counts as a comment.
  */
 function foreign(text: string): string | undefined {
   let [first, pairs] = [false, 0];
@@ -300,7 +302,7 @@ function foreign(text: string): string | undefined {
   return undefined;
 }
 
-/** Returns the bytes of a line as sent: none of them is a realtime command. */
+/** Returns the bytes of a line as sent: no byte of it is a realtime command. */
 function plain(text: string): Uint8Array<ArrayBuffer> {
   return new TextEncoder().encode(text.replace(/[^\x20-\x7e]|[!?~]/g, " ").trimEnd() + "\n") as Uint8Array<ArrayBuffer>;
 }

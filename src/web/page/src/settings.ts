@@ -15,7 +15,7 @@ export function parseSettings(text: string): Record<string, number> {
 export class Settings implements Values {
   /** The chosen machine. */
   preset: Preset;
-  /** Work zero in mm of machine coordinates; the machine is then homed before its job. */
+  /** Work zero X, Y, Z in mm of machine coordinates. If all are given, the machine is homed before its job. */
   zero: (number | undefined)[] = [undefined, undefined, undefined];
   private changed: Record<string, number>;
   private readonly table: Map<number, Setting>;

@@ -43,14 +43,14 @@ export class SetupPanel {
     this.ask.open();
   }
 
-  /** Returns the lowest safe Z in work coordinates: the highest Z of the job, but at least `LEAST`. Clamps are not
-   * known. */
+  /** Returns the lowest safe Z in work coordinates: the highest Z of the job, but at least `LEAST`. The page does not
+   * know where clamps are. */
   safeHeight(): number {
     const { checked } = this.page;
     return checked ? Math.max(LEAST, extents(checked.summary).max[2]) : NO_JOB;
   }
 
-  /** Why homing is not possible, if so. */
+  /** Why homing is not possible; `undefined` if it is possible. */
   get whyNoHome(): string | undefined {
     const { machine } = this;
     if (machine.settings[22] === 0) return "Homing is switched off ($22).";

@@ -7,7 +7,7 @@ import { type Block, blockOf, type Cutter, cutterOf, type Material, type Shape }
 import type { JobPanel, Page } from "./page";
 import { endOf } from "./track";
 
-/** How long a time must stay selected before the block is computed for it, ms. */
+/** The block at a selected time of the job is computed when that time has stayed selected for this long, ms. */
 const QUIET = 120;
 /** Maximum number of rapids through material in the list. */
 const SHOWN = 200;
@@ -58,7 +58,7 @@ export class MaterialPanel implements JobPanel {
     const tools = [...new Set(path.tools.subarray(1))];
     const written = cuttersOf(lines);
     const known = Object.values(written);
-    // A job without tool changes uses one cutter. If the comments describe only one cutter, it is that one.
+    // A job without tool changes uses one cutter. If the comments describe exactly one cutter, the job uses this one.
     if (tools.every(tool => tool === 0) && known.length === 1) [written[0]] = known;
     this.cutters = {};
     for (const tool of tools) this.cutters[tool] = this.chosen[tool] ?? written[tool] ?? { ...NEW };
@@ -95,7 +95,7 @@ export class MaterialPanel implements JobPanel {
       const { signal } = (this.following = new AbortController());
       try {
         const part = await firmware.cutBlock(path, this.cutters, material.block, seconds, signal, () => {});
-        // Rapids through material are always those of the whole job.
+        // The rapids through material that are shown are always those of the whole job.
         if (this.material === material) this.page.player.showBlock({ ...part, crashes: material.crashes }, $<HTMLInputElement>("with-path").checked);
       } catch (error) {
         if (!signal.aborted) throw error;

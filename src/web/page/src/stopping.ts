@@ -1,7 +1,7 @@
 // Stop: brakes immediately, and resets the machine when it is at rest, so that its position stays valid.
 import { REALTIME, type Sender, type Status } from "./sender";
 
-/** If the machine still moves this long after the slowest axis should have stopped, it is reset anyway, ms. */
+/** If the machine still moves this long after even the slowest axis should have stopped, it is reset in motion, ms. */
 const MARGIN = 500;
 /** Interval between status requests while the machine brakes, ms. */
 const ASK = 50;

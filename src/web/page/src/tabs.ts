@@ -1,4 +1,5 @@
-// Tabs according to the accessibility guidelines: arrow keys switch, and one panel is visible.
+// Tabs according to the accessibility guidelines: arrow keys switch between tabs, and only the panel of the chosen tab
+// is visible.
 import { $ } from "./dom";
 
 const all = (list: HTMLElement): HTMLElement[] => [...list.querySelectorAll<HTMLElement>("[role=tab]")];

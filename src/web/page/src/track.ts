@@ -66,7 +66,7 @@ export function isPlunge(path: Path, row: number): boolean {
   return down > 1e-4 && down > 0.98 * length(path, row);
 }
 
-/** Returns the change of speed per time from the row before, mm/s². */
+/** Returns the acceleration between the previous row and this one, mm/s². */
 function acceleration(path: Path, row: number): number {
   if (row < 2) return 0;
   const middle = (of: number) => (path.rows[of * ROW + 4] + path.rows[of * ROW + 5]) / 2;
@@ -74,13 +74,15 @@ function acceleration(path: Path, row: number): number {
   return time > 0 ? Math.abs(path.rows[row * ROW + 3] - path.rows[(row - 1) * ROW + 3]) / time : 0;
 }
 
-/** Returns the value below which the fraction `part` of the values lies: a single outlier must not set the scale. */
+/** Returns the value below which the fraction `part` of the positive values lies, so that a single outlier does not set
+ * the scale. */
 function top(values: number[], part = 0.995): number {
   const sorted = values.filter(value => value > 0).sort((a, b) => a - b);
   return sorted[Math.min(sorted.length - 1, Math.floor(sorted.length * part))] || 1;
 }
 
-/** Returns the shade of each row, and the legend. `zero`: height of work zero; `inch`: whether the legend is in inches. */
+/** Returns the shade of each row (0 to 1 on the scale, or one of `SHADE`), and the legend. `zero`: height of work zero;
+ * `inch`: whether the legend is in inches. */
 export function shades(path: Path, coloring: Coloring, zero = 0, inch = false): { shades: Float32Array; legend: Legend } {
   const count = path.lines.length;
   const made = new Float32Array(count);

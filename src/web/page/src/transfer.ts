@@ -6,7 +6,7 @@ const DECIMALS = 3;
 
 export interface Difference { setting: Setting; there: number; here: number }
 
-/** Returns the settings of the table that the machine (`there`) has with another value than the forecast (`here`). */
+/** Returns the settings of the table whose values in the machine (`there`) and in the forecast (`here`) differ. */
 export function differences(table: Setting[], there: Record<string, number>, here: (number: number) => number): Difference[] {
   const all = table.filter(({ number }) => number in there).map(setting => ({ setting, there: there[setting.number], here: here(setting.number) }));
   return all.filter(one => Math.abs(one.there - one.here) > 0.5 * 10 ** -DECIMALS + 1e-9);
@@ -20,7 +20,8 @@ export async function written(lines: string[], write: (line: string) => Promise<
     const refused: string[] = [];
     for (const line of left) {
       const answer = await write(line);
-      // Any other answer is from the sender: the machine was reset, or the line could not be sent. Stop writing.
+      // Any other answer comes from this page's sender: the machine was reset, or the line could not be sent. Stop
+      // writing.
       if (answer !== "ok" && !answer.startsWith("error:")) return `The machine has stopped it: ${answer}. Look at the differences again.`;
       if (answer !== "ok") refused.push(line);
     }

@@ -22,7 +22,7 @@ export function showPlain(head: string, text = "", tone: Tone = ""): void {
 
 export interface Context {
   lines: string[];
-  /** Whether soft limits act, because the machine is homed before the job. */
+  /** Whether soft limits are in effect, because the machine is homed before the job. */
   travelIsChecked: boolean;
   goTo: (line: number) => void;
   giveZero: () => void;
@@ -61,7 +61,8 @@ export function clearVerdict(): void {
   for (const id of ["by-tool-part", "problems", "said", "time-card", "size-card"]) $(id).hidden = true;
 }
 
-/** Returns the parts of the forecast: name, seconds and colour. The path is used to separate lines, arcs and plunges. */
+/** Returns the parts of the forecast: name, seconds and colour. The path says how the feed time divides into lines,
+ * arcs and plunges. */
 export function kinds(summary: Summary, path: Path): (readonly [string, number, string])[] {
   let [lines, arcs, plunges] = [0, 0, 0];
   for (let row = 1; row < path.lines.length; row++) {
@@ -71,7 +72,7 @@ export function kinds(summary: Summary, path: Path): (readonly [string, number, 
     else if (isArc(path, row)) arcs += took;
     else lines += took;
   }
-  // The path is rounded, so scale its parts to the firmware's sum.
+  // The times of the path are rounded, so scale them to the firmware's total feed time.
   const whole = lines + arcs + plunges || 1;
   const [line, arc, plunge] = [lines, arcs, plunges].map(part => (part / whole) * summary.feed_s);
   const other = summary.standing_s - summary.dwell_s - summary.spin_up_s;

@@ -16,7 +16,7 @@ const PARAMETERS: Parameter[] = [
   { name: "Acceleration in curves ($917)", unit: "%", numbers: [917], parts: [0.5, 0.75, 1, 1.5, 2, 4], least: 10 },
   { name: "Jerk X, Y ($220, $221)", unit: "mm/s³", numbers: [220, 221], parts: [0, 0.25, 0.5, 1, 2, 4], least: 10_000 },
 ];
-/** A further step that saves less than this fraction of the time gains little. */
+/** A higher value gains little if it saves less than this fraction of the time. */
 const LITTLE = 0.04;
 
 /** Returns a multiple of the present value of an axis, rounded unless it is the present value itself. If there is no
@@ -26,7 +26,7 @@ function partOf(today: number, part: number, least: number): number {
   return Number(((today > 0 ? today : least) * part).toPrecision(3));
 }
 
-/** Returns why the time of a job is not that of the complete job, if so. */
+/** Returns why the forecast time is not that of the complete job; `undefined` if it is. */
 function whyNot({ errors, alarm, complete, messages }: Summary): string | undefined {
   if (errors.length === 0 && !alarm && complete) return undefined;
   const locked = messages.find(message => message.startsWith("[MSG:Motion is locked"));

@@ -15,13 +15,13 @@ export type Task =
   | { task: "speed"; times: number };
 
 const worker = globalThis as unknown as { postMessage(message: unknown, transfer?: Transferable[]): void; onmessage: unknown };
-/** Interval at which the machine follows the clock, ms. */
+/** Interval at which the machine is advanced to the page's clock, ms. */
 const PERIOD = 4;
 /** Machine time between two batches of bytes, ms. */
 const SLICE = 2;
 /** A running check sends the path so far after this time, ms, and again each time its run time has doubled. */
 const SKETCH = 500;
-/** Maximum time that the machine catches up after the worker was suspended, ms. */
+/** Maximum time of the page's clock that the machine catches up after the worker was suspended, ms. */
 const MOST = 100;
 
 let module: WebAssembly.Module;

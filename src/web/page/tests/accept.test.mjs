@@ -8,7 +8,7 @@ const BAD = "G21 G90\nG1 X10 F600\nG999\nG1 Y10\n";
 
 /**
  * Connects a simulated machine that follows the test's instructions and records what it receives. Its settings are
- * those of a small mill; `now` of a line or command is the time at which it arrived.
+ * those of a small mill. `now` of each of its `commands` is the time at which the command arrived.
  */
 const attach = (page, more = {}) => page.evaluate(more => {
   const settings = { 13: 0, 20: 0, 21: 0, 22: 1, 30: 10000, 32: 0, 110: 3000, 111: 3000, 112: 600, 120: 300, 121: 300, 122: 100, 130: 300, 131: 180, 132: 45, 922: 1, ...more.settings };
@@ -161,7 +161,8 @@ export async function a_job_that_would_be_refused_does_not_start(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** For a file that is not a job, the page shows one sentence, and nothing on it looks as if a job had been checked. */
+/** For a file that is not a job, the page shows one sentence, and nothing on the page looks as if a job had been
+ * checked. */
 export async function files_that_are_no_jobs_get_a_sentence(browser) {
   const { page, faults } = await open(browser, file);
   const give = async (name, bytes) => {
@@ -411,8 +412,8 @@ export async function words_are_those_that_people_use(browser) {
     await reach(page);
     for (const word of (await page.locator("body").innerText()).match(/\b(link|rest|take away|desk|starved?)\b/gi) ?? []) found.add(word.toLowerCase());
   }
-  // The firmware names the simulator's board "desk"; it is chosen in Settings. "Rest", as in the rest of a job, is
-  // plain English.
+  // Two of these words are allowed: "desk", the simulator's board that is chosen in Settings, and "rest", as in the
+  // rest of a job.
   assert.deepEqual([...found].filter(word => !["desk", "rest"].includes(word)), []);
 }
 
@@ -634,7 +635,7 @@ export async function cutters_are_read_from_comments(browser) {
   await page.selectOption("#shape", "ball");
   await page.evaluate(() => oxmill.app.check());
   assert.deepEqual(await shown(), ["ball", "6"]);
-  // A length beside a move does not describe a cutter.
+  // A comment with only a length or an angle, beside a move, does not describe a cutter.
   await openJob(page, "other.nc", "G21 G91 F600\nG1 Z-1 (down by 1 mm)\n(turned by 60 deg)\nG1 X5\n");
   assert.deepEqual(await shown(), ["flat", "3"]);
 }
@@ -690,8 +691,8 @@ export async function edges_corners_and_holes_are_found(browser) {
     assert.deepEqual(Object.keys(zero).toSorted(), Object.keys(wanted).toSorted());
     for (const [axis, place] of Object.entries(wanted)) assert(Math.abs(zero[axis] - place) < 0.03, `${axis}: ${zero[axis]} instead of ${place}`);
   };
-  // The hole is 20 mm by 12 mm around -50, -40. The cutter of 3 mm touches its wall 1.5 mm before its middle gets
-  // there.
+  // The hole is 20 mm by 12 mm around -50, -40. The cutter of 3 mm touches the wall of the hole when its own middle is
+  // 1.5 mm from the wall.
   const hole = await probed("hole", { "probe-depth": "15" }, "Math.abs(x + 50) >= 8.5 || Math.abs(y + 40) >= 4.5", [-47, -38, -10]);
   near(hole, { X: -50, Y: -40 });
   // The left side of a workpiece at X -30, with a cutter of 3 mm.
@@ -794,7 +795,7 @@ export async function on_a_telephone_a_job_that_starts_is_shown(browser) {
   await page.click(".parts [data-part=control]");
   await running(page);
   assert(await page.locator("#run-left-time").isVisible());
-  // After that, the user stays on the part that they have chosen.
+  // If the user then chooses another part, the page stays there.
   await page.click(".parts [data-part=picture]");
   await page.evaluate(() => oxmill.app.machine.report());
   assert(await page.locator("#view").isVisible());
@@ -803,7 +804,8 @@ export async function on_a_telephone_a_job_that_starts_is_shown(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** After the answer to a line, Start is disabled until all its effects are known; then it stays enabled. */
+/** After the answer to a line, Start is disabled until the page knows all effects of the line; then Start stays
+ * enabled. */
 export async function start_waits_for_what_a_line_has_changed(browser) {
   const { page, faults } = await withMachine(browser);
   await openJob(page, "pocket_mm.nc", example("pocket_mm.nc"));

@@ -4,7 +4,7 @@ import { chromium } from "playwright-core";
 import { pathToFileURL } from "node:url";
 
 const PROGRAMS = { executablePath: process.env.OXMILL_CHROMIUM ?? "/usr/bin/chromium" };
-// Give WebGL without a graphics processor, and switch off network requests of the browser itself.
+// Enable WebGL without a graphics processor, and switch off network requests of the browser itself.
 const ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking",
   "--disable-component-update", "--disable-sync", "--no-first-run", "--disable-quic"];
 

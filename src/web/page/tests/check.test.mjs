@@ -130,7 +130,7 @@ export async function soft_limits_act_on_a_homed_machine(browser) {
       await page.fill(`[aria-label="Work zero ${"XYZ"[axis]}, machine mm"]`, String(value));
       await page.keyboard.press("Tab");
     }
-    // A check with only some of the three values may have ended meanwhile.
+    // A check that started when only some of the three values were typed may have ended meanwhile, so check again.
     await page.evaluate(() => void oxmill.app.check());
     const found = await checked(page);
     same(found, run("limits.nc", text, { settings: own, work_zero: place }));
@@ -269,7 +269,7 @@ export async function the_limits_are_drawn_where_the_travel_ends(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** With a setting that the board cannot keep up with, the job is rejected, with the message of `oxmill run`. */
+/** If the board cannot keep up with a setting, the job is rejected, and the page shows the message of `oxmill run`. */
 export async function a_setting_out_of_reach_is_named(browser) {
   const { page, faults } = await open(browser, file);
   await settings(page, { ...MILL, 110: 1e6 });
@@ -343,8 +343,8 @@ export async function two_views_show_one_time(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** The parameters in the order of the page's list, with the multiples of the present values that are tried. The present
- * jerk is 0, so its values are absolute. */
+/** The parameters in the order of the page's list, with the multiples of the present values that are tried. For the
+ * jerk, whose present value is 0, the values are absolute. */
 const PARTS = [0.25, 0.5, 1, 2, 4, 8];
 const VARIED = [
   { numbers: [120, 121], parts: PARTS }, { numbers: [122], parts: PARTS }, { numbers: [110, 111], parts: PARTS }, { numbers: [112], parts: PARTS },
@@ -374,7 +374,8 @@ export async function a_job_without_a_time_has_a_reason_instead(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Varies each parameter. The present values differ from axis to axis, and any rounding would change them. */
+/** Varies each parameter. The present values differ from axis to axis, and have so many digits that any rounding would
+ * change them. */
 export async function forecasts_are_those_of_single_runs(browser) {
   const { page, faults } = await open(browser, file);
   const text = "G21 G91 F1200\nG0 X9 Z2\nG1 X12 Y3\nG2 X8 Y8 J8\nG1 X-3 Z-4\nG1 Y7\nG0 X-20 Z2\n";

@@ -106,8 +106,8 @@ export async function hold_resume_overrides_and_reset_act(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** The page does not support answers in checked lines and never requests them, typed or in a job. It also never sends
- * characters that would change on their way. */
+/** The page does not support checked lines, and never switches them on, even if a typed line or a job asks for it. It
+ * also never sends characters that would change on their way. */
 export async function lines_that_the_page_cannot_send_are_refused_before_the_job(browser) {
   const { page, faults } = await powered(browser);
   const wrong = () => page.locator("#console .wrong").allInnerTexts();
@@ -289,7 +289,8 @@ export async function homing_and_probing_find_switch_and_plate(browser) {
 /** Simulates a serial port in the browser, connected to a TCP port. */
 async function fakeSerial(page, port) {
   const socket = net.connect(port, "127.0.0.1");
-  // Bytes in a board's receive buffer: lines that were sent and not yet answered. Realtime commands use no space.
+  // `lengths`: bytes of each line in the board's receive buffer, that is, sent and not yet answered. Realtime commands
+  // use no space.
   const wire = (socket.wire = { lengths: [], most: 0, realtime: [], said: "" });
   socket.on("data", data => {
     const lines = (wire.said + data).split("\n");
@@ -303,7 +304,7 @@ async function fakeSerial(page, port) {
     socket.write(Buffer.from(bytes));
   });
   await page.exposeFunction("__listen", () => {
-    // A reopened port receives only bytes that arrive from then on.
+    // A reopened port receives only bytes that arrive after it was reopened.
     socket.off("data", wire.hear ?? (() => {}));
     // Bytes that arrive during a transfer to the page are sent with the next transfer: on a busy computer each transfer
     // takes time.
@@ -466,7 +467,7 @@ export async function buttons_send_their_realtime_commands(browser) {
 
 export async function a_board_that_is_left_in_motion_is_held(browser) {
   await connected(browser, "1", async (page, order, wire) => {
-    // With a UART, the machine can watch its host.
+    // On a UART, the machine can monitor its host by a timeout; enable this.
     await watch(page);
     const settings = (await page.evaluate(() => oxmill.app.machine.sender.ask("$$"))).said.join("\n");
     assert.match(settings, /^\$922=2(\.0*)?$/m);
@@ -543,7 +544,7 @@ export async function a_tab_that_crashes_leaves_a_board_that_watches_in_a_hold(b
     await crash(page);
     let said = "";
     socket.on("data", data => (said += data));
-    // Wait before each `?`, because every byte restarts the host timeout, which must expire first.
+    // Wait before each `?`: every byte restarts the host timeout, which must expire before the machine holds.
     for (let tries = 0; !/<Hold:0/.test(said) && tries < 30; tries++) {
       await new Promise(resolve => setTimeout(resolve, 2500));
       socket.write("?");

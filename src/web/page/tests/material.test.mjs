@@ -113,7 +113,7 @@ const cutNow = async page => {
 
 export async function the_page_lists_rapids_through_material(browser) {
   const { page, faults } = await open(browser, file);
-  // The program fails to lift the tool before the rapid.
+  // This program has a mistake: it does not lift the tool before the rapid.
   const text = "G21 G90 F600\nG0 Z2\nG1 Z-2\nG1 X20\nG0 Y10\nG0 Z2\nG0 X0 Y0\n";
   await openJob(page, "crash.nc", text);
   await tab(page, "material");

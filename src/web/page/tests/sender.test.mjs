@@ -83,7 +83,7 @@ export async function a_reset_that_the_page_did_not_order_ends_the_job() {
   sender.ongreeting = () => greetings++;
   say("\r\nGrbl 1.1h ['$' for help]");
   assert.deepEqual([sender.lines, sender.free, stopped, greetings], [[], true, ["2 the machine was reset"], 1]);
-  // An answer that was on its way must not count for a later line.
+  // An answer to an old line that was still on its way must not count for a later line.
   const unlocked = sender.command("$X");
   say("ok");
   assert.equal(link.lines.length, 13);

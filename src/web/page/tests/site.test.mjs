@@ -11,7 +11,7 @@ import { BOARDS, example, examples, MILL, page as file, root, run, same } from "
 
 const FIREFOX = [process.env.OXMILL_FIREFOX, "/usr/bin/firefox-esr", "/usr/bin/firefox"].find(path => path && existsSync(path));
 
-/** Any web server: it serves the page, and records all other requests. */
+/** A plain web server: it serves the page, and records all requests for anything else. */
 async function site() {
   const others = [];
   const server = createServer((request, response) => {
@@ -45,7 +45,7 @@ export async function the_page_is_the_same_as_a_site(browser) {
   }
 }
 
-/** Serves the folder of the site; `change` turns it into another version. */
+/** Serves the folder of the site. `change` replaces the site by another version of it. */
 async function folder() {
   const at = join(root, "target/web/site");
   const types = { html: "text/html; charset=utf-8", js: "text/javascript", svg: "image/svg+xml", webmanifest: "application/manifest+json" };

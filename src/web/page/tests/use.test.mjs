@@ -186,7 +186,7 @@ export async function a_job_is_played_at_a_thousand_times_its_speed(browser) {
   const between = page.evaluate(() => new Promise(done => {
     let first;
     let before;
-    // This runs before the player, so the time in the player is that of the previous frame.
+    // This callback runs before the player's, so the player's time is that of the previous frame.
     const look = now => {
       const at = [before / 1000, oxmill.app.player.time];
       before = now;
