@@ -59,7 +59,7 @@ const UNBOUNDED: Cost = (u64::MAX, u64::MAX);
 
 /// The rows. `beside` gives the figures of Grbl 1.1h and grblHAL: their own code, compiled with
 /// `arm-none-eabi-gcc -O2` for the same core and counted in the same way.
-const ROWS: [Row; 20] = [
+const ROWS: [Row; 23] = [
     row("batch_3", "32 events, 3 axes stepping", Figure::Mean, None, (1_125, 1_460))
         .beside("3360 / 4416", "4384 / 6240"),
     row("batch_1", "32 events, 1 axis stepping", Figure::Mean, None, (765, 1_070)).beside("2656 / 3808", "3520 / 5440"),
@@ -81,6 +81,9 @@ const ROWS: [Row; 20] = [
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (197, 297)).beside("138 / 241", "644 / 919"),
     row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (5_750, 9_580))
         .beside("2800 / 4400", "4100 / 6500"),
+    row("relief_line", "tight line: a relief of 0.1 mm at F2000", Figure::Mean, Some((5800, 9500)), UNBOUNDED),
+    row("spiral_line", "tight line: a spiral of 0.1 mm at F9000", Figure::Mean, Some((5800, 9500)), UNBOUNDED),
+    row("uneven_line", "tight line: a relief in uneven chords at F3000", Figure::Mean, Some((5800, 9500)), UNBOUNDED),
     row("recorded_line", "recording, a line of 15 bytes", Figure::Mean, None, (320, 510)),
     row("recorded_block", "recording, per message to the step task", Figure::Mean, None, (35, 52)),
     row("recorded_rest", "recording, a pass at rest", Figure::Mean, None, (8, 13)),

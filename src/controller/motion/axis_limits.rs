@@ -62,7 +62,7 @@ pub(super) struct AxisLimits<const N: usize> {
 impl<const N: usize> AxisLimits<N> {
     /// Limits before settings are applied.
     pub(super) const ONE: Self = Self {
-        turns: TurnRule { acceleration: [1.0; N], deviation: 0.0, curve_share: 1.0 },
+        turns: TurnRule::ONE,
         max_rate: [1.0; N],
         least_feed: LEAST_SPEED,
         jerk: [GREATEST_JERK; N],
@@ -72,11 +72,11 @@ impl<const N: usize> AxisLimits<N> {
     pub(super) fn new(settings: &MotionSettings<N>) -> Self {
         let jerk = |jerk| if jerk > 0.0 { bounded(jerk, LEAST_JERK, GREATEST_JERK) } else { GREATEST_JERK };
         Self {
-            turns: TurnRule {
-                acceleration: settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION)),
-                deviation: bounded(settings.junction_deviation, 0.0, GREATEST_DEVIATION),
-                curve_share: bounded(settings.curve_share, LEAST_CURVE_SHARE, GREATEST_CURVE_SHARE),
-            },
+            turns: TurnRule::new(
+                settings.acceleration.0.map(|a| bounded(a, LEAST_ACCELERATION, GREATEST_ACCELERATION)),
+                bounded(settings.junction_deviation, 0.0, GREATEST_DEVIATION),
+                bounded(settings.curve_share, LEAST_CURVE_SHARE, GREATEST_CURVE_SHARE),
+            ),
             max_rate: settings.max_rate.0.map(bounded_speed),
             least_feed: bounded_speed(settings.least_feed),
             jerk: settings.jerk.0.map(jerk),
@@ -145,7 +145,7 @@ mod tests {
 
     fn limits(jerk: [f32; 2]) -> AxisLimits<2> {
         AxisLimits {
-            turns: TurnRule { acceleration: [500.0, 100.0], deviation: 0.01, curve_share: 1.0 },
+            turns: TurnRule::new([500.0, 100.0], 0.01, 1.0),
             max_rate: [100.0, 50.0],
             least_feed: 0.0,
             jerk: jerk.map(|jerk| if jerk > 0.0 { jerk } else { GREATEST_JERK }),

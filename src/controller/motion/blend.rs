@@ -195,7 +195,7 @@ impl Corner {
             per_angle: radius_of(all2, cosine),
             jump: square_root(rule.junction2(across, sine, certain2)),
             across,
-            bend: rule.in_plane(into, out, all2) * rule.curve_share,
+            bend: rule.in_plane(into, out, all2, rule.moving(into, out)) * rule.curve_share,
         })
     }
 

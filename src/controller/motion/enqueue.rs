@@ -7,7 +7,7 @@ use super::axis_limits::{GREATEST_ACCELERATION, shares};
 use super::backlash::{self, Motors};
 use super::block::{Block, CurveLoad, MAX_STEPS, NO_OVERRIDE, RAPID, SCALE_POWER};
 use super::carried_time::BlockWay;
-use super::curvature::{NOTICEABLE, PathPiece, Span};
+use super::curvature::{EntryLimit, NOTICEABLE, PathPiece, Span};
 use super::junction::UNLIMITED2;
 use super::measure::{Measure, signed_add};
 use super::path_end::way_mm;
@@ -18,7 +18,7 @@ use crate::axes::{Axis, PerAxis};
 use crate::messages::AxisSteps;
 use crate::units::Coordinate;
 
-/// Maximum override that bends are determined for; Grbl's realtime commands reach it.
+/// Maximum override that bends are determined for. Realtime commands cannot exceed it.
 const MOST_OVERRIDE: f32 = 2.0;
 
 /// Returns the steps of a chord with its exact ends, which can lie between steps. `ends`: offsets of the exact start
@@ -332,7 +332,8 @@ impl<const N: usize> MoveQueue<N> {
         self.planner.push(block, self.overrides);
         if self.looks_ahead() && !self.join.keeps(piece) {
             let planner = &mut self.planner;
-            self.chain.extend(piece, span, &self.limits.turns, &mut |bend| planner.limit(&bend));
+            let limit = EntryLimit::of(planner.last());
+            self.chain.extend(piece, limit, span, &self.limits.turns, &mut |bend| planner.limit(&bend));
         }
         self.planner.plan();
     }

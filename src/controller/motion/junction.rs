@@ -4,7 +4,7 @@
 //! Notation: for a turn by the angle t, q = 2·sin(t/2) (length of the difference of the unit vectors) and s = cos(t/2).
 //! In names, `turn2` is q² and `sine` is s.
 
-use super::trapezoid::{greater, lesser, quotient, square_root};
+use super::trapezoid::{greater, lesser, square_root};
 
 /// Speed² of a corner that sets no limit of its own.
 pub(super) const UNLIMITED2: f32 = 1.0e30;
@@ -16,20 +16,35 @@ const CERTAIN: f32 = 1.0 / 64.0;
 const STRAIGHT: f32 = 2.0e-6;
 /// q² above which a move counts as a reversal.
 pub(super) const REVERSAL: f32 = 4.0 - 2.0e-6;
+/// q² from which a turn is so near to a reversal that its tangent is undefined.
+const NO_TANGENT: f32 = 3.9;
 
 /// Factor that covers rounding errors of a bend's speed². If unit vectors are off by their last bit, the normal and the
 /// tangent of a turn of q² = [`STRAIGHT`] are perpendicular only within 0.0007.
-const SURELY: f32 = 0.99;
+pub(super) const SURELY: f32 = 0.99;
 
 /// Settings of the machine for the rule for turns.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TurnRule<const N: usize> {
     /// Maximum acceleration of each axis, mm/s².
     pub acceleration: [f32; N],
+    /// The least of them, mm/s².
+    pub least: f32,
+    /// Upper bound of the acceleration along any path: that of a path on which all axes reach their limits, mm/s².
+    pub most: f32,
     /// Junction deviation, mm.
     pub deviation: f32,
     /// Share of the acceleration that bends are allowed to take.
     pub curve_share: f32,
+}
+
+/// The axes that move before or after a turn.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MovingAxes {
+    /// The least of their accelerations, mm/s².
+    pub least: f32,
+    /// Whether there are no more than two.
+    pub are_two: bool,
 }
 
 /// Returns q² of two unit vectors.
@@ -69,52 +84,71 @@ pub(super) fn certain(turn2: f32, noise: f32) -> Option<(f32, f32)> {
 }
 
 impl<const N: usize> TurnRule<N> {
+    /// The rule before settings are applied.
+    pub(super) const ONE: Self =
+        Self { acceleration: [1.0; N], least: 1.0, most: N as f32, deviation: 0.0, curve_share: 1.0 };
+
+    /// Creates the rule from the settings, in the units of the fields.
+    pub(super) fn new(acceleration: [f32; N], deviation: f32, curve_share: f32) -> Self {
+        let least = acceleration.iter().fold(UNLIMITED2, |least, own| lesser(*own, least));
+        let most = square_root(acceleration.iter().fold(0.0, |sum, own| sum + own * own));
+        Self { acceleration, least, most, deviation, curve_share }
+    }
+
     /// Returns the maximum acceleration along the change of direction at which no axis exceeds its limit.
     #[inline(never)]
     pub(super) fn across(&self, before: &[f32; N], after: &[f32; N], turn: f32) -> f32 {
-        let mut least = UNLIMITED2;
+        // The axis with the least ratio of limit and part, which is divided once, at the end.
+        let (mut least, mut least_part) = (UNLIMITED2, turn);
         for ((before, after), limit) in before.iter().zip(after).zip(&self.acceleration) {
             let part = (after - before).abs();
-            if part * least > limit * turn {
-                least = quotient(limit * turn, part);
+            if part * least > limit * least_part {
+                (least, least_part) = (*limit, part);
             }
         }
-        least
+        least * turn / least_part
     }
 
     /// Returns the maximum acceleration in any direction of a turn's plane at which no axis exceeds its limit. It
     /// limits the centripetal acceleration of a bend. With the normal n and the tangent t, axis i gets at most
     /// `a·√(n_i² + t_i²)`, wherever on the bend the machine is. So the limit is the same for the whole bend, and the speed on a
     /// circle is constant.
+    #[inline]
+    pub(super) fn in_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32, moving: MovingAxes) -> f32 {
+        // The plane of two axes contains both of them, so n_i² + t_i² = 1.
+        if moving.are_two && turn2 < NO_TANGENT { moving.least } else { self.in_any_plane(before, after, turn2) }
+    }
+
     #[inline(never)]
-    pub(super) fn in_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32) -> f32 {
+    fn in_any_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32) -> f32 {
         let normal = 1.0 / turn2;
         // A reversal defines the normal but not the tangent. Shorter spans, which turn less, take the tangent into
         // account.
-        let tangent = if turn2 < 3.9 { 1.0 / (4.0 - turn2) } else { 0.0 };
-        let mut least2 = UNLIMITED2;
+        let tangent = if turn2 < NO_TANGENT { 1.0 / (4.0 - turn2) } else { 0.0 };
+        // As in `across`.
+        let (mut least2, mut least_share2) = (UNLIMITED2, 1.0);
         for ((a, b), limit) in before.iter().zip(after).zip(&self.acceleration) {
             let (difference, sum) = (b - a, b + a);
             let share2 = difference * difference * normal + sum * sum * tangent;
-            if share2 * least2 > limit * limit {
-                least2 = quotient(limit * limit, share2);
+            if share2 * least2 > limit * limit * least_share2 {
+                (least2, least_share2) = (limit * limit, share2);
             }
         }
-        square_root(least2)
+        square_root(least2 / least_share2)
     }
 
-    /// Returns the minimum of the accelerations of the axes that move before or after a turn.
+    /// Returns the axes that move before or after a turn.
     #[inline]
-    pub(super) fn least_of(&self, before: &[f32; N], after: &[f32; N]) -> f32 {
-        let mut least = UNLIMITED2;
+    pub(super) fn moving(&self, before: &[f32; N], after: &[f32; N]) -> MovingAxes {
+        let (mut least, mut count) = (UNLIMITED2, 0);
         for ((before, after), limit) in before.iter().zip(after).zip(&self.acceleration) {
             // The shift drops the sign, so that -0.0 counts as 0.
-            let moves = (before.to_bits() | after.to_bits()) << 1 != 0;
-            if moves && *limit < least {
-                least = *limit;
+            if (before.to_bits() | after.to_bits()) << 1 != 0 {
+                least = lesser(*limit, least);
+                count += 1;
             }
         }
-        least
+        MovingAxes { least, are_two: count <= 2 }
     }
 
     /// Returns whether a bend with this turn within `length` surely allows more than the speed² `fast2`. Compares
@@ -124,6 +158,13 @@ impl<const N: usize> TurnRule<N> {
     pub(super) fn is_surely_faster(&self, least: f32, length: f32, turn2: f32, sine: f32, fast2: f32) -> bool {
         let bend = SURELY * least * self.curve_share * length * (2.0 + sine);
         bend * bend > 9.0 * turn2 * fast2 * fast2
+    }
+
+    /// Returns whether the junction deviation alone surely allows more than the speed² `fast2`, as if the whole turn
+    /// were a corner ([`TurnRule::junction2`]). `least` and `sine`: as in [`TurnRule::is_surely_faster`].
+    #[inline]
+    pub(super) fn is_surely_a_fast_corner(&self, least: f32, turn2: f32, sine: f32, fast2: f32) -> bool {
+        turn2 <= REVERSAL && SURELY * least * self.deviation * sine * (1.0 + sine) > 0.25 * turn2 * fast2
     }
 
     /// Returns J² of a turn, the square of the speed that the junction deviation allows (junction velocity): v² = a·d·s
@@ -137,9 +178,14 @@ impl<const N: usize> TurnRule<N> {
     /// Returns the maximum speed² of a square corner between any two axes.
     #[inline]
     pub(super) fn square_corner2(&self) -> f32 {
-        let least = self.acceleration.iter().fold(UNLIMITED2, |most, own| lesser(*own, most));
-        least * self.deviation * SQUARE_CORNER
+        self.least * self.deviation * SQUARE_CORNER
     }
+}
+
+/// Returns how much the speed² can rise within a length at an acceleration, with a margin for rounding.
+#[inline]
+pub(super) fn rise2(acceleration: f32, length: f32) -> f32 {
+    2.02 * acceleration * length
 }
 
 /// Returns the radius of a bend per unit of its length: 1/t. The angle t = 3·q / (2 + s) is correct within 0.2 % up to
@@ -153,7 +199,9 @@ pub(super) fn radius_of(turn2: f32, sine: f32) -> f32 {
 mod tests {
     use super::*;
 
-    const RULE: TurnRule<2> = TurnRule { acceleration: [500.0, 100.0], deviation: 0.01, curve_share: 1.0 };
+    fn rule() -> TurnRule<2> {
+        TurnRule::new([500.0, 100.0], 0.01, 1.0)
+    }
 
     #[test]
     fn a_square_corner_has_the_speed_of_its_deviation() {
@@ -162,10 +210,10 @@ mod tests {
         let (certain2, sine) = certain(all2, 0.0).unwrap();
         assert!((certain2 - 2.0).abs() < 1e-6 && (sine - 0.5_f32.sqrt()).abs() < 1e-6);
         // Each axis gets 0.71 of the change of direction.
-        let across = RULE.across(&before, &after, all2.sqrt());
+        let across = rule().across(&before, &after, all2.sqrt());
         assert!((across - 100.0 * 2.0_f32.sqrt()).abs() < 1e-3, "{across}");
-        let speed2 = RULE.junction2(100.0, sine, certain2);
-        assert!((speed2 / RULE.square_corner2() - 1.0).abs() < 1e-5, "{speed2}");
+        let speed2 = rule().junction2(100.0, sine, certain2);
+        assert!((speed2 / rule().square_corner2() - 1.0).abs() < 1e-5, "{speed2}");
     }
 
     #[test]

@@ -4,7 +4,7 @@
 
 use super::Move;
 use super::axis_limits::shares;
-use super::curvature::{PathPiece, Span};
+use super::curvature::{EntryLimit, PathPiece, Span};
 use super::queue::MoveQueue;
 use super::trapezoid::{lesser, square_root};
 use crate::axes::PerAxis;
@@ -87,7 +87,8 @@ impl<const N: usize> MoveQueue<N> {
                 digit: join.digit,
             };
             let planner = &mut self.planner;
-            self.chain.extend(&piece, Span::of(&piece), &self.limits.turns, &mut |bend| planner.limit(&bend));
+            let limit = EntryLimit::of(planner.last());
+            self.chain.extend(&piece, limit, Span::of(&piece), &self.limits.turns, &mut |bend| planner.limit(&bend));
         }
     }
 

@@ -93,6 +93,7 @@ macro_rules! rows {
 rows! {
     row_batch_3 row_batch_1 row_segment row_single row_stop row_none
     row_prepare row_plan row_walk_near row_walk_far row_text row_chord row_line
+    row_relief_line row_spiral_line row_uneven_line
     row_jerk_prepare row_jerk_plan row_jerk_walk_near row_jerk_walk_far
     row_recorded_line row_recorded_block row_recorded_rest
 }
@@ -591,14 +592,13 @@ struct Waiting {
 }
 
 impl Waiting {
-    /// Adds the segments of a line. While the lines last more than 12 ms in total, begins the oldest line, as a machine
-    /// does that keeps up with its sender.
-    fn add(&mut self, segments: u32, clocks: u32) {
+    /// Adds the segments of a line. While the lines last more than `most_ms` in total, begins the oldest line, as a
+    /// machine does that keeps up with its sender.
+    fn add(&mut self, segments: u32, clocks: u32, most_ms: u32) {
         self.clocks += clocks;
         self.lines.push_back((segments, clocks)).expect("lines of 12 ms");
-        while self.clocks > boards::PROFILE.step_clock_hz / 1000 * 12
-            && let Some((segments, clocks)) = self.lines.pop_front()
-        {
+        while self.clocks > boards::PROFILE.step_clock_hz / 1000 * most_ms {
+            let (segments, clocks) = self.lines.pop_front().expect("the lines last so long");
             self.clocks -= clocks;
             self.begun += segments;
         }
@@ -653,48 +653,141 @@ fn unit_line(controller: &mut Whole, line: &[u8], segments_begun: u32) -> Outcom
     }
 }
 
-/// Runs lines of about 0.1 mm at 100 mm/s while the look-ahead is full, so that each new line makes the controller send
-/// one block.
-fn whole_line(place: &'static mut MaybeUninit<Whole>, memory: Memory<3>) -> &'static Whole {
-    const PROFILE: Profile =
-        Profile { rates: StepRates { safe_hz: 1_000_000, ..boards::PROFILE.rates }, ..boards::PROFILE };
-    let controller = place.write(Controller::new(PROFILE, memory));
-    let now = Instant::from_ticks(0);
-    controller.start(now);
-    controller.event(now, Event::Signals(Sensed::default()));
-    let mut text = heapless::String::<32>::new();
-    let mut waiting = Waiting::default();
-    let feed = |controller: &mut Whole, line: &[u8]| {
-        for byte in line {
-            controller.event(now, Event::Line(LineByte { byte: *byte, epoch: 0, damaged: false }));
+/// A controller that gets lines, with the lines that wait in the step task.
+struct Streaming {
+    controller: &'static mut Whole,
+    waiting: Waiting,
+    /// Time of the lines that wait in the step task, ms.
+    most_ms: u32,
+    text: heapless::String<48>,
+}
+
+impl Streaming {
+    const NOW: Instant = Instant::from_ticks(0);
+
+    /// Starts a controller with 500 mm/s^2 and 10 m/min, like [`motion_settings`].
+    fn start(place: &'static mut MaybeUninit<Whole>, memory: Memory<3>) -> Self {
+        const PROFILE: Profile =
+            Profile { rates: StepRates { safe_hz: 1_000_000, ..boards::PROFILE.rates }, ..boards::PROFILE };
+        let controller = place.write(Controller::new(PROFILE, memory));
+        controller.start(Self::NOW);
+        controller.event(Self::NOW, Event::Signals(Sensed::default()));
+        let mut streaming =
+            Self { controller, waiting: Waiting::default(), most_ms: 12, text: heapless::String::new() };
+        for axis in 0..3 {
+            streaming.queue(format_args!("$12{axis}=500\n"));
+            streaming.queue(format_args!("$11{axis}=10000\n"));
         }
-        while let Some(output) = controller.output(now, Room { step: false, reply: true }) {
+        streaming
+    }
+
+    fn write(&mut self, line: core::fmt::Arguments) {
+        self.text.clear();
+        core::fmt::write(&mut self.text, line).expect("a short line");
+    }
+
+    /// Sends a line, of which nothing goes to the step task.
+    fn queue(&mut self, line: core::fmt::Arguments) {
+        self.write(line);
+        for byte in self.text.bytes() {
+            self.controller.event(Self::NOW, Event::Line(LineByte { byte, epoch: 0, damaged: false }));
+        }
+        while let Some(output) = self.controller.output(Self::NOW, Room { step: false, reply: true }) {
             black_box(output);
         }
-    };
-    for line in [b"$120=500\n".as_slice(), b"$121=500\n", b"$110=10000\n", b"$111=10000\n", b"G1F6000\n"] {
-        feed(controller, line);
     }
+
+    /// Sends a line, and takes what goes to the step task.
+    fn line(&mut self, line: core::fmt::Arguments) -> Outcome {
+        self.write(line);
+        let outcome = unit_line(self.controller, black_box(self.text.as_bytes()), self.waiting.begun);
+        self.waiting.add(outcome.segments, outcome.clocks, self.most_ms);
+        outcome
+    }
+
+    /// Sends the lines of a curve, for points with three decimals, as post-processors write them. The look-ahead is
+    /// full, so that as many blocks go to the step task as lines come. The last lines count for the row.
+    fn curve(&mut self, row: extern "C" fn(), lines: u32, mut point: impl FnMut(u32) -> [i32; 3]) {
+        const COUNTED: u32 = 200;
+        let (mut answered, mut blocks) = (0, 0);
+        for k in 1..=lines {
+            if k == lines - COUNTED {
+                row();
+                (answered, blocks) = (0, 0);
+            }
+            let [x, y, z] = point(k).map(Thousandths);
+            let outcome = self.line(format_args!("X{x}Y{y}Z{z}\n"));
+            answered += u32::from(outcome.answered);
+            blocks += u32::from(outcome.block);
+        }
+        row_none();
+        assert!(answered.abs_diff(COUNTED) < 10 && blocks.abs_diff(COUNTED) < 10, "{answered} {blocks}");
+    }
+}
+
+/// A number of thousandths, written with three decimals.
+struct Thousandths(i32);
+
+impl core::fmt::Display for Thousandths {
+    fn fmt(&self, f: &mut core::fmt::Formatter) -> core::fmt::Result {
+        let sign = if self.0 < 0 { "-" } else { "" };
+        let of = self.0.unsigned_abs();
+        write!(f, "{sign}{}.{:03}", of / 1000, of % 1000)
+    }
+}
+
+/// Runs lines of about 0.1 mm at 100 mm/s on a curve so gentle that no turn limits the speed.
+fn gentle_line(streaming: &mut Streaming) {
+    streaming.queue(format_args!("G1F6000\n"));
     for k in 1..=600_u32 {
-        text.clear();
-        // A gentle curve, with three decimals, as post-processors write coordinates.
         let (x, y) = (k * 98, k * k / 10);
-        let _ =
-            core::fmt::write(&mut text, format_args!("X{}.{:03}Y{}.{:03}\n", x / 1000, x % 1000, y / 1000, y % 1000));
+        let (x, y) = (Thousandths(x as i32), Thousandths(y as i32));
         if k < 200 {
-            feed(controller, text.as_bytes());
+            streaming.queue(format_args!("X{x}Y{y}\n"));
             continue;
         }
         if k == 300 {
             row_line();
         }
-        let outcome = unit_line(controller, black_box(text.as_bytes()), waiting.begun);
-        waiting.add(outcome.segments, outcome.clocks);
+        let outcome = streaming.line(format_args!("X{x}Y{y}\n"));
         let settled = outcome.answered && outcome.block;
         assert!(settled || k < 300, "line {k} was not answered, or no block has gone for it");
     }
     row_none();
-    controller
+}
+
+/// Runs the lines of reliefs and of a spiral, whose turns are so tight that they can limit the speed. Each curve begins
+/// where the one before it ends.
+fn tight_lines(streaming: &mut Streaming) {
+    // Each of these lines lasts longer than those of the gentle curve. With less, segments go before lines; with more, the
+    // controller does not want the next block yet.
+    streaming.most_ms = 10;
+    let micrometres = |mm: f32| libm::roundf(mm * 1000.0) as i32;
+    let (x, y) = (600 * 98, 600 * 600 / 10);
+    // A row over a field of bumps, 0.7 mm high and 4 mm wide, with a point every 0.1 mm.
+    let bump = |x: f32| 0.7 * libm::sinf(core::f32::consts::TAU / 8.0 * x);
+    streaming.line(format_args!("F2000\n"));
+    streaming.curve(row_relief_line, 600, |k| [x + 100 * k as i32, y, micrometres(bump(0.1 * k as f32))]);
+    let (x, z) = (x + 100 * 600, micrometres(bump(60.0)));
+    // A spiral with a pitch of 0.2 mm, from a radius of 2 mm outwards.
+    streaming.line(format_args!("F9000\n"));
+    let mut angle = 0.0_f32;
+    let mut end = [x, y, z];
+    streaming.curve(row_spiral_line, 600, |_| {
+        let radius = 2.0 + 0.2 / core::f32::consts::TAU * angle;
+        angle += 0.1 / radius;
+        let (sine, cosine) = (libm::sinf(angle), libm::cosf(angle));
+        end = [x + micrometres(radius * sine), y + micrometres(2.0 - radius * cosine), z];
+        end
+    });
+    // A relief across the axes, with chords of 0.05 to 0.25 mm, as a CAM program divides a curve for a tolerance.
+    streaming.line(format_args!("F3000\n"));
+    let ([x, y, z], mut along) = (end, 0.0_f32);
+    streaming.curve(row_uneven_line, 600, |k| {
+        along += 0.05 + 0.2 * ((k * 7919 % 64) as f32 / 64.0);
+        let height = 0.5 * libm::sinf(along / 1.7) + 0.2 * libm::sinf(along / 0.6);
+        [x + micrometres(0.8 * along), y + micrometres(0.6 * along), z + micrometres(height)]
+    });
 }
 
 type Ring = Recorder<&'static mut [Page]>;
@@ -774,6 +867,9 @@ fn main() -> ! {
     let place =
         unsafe { (boards::CONTROLLER as *mut (MaybeUninit<Whole>, MaybeUninit<Storage<3, 256>>)).as_mut_unchecked() };
     let (place, memory) = (&mut place.0, place.1.write(Storage::EMPTY).lend(&boards::PROFILE));
-    recording(whole_line(place, memory));
+    let mut streaming = Streaming::start(place, memory);
+    gentle_line(&mut streaming);
+    tight_lines(&mut streaming);
+    recording(streaming.controller);
     semihosting::process::exit(0)
 }
