@@ -115,10 +115,13 @@ pub struct Undone<const N: usize> {
 /// sets the directions. The hardware ends each pulse.
 ///
 /// ```text
-///  task    commit commit commit              call_at ──▶ MORE: commit ...
-///            │      │      │                    ▲
-///  ring    ──▼──────▼──────▼────────────────────┼──▶ each event at its time, without the processor
+///  step task   commit  commit  commit  call_at(t)   at t, called with MORE:  commit  commit ...
+///                │       │       │                                             │       │
+///  queue      ───▼───────▼───────▼─────────────────────────────────────────────▼───────▼──▶ each event at its time
 /// ```
+/// The step task commits events, and then sets the time of its next call ([`StepOutput::call_at`]), before the queue
+/// runs dry. At this time the board calls it with [`Due::MORE`], and it commits more events.
+///
 /// [`StepOutput::begin`] starts the output. From then on, committed events follow each other without the CPU, as long
 /// as each is committed in time ([`StepOutput::joins_until`]). If an event is committed too late, the output ends
 /// before it; [`StepOutput::halt`] and another `begin` are needed.

@@ -267,7 +267,7 @@ impl Soak {
         self.counts.jogs += 1;
     }
 
-    /// Changes the reactions, at rest.
+    /// Changes the reactions. Call while the machine is at rest.
     fn settings(&mut self) {
         for (_, setting, _) in FAULTS {
             let reactions = if setting == "$925" { &CONTROLLED[..2] } else { &CONTROLLED };

@@ -109,9 +109,10 @@ fn read(offset: usize) -> u32 {
 
 fn write(offset: usize, word: u32) {
     let address = (pac::OTG_FS_GLOBAL::ptr() as usize + offset) as *mut u32;
-    // SAFETY: unsafe because a register is written by its address past the driver that owns it; safe because only
-    // GINTMSK, DAINTMSK, GRSTCTL and the registers of the data endpoints are written, by the serial task, between the
-    // driver's calls, and leave the state that the driver would find after a packet or a reset of the bus.
+    // SAFETY: unsafe because a register is written by its address past the driver that owns it; safe because only the
+    // serial task writes, between the driver's calls, and only to GINTMSK, DAINTMSK, GRSTCTL and the registers of the
+    // data endpoints. The driver does not act on the two masks. It finds the other registers in a state that a packet
+    // or a bus reset could also have left.
     unsafe { address.write_volatile(word) }
 }
 

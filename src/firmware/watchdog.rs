@@ -1,6 +1,6 @@
 //! Checks that every task still runs. Ten times per second `Supervisor` marks and calls step, serial and control, and
-//! feeds the hardware watchdog only if all of them have cleared their marks. If a mark is still set at five checks in a
-//! row, that is a failure.
+//! feeds the hardware watchdog only if all of them have cleared their marks. A mark that is still set at five checks in
+//! a row is a failure.
 //!
 //! ```text
 //!  step, serial, control ──each run clears its mark──┐

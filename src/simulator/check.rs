@@ -432,8 +432,8 @@ mod tests {
         assert!((summary.standing_s - summary.dwell_s - summary.spin_up_s).abs() < 0.01, "{summary}");
     }
 
-    /// A boring cycle stops the spindle at the bottom and restarts it: waiting for that is not a dwell. G4 beside M3 is
-    /// a dwell.
+    /// A boring cycle stops the spindle at the bottom and restarts it; the wait for the spindle is not a dwell. G4
+    /// beside M3 is a dwell.
     #[test]
     fn waiting_for_the_spindle_within_a_cycle_is_no_dwell() {
         let text = "G21 G91\nM3 S1000 G4 P0.5\nG86 G99 X0 Y0 Z-1 R0.5 P0.25 F600\nG80\n";

@@ -197,7 +197,7 @@ impl Fittings {
         true
     }
 
-    /// Shifts the coordinates of all positions: `by` is added to the steps of the motors.
+    /// Shifts the coordinates of all positions. `by`: steps added to each motor.
     pub fn rename_places(&mut self, by: [i32; AXES]) {
         if self.is_empty() {
             return;

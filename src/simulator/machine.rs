@@ -116,7 +116,7 @@ impl Machine {
         self.pulses = [0; AXES];
     }
 
-    /// Shifts the coordinates of the present position: `by` is added to the steps of each motor. Restarts the extents.
+    /// Shifts the coordinates of the present position. `by`: steps added to each motor. Restarts the extents.
     pub fn rename_place(&mut self, by: [i32; AXES]) {
         for (axis, by) in by.into_iter().enumerate() {
             self.position[axis] = self.position[axis].wrapping_add(by);

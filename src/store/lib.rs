@@ -159,7 +159,7 @@ pub struct Log<F> {
 /// Addresses of the records of consecutive keys.
 type Places = [u32; KEYS];
 
-/// Returns the keys from `from` on that have a record, and their addresses.
+/// Returns the keys that have a record, and their addresses. `from`: key of the first of the `places`.
 fn stored(from: u16, places: &Places) -> impl Iterator<Item = (u16, u32)> {
     (from..=u16::MAX).zip(places.iter().copied()).filter(|(_, address)| *address != NOWHERE)
 }
@@ -649,9 +649,9 @@ impl<F: Flash> Log<F> {
         Ok(None)
     }
 
-    /// Returns the addresses of the valid records of the `KEYS` keys from `from` on, and the first later key that has a
-    /// record. One walk over the log finds all of them. Searching the log for each record's replacement would take
-    /// seconds if the log is full.
+    /// Returns the addresses of the valid records of `KEYS` consecutive keys, and the first later key that has a
+    /// record. `from`: the first of the keys. One walk over the log finds all of them. Searching the log for each
+    /// record's replacement would take seconds if the log is full.
     fn counting(&mut self, from: u16) -> Result<(Places, Option<u16>), F::Error> {
         let mut places = [NOWHERE; KEYS];
         let index = |key: u16| usize::from(key.saturating_sub(from)).min(KEYS);

@@ -51,7 +51,7 @@ enum Action<'a> {
     Pin(u8, bool),
     Wait(u8),
     Hosts(bool),
-    /// This line is sent. While it is being stored, the power fails after `after` words and returns.
+    /// Sends a line. While it is being stored, the power fails once `after` words are written, and then returns.
     PowerCut {
         line: Line,
         after: u8,

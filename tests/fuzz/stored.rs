@@ -98,8 +98,8 @@ fn open(memory: Memory) -> Log<Memory> {
     }
 }
 
-/// Makes a change, loses the power after `after` operations, and powers up again. Acknowledged values must still be
-/// there.
+/// Makes a change, cuts the power during it, and powers up again. Acknowledged values must still be there. `after`:
+/// number of flash operations before the cut, modulo 64.
 fn cut(
     mut log: Log<Memory>,
     after: u8,

@@ -85,8 +85,9 @@ fn ramp(from: f64, to: f64, acceleration: f64, jerk: f64) -> (f64, f64) {
     (time, 0.5 * (from + to) * time)
 }
 
-/// Returns the shortest time for a distance, with speeds `from` and `to` and zero acceleration at its ends, at no more
-/// than `most`. The motion reaches the highest speed from which it can still slow down to `to`, found by bisection.
+/// Returns the shortest time for a distance. `from`, `to`: speeds at its ends, where the acceleration is zero; `most`:
+/// maximum speed. The motion reaches the highest speed from which it can still slow down to the end speed, found by
+/// bisection.
 fn least_time(length: f64, from: f64, to: f64, most: f64, acceleration: f64, jerk: f64) -> f64 {
     let needs = |top: f64| ramp(from, top, acceleration, jerk).1 + ramp(top, to, acceleration, jerk).1;
     let (mut low, mut high) = (from.max(to), most);

@@ -168,8 +168,7 @@ impl Job {
     }
 }
 
-/// If a remnant of a move, shorter than the last digit of the program (0.001 mm), lies in a corner, the machine still
-/// brakes for the corner.
+/// If a move shorter than 0.001 mm lies in a corner, the machine still brakes for the corner.
 #[test]
 fn a_remnant_hides_no_corner() {
     for job in ["X10.002 F500\nX10.0016\nX0", "X10.0018 F500\nX10.0022 Y0.0005\nY10"] {

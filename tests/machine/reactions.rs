@@ -283,7 +283,7 @@ fn position(mill: &Simulator) -> [f64; 3] {
     [Axis::X, Axis::Y, Axis::Z].map(|axis| position.get(axis).unwrap().to_mm().into())
 }
 
-/// Returns the motion since the step counts `from`, mm.
+/// Returns the distance moved on each axis, mm. `from`: the step counts at the start.
 fn moved(mill: &Simulator, from: [i32; 3]) -> [f64; 3] {
     let now = mill.machine().position();
     std::array::from_fn(|i| f64::from(now[i] - from[i]) / STEPS_PER_MM)

@@ -113,7 +113,7 @@ fn line(random: &mut Random) -> String {
         }
         12 => {
             for _ in 0..random.below(120) {
-                // Printable characters, except ! and ?, which act at once.
+                // Printable characters, except `!`, `?` and `~`, which act at once.
                 let byte = b' ' + random.below(94) as u8;
                 line.push(if matches!(byte, b'!' | b'?') { '.' } else { char::from(byte) });
             }

@@ -259,8 +259,8 @@ fn a_job_of_errors_has_a_summary_of_bounded_size() {
     assert!(words.contains("30000") && words.contains("and 29980 more"), "{words}");
 }
 
-/// The rest of a job is a program that is accepted, on standard output or in a file; errors are reported, and leave no
-/// file.
+/// The rest of a job is a program that is accepted, on standard output or in a file. After an error, which is reported,
+/// there is no file.
 #[test]
 fn the_rest_of_a_job_is_written() {
     let pocket = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/pocket_mm.nc");

@@ -274,7 +274,8 @@ def left_at_the_end(program):
 
 
 def dead(until):
-    """Returns a fault if the sender waits too long for a machine that sends the answers `until` and then nothing; else None."""
+    """Simulates a machine that sends the answers in `until`, then nothing. Returns a fault if the sender waits too long
+    for it; else None."""
     near, far = socket.socketpair()
     link = checked_sender.Tcp.__new__(checked_sender.Tcp)
     link.socket = near

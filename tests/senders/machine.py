@@ -187,7 +187,7 @@ class Wire:
                 self.told.append(line)
 
     def mark(self):
-        """Returns the current lengths of all records, for `since`."""
+        """Returns the current lengths of all records: a mark for the method `since`."""
         with self.lock:
             return len(self.lines), len(self.answers), len(self.realtime), len(self.reports), len(self.told)
 

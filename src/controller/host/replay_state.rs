@@ -14,7 +14,8 @@ use crate::units::Coordinate;
 use crate::work::task::{Ask, Listing, Task};
 
 impl<const N: usize> Controller<N> {
-    /// Returns the step counters, at rest: net steps of each motor since power-up, as the step task counts them.
+    /// Returns the step counters: net steps of each motor since power-up. They equal those of the step task only while
+    /// the machine is at rest.
     pub fn step_counters(&self) -> PerAxis<i32, N> {
         self.m.motion.step_counters()
     }
@@ -71,7 +72,7 @@ impl<const N: usize> Controller<N> {
         self.m.pins.disturb();
     }
 
-    /// Sends the next piece of a recording that is listed.
+    /// Sends the next piece of the recording while `$REC` lists it.
     pub fn recorded(&mut self, piece: &Recorded) {
         let Task::Listing(Listing::Recording(Ask::Asked), line) = self.task else { return };
         let hz = self.m.motion.settings().step_clock_hz;

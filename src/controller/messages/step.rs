@@ -174,15 +174,15 @@ pub enum StepEvent<const N: usize> {
         /// Step counter of each axis at the tick that detected it.
         position: PerAxis<i32, N>,
     },
-    /// The queue ran dry at speed. Pulses have stopped; counts as a stop.
+    /// The queue ran dry at speed. Pulses have stopped; this counts as a stop.
     Underrun {
         /// As in [`StepEvent::Stopped`].
         stops: u16,
         /// As in [`StepEvent::Stopped`].
         position: PerAxis<i32, N>,
     },
-    /// The outputs did not make the commanded pulses, so the position differs from the counters. Pulses have stopped;
-    /// counts as a stop.
+    /// The outputs did not make the commanded pulses, so the machine is not where the step counters say. Pulses have
+    /// stopped; this counts as a stop.
     Miscounted {
         /// As in [`StepEvent::Stopped`].
         stops: u16,

@@ -18,7 +18,7 @@ pub struct Record {
 pub enum Store {
     /// Writes a record, replacing the record with the same key.
     Put(Record),
-    /// Removes all records with keys from `from` to `until - 1`.
+    /// Removes the records of a range of keys.
     Remove {
         /// First key.
         from: u16,

@@ -8,8 +8,8 @@
 use super::Speed;
 use super::trapezoid::{greater, lesser};
 
-/// Maximum time by which preceding moves without a step prolong a feed move, s. If the feed move's own duration is
-/// longer, that is the maximum.
+/// Maximum time by which preceding moves without a step prolong a feed move, s. A feed move of longer duration is
+/// prolonged by its own duration at most.
 const MOST_SLOWED_S: f32 = 0.05;
 
 /// The programmed time of a carried length. Meaningless without a carried length.

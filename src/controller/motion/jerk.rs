@@ -65,7 +65,8 @@ pub(super) fn ramp_distance(from: f32, to: f32, bounds: Bounds) -> f32 {
     0.5 * (from + to) * time
 }
 
-/// Returns the maximum speed from which `distance` suffices to slow down to `to`: the inverse of [`ramp_distance`].
+/// Returns the maximum speed from which `distance` suffices to slow down to the speed `to`: the inverse of
+/// [`ramp_distance`].
 pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
     let Bounds { acceleration, jerk } = bounds;
     if distance <= 0.0 {

@@ -43,8 +43,8 @@ impl<const N: usize> Kinematics<N> {
         self.steps_per_mm.zip(self.of_motors(place, &mut turned), |scale, coordinate| scale.steps(coordinate))
     }
 
-    /// Like [`Kinematics::steps`], for a position reached from `before`, whose `steps` are known: axes that do not move
-    /// keep their steps, without a conversion.
+    /// Like [`Kinematics::steps`], but converts only the axes that have moved (with CoreXY, all). `before`: an earlier
+    /// position; `steps`: its steps.
     #[inline]
     pub(super) fn steps_from(
         &self,

@@ -351,7 +351,8 @@ mod tests {
         [0, 1].map(|axis| sum(&|point| point.place[axis].0 as f64 / 1.0e7) / weight)
     }
 
-    /// For curves from LinuxCNC, points at the share `at`/`parts` of the whole curve agree with LinuxCNC's interpreter.
+    /// Curves from LinuxCNC have the same points as in LinuxCNC's interpreter. Each point is given by its share of the
+    /// whole curve, `at`/`parts`.
     #[test]
     fn as_linuxcnc_has_them() {
         let own = [(0.0, 0.0, 1.0), (0.0, 1.0, 1.0), (2.0, 2.0, 1.0), (2.0, 0.0, 1.0), (0.0, 0.0, 2.0)];

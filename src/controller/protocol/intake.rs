@@ -321,7 +321,7 @@ impl LineIntake {
         }
     }
 
-    /// Handles a reset or a stop: bytes sent before it are dropped by their epoch. Among them are the bytes that the
+    /// Handles a reset or a stop: all bytes sent earlier are dropped by their epoch. Among them are the bytes that the
     /// reset button drops by their count, so this count is cleared.
     pub fn reset(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
@@ -351,7 +351,7 @@ impl LineIntake {
         self.keep_epochs_near();
     }
 
-    /// Handles a jog cancel (0x85): jogs sent before it become stale, including those that have not been read yet.
+    /// Handles a jog cancel (0x85). It makes all jogs sent earlier stale, including those that have not been read yet.
     /// Later jogs are valid.
     pub fn cancel_jogs(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);

@@ -10,9 +10,13 @@
 //!  └ marks a checked line
 //! ```
 //! **Sessions.** After `$LC=ON` a host may append four letters of its choice. With letters, the CRC covers the letters,
-//! the whole line number in eight digits, the length and the text. A line of another session differs from the expected
-//! line in a burst of at most 32 of the covered bits, and so does a line that is 4096 numbers old. The CRC detects each
-//! of these bursts, so neither line ever passes. Without letters, a line that is 4096 numbers old can pass.
+//! the whole line number in eight digits, the length and the text. Two kinds of lines are always refused, because they
+//! differ from the expected line in a burst of at most 32 of the covered bits, which the CRC detects:
+//! * a line with the same whole number from another session: only the four letters differ;
+//! * a line that is 4096 numbers old, as long as the topmost of the eight digits stays the same (for lines below
+//!   2^28): only the four digits after it can differ.
+//!
+//! Without letters, a line that is 4096 numbers old can pass.
 //!
 //! **Letters.** N, L and C are hexadecimal digits, written as the letters `ABDGHKNPSUVZcefi`. Any two of these differ
 //! in two or more bits. Each of them also differs in two or more bits from a line end and from every realtime command

@@ -10,7 +10,7 @@ use oxmill_controller::units::Coordinate;
 const CLEARANCE: Coordinate = Coordinate(2_540_000);
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
-/// Returns the steps of a checked line that starts at `before`.
+/// Returns the steps of a checked line. `before`: position at its start.
 fn steps_of(checked: &Action<3>, mut before: [f64; 3]) -> Vec<String> {
     let MotionCommand::Cycle(mut cycle) = checked.motion else { panic!("no cycle") };
     let mut list = Vec::new();

@@ -1,6 +1,6 @@
 //! Recordings: the inputs of a simulated machine with their times, as text. `Recorder` writes them, with the machine's
-//! state at each rest; `Recording` reads them, plays them into another simulator and compares the resulting states. It
-//! also reads the listing of a board's `$REC`.
+//! state when it has changed. `Recording` reads them, plays them into another simulator and compares the resulting
+//! states. It also reads the listing of a board's `$REC`.
 //!
 //! ```text
 //! oxmill recording 1

@@ -1,5 +1,5 @@
-//! Writes a recording: `Recorder` writes each input as a line and, at rest, the state of the machine; `RecordedJob`
-//! passes the lines of a job on and records them.
+//! Writes a recording: `Recorder` writes each input as a line, and the state of the machine when it has changed.
+//! `RecordedJob` passes the lines of a job on and records them.
 
 use super::entry::{Input, TITLE, place, traced};
 use crate::simulator::Simulator;

@@ -99,8 +99,9 @@ impl Step {
         }
     }
 
-    /// Runs the task. The board calls it when more events are needed, when an event was output (one by one), and at a
-    /// change of laser power. Other tasks call it after they requested a stop, queued a message or changed the power.
+    /// Runs the task. The board calls it when more events are needed, at a change of laser power, and after each event
+    /// while events are output one by one. Other tasks call it after they requested a stop, queued a message or changed
+    /// the power.
     #[inline(never)]
     pub fn run(&mut self) {
         // A stop comes before all else, because events still begin until it takes effect. No task that requests stops

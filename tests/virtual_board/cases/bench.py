@@ -246,8 +246,8 @@ def joins_for(board):
 
 
 def stand_once(board, until):
-    """Stalls the processor when the output of the next motion is about to begin, until `until` seconds after the time
-    of the first event."""
+    """Stalls the processor when the output of the next motion is about to begin. `until`: end of the stall, in seconds
+    after the time of the first event."""
     tim5, moments = board.peripherals["TIM5"], board.dma[0]
     write = moments.write
 

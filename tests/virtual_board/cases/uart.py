@@ -118,8 +118,8 @@ def disturbed_line(bench):
     yield f"{len(disturbed.lines)} bytes of {len(values)} lines disturbed, {refused} lines refused"
     if carried_out := [line for line in disturbed.lines if answers[line] == "ok"]:
         raise Failure(f"disturbed lines {carried_out} were carried out")
-    # The board refuses the disturbed line. At a high rate it also refuses the lines that arrive within two samples of
-    # the inputs before or after that line.
+    # The board refuses the disturbed line. At a high baud rate it also refuses neighbouring lines: those received less
+    # than two input-sampling periods before or after it.
     if refused > 3 * len(disturbed.lines):
         raise Failure("more lines are refused than were disturbed")
     listing = bench.ask("$$")

@@ -74,7 +74,7 @@ class Timer(Peripheral):
         return self.values[CR1] & 1
 
     def count(self, now=None):
-        """Returns the count at cycle `now` (default: the present); the counter may have wrapped since `since`."""
+        """Returns the count at cycle `now` (default: the present), even if the counter has wrapped."""
         if not self.running:
             return self.began
         counts = ((self.board.now if now is None else now) - self.since) // self.cycles

@@ -127,8 +127,8 @@ struct Writer {
     subroutines: Vec<String>,
 }
 
-/// Returns programs one after the other, possibly followed by a statement with a rejected line. `deletes_blocks`: lines
-/// that start with a slash are skipped.
+/// Returns a batch of `programs` random programs in sequence. If a statement with a rejected line was found, it is the
+/// last one. `deletes_blocks`: lines that start with a slash are skipped.
 pub fn batch(seed: u64, programs: usize, deletes_blocks: bool) -> Batch {
     let outcome = Outcome { events: Vec::new(), of: Vec::new(), refused: None };
     let mut writer = Writer {

@@ -53,7 +53,8 @@ struct Writer {
     refused: Option<String>,
 }
 
-/// Returns programs one after the other, possibly followed by a line that is rejected.
+/// Returns a batch of `programs` random programs in sequence. Its last line is one that is rejected, if one was found;
+/// otherwise M2.
 pub fn batch(seed: u64, programs: usize) -> Batch {
     let outcome = Outcome { events: Vec::new(), of: Vec::new(), refused: None };
     let mut writer = Writer {

@@ -85,7 +85,8 @@ export class Preflight {
     if (!status) return [];
     const none = [0, 1, 2].filter(axis => Math.abs(status.machine[axis] - status.work[axis]) < 1e-6);
     if (none.length === 0) return [{ grade: "yes", text: "Work zero set in X, Y and Z" }];
-    // Without homing, machine zero is where the machine was switched on: that is often intended.
+    // Without homing, machine zero is where the machine was switched on, and using that place as work zero is often
+    // intended.
     const homed = machine.homed === true;
     const axes = none.map(axis => "XYZ"[axis]).join(", ");
     return [{ grade: homed ? "ask" : "look", text: `Work zero is not set in ${axes}`, more: homed ? "It is where the machine was homed: at its end of travel." : "It is where the machine was switched on." }];

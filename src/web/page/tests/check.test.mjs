@@ -446,7 +446,8 @@ export async function time_is_shown_by_kind_and_by_tool(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Compares the shades of the rows of each line, for several colourings. */
+/** In each colouring (kind, tool, line), the pieces of the drawn path have the shade of the program line that they
+ * belong to. */
 export async function arcs_plunges_rapids_and_tools_are_told_apart(browser) {
   const { page, faults } = await open(browser, file);
   await openJob(page, "kinds.nc", "G21 G91\nG0 X5\nG1 Z-1 F600\nG1 X5\nG2 X5 Y5 J5\nT3 M6\nG1 Y5\n");
