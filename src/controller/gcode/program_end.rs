@@ -11,6 +11,7 @@
 //! An M99 does not end the refusal: more lines of the same subprogram can follow it, which a GOTO reaches.
 
 use super::state::{Interpreter, ProgramPlace};
+use super::tools::may_end_program;
 use crate::error::Error;
 
 impl<const N: usize> Interpreter<N> {
@@ -45,9 +46,22 @@ impl<const N: usize> Interpreter<N> {
         Err(Error::BehindEnd)
     }
 
-    /// Takes note of a refused line: after the end of a program it begins a subprogram if it has an O number anywhere, or if
-    /// its text is unknown (`None`), because it was too long, damaged, or had an open remark.
-    pub fn refused_behind_end(&mut self, line: Option<&[u8]>) {
+    /// Takes note that a line with the end of the program was refused: for the lines after it, the program has ended.
+    pub fn note_end(&mut self) {
+        if self.place == ProgramPlace::Program {
+            self.place = ProgramPlace::End;
+        }
+    }
+
+    /// Takes note of a refused line. An M2 or M30 in it, also a computed one, ends the program all the same. After the end of a program the line
+    /// begins a subprogram if it has an O number anywhere, or if its text is unknown (`None`), because it was too long,
+    /// damaged, or had an open remark.
+    #[cold]
+    #[inline(never)]
+    pub fn refused_line(&mut self, line: Option<&[u8]>) {
+        if self.place == ProgramPlace::Program && line.is_some_and(may_end_program) {
+            return self.note_end();
+        }
         let may_have_number = line.is_none_or(|line| {
             let mut before = b' ';
             line.first() == Some(&b'<')
@@ -193,7 +207,7 @@ mod tests {
             for place in [ProgramPlace::Program, ProgramPlace::End] {
                 let mut interpreter = Interpreter::<3>::default();
                 interpreter.place = place;
-                interpreter.refused_behind_end(line.map(str::as_bytes));
+                interpreter.refused_line(line.map(str::as_bytes));
                 let refuses = interpreter.look_behind_end(b"G1Z-3", true).is_err();
                 assert_eq!(refuses, begins && place == ProgramPlace::End, "{line:?}");
             }

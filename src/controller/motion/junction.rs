@@ -160,13 +160,6 @@ impl<const N: usize> TurnRule<N> {
         bend * bend > 9.0 * turn2 * fast2 * fast2
     }
 
-    /// Returns whether the junction deviation alone surely allows more than the speed² `fast2`, as if the whole turn
-    /// were a corner ([`TurnRule::junction2`]). `least` and `sine`: as in [`TurnRule::is_surely_faster`].
-    #[inline]
-    pub(super) fn is_surely_a_fast_corner(&self, least: f32, turn2: f32, sine: f32, fast2: f32) -> bool {
-        turn2 <= REVERSAL && SURELY * least * self.deviation * sine * (1.0 + sine) > 0.25 * turn2 * fast2
-    }
-
     /// Returns J² of a turn, the square of the speed that the junction deviation allows (junction velocity): v² = a·d·s
     /// / (1 - s). For gentle turns 1 - s would be a small difference, so it is computed as q² / (4·(1 + s)), with q² =
     /// 4·(1 - s²).
