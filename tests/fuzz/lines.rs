@@ -86,7 +86,7 @@ impl Program {
                 self.tell(remark);
             }
             Ok(Direction::Run | Direction::Call) => self.run_held(),
-            Ok(Direction::Done | Direction::LeftOut) | Err(_) => {}
+            Ok(Direction::Done | Direction::LeftOut | Direction::Waits) | Err(_) => {}
         }
     }
 

@@ -10,6 +10,8 @@ pub enum Direction {
     Done,
     /// Nothing: the line was skipped or recorded. Its message is not sent.
     LeftOut,
+    /// Nothing: the line calls a subprogram that is not known yet. The program is held from this line on.
+    Waits,
     /// Run the subroutine that the line calls: [`Interpreter::next_held`](super::Interpreter::next_held).
     Call,
     /// Run the loop that ends with this line. The line has been recorded.

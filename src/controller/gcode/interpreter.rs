@@ -132,7 +132,9 @@ impl<const N: usize> Interpreter<N> {
             self.saved.clear();
             self.tangent = NO_TANGENT;
             self.computed.end_program();
-            self.place = ProgramPlace::End;
+            if self.place == ProgramPlace::Program {
+                self.place = ProgramPlace::End;
+            }
         }
         self.remember_motion(action);
     }

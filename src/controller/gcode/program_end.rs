@@ -1,17 +1,19 @@
-//! Decides on lines after the end of a program (M2, M30): they belong to the next program, or to subprograms, which
-//! controls with M98 have there (`O1001` .. `M99`). The interpreter cannot call such subprograms and refuses their
-//! lines, so that the machine does not execute them one after another. An O number (`O1001` .. `M30`) begins the next
-//! program only if it follows a tape mark, a reset, `$X`, or a rest of the machine.
+//! Decides on lines after the end of a program (M2, M30): they belong to the next program, or to subprograms (`O1001` ..
+//! `M99`), which are held for calls by M98 and G65 (see `computed/subprograms.rs`) and never executed one after another.
+//! A build without them refuses their lines. An O number (`O1001` .. `M30`) begins the next program only if it follows
+//! a tape mark, a reset, `$X`, or a rest of the machine right after the end of the program.
 //!
 //! ```text
-//!  Program ──M2, M30──▶ End ──O number──▶ Subprogram ──%, $X, reset, another host──▶ Program
-//!     ▲                  │
-//!     └───────────O number after a rest
+//!  Program ──M2, M30──▶ End ──O number──▶ Subprogram ──words outside of a subprogram──▶ Refused
+//!     ▲                  │                    │                                            │
+//!     ├──O number after a rest                │                                            │
+//!     └──%, $X, reset, another host───────────┴────────────────────────────────────────────┘
 //! ```
 //! An M99 does not end the refusal: more lines of the same subprogram can follow it, which a GOTO reaches.
 
 use super::state::{Interpreter, ProgramPlace};
 use crate::error::Error;
+use crate::image::FULL_IMAGE;
 
 impl<const N: usize> Interpreter<N> {
     /// Whether a program has ended, and no other program has begun.
@@ -20,8 +22,9 @@ impl<const N: usize> Interpreter<N> {
         self.place != ProgramPlace::Program
     }
 
-    /// Marks the next line as the start of a program.
+    /// Marks the next line as the start of a program. Drops a held program, and a subprogram that has not ended.
     pub fn begin_program(&mut self) {
+        self.drop_held_program();
         self.place = ProgramPlace::Program;
     }
 
@@ -29,23 +32,35 @@ impl<const N: usize> Interpreter<N> {
     /// that of the next program.
     ///
     /// # Errors
-    /// [`Error::BehindEnd`] for the lines of a subprogram.
+    /// [`Error::BehindEnd`] for lines that belong to no program.
     pub fn look_behind_end(&mut self, line: &[u8], rested: bool) -> Result<(), Error> {
+        let is_definition = FULL_IMAGE && subprogram_number(line).is_some();
         match self.place {
             ProgramPlace::Program => return Ok(()),
-            ProgramPlace::Subprogram if line.is_empty() => return Ok(()),
-            ProgramPlace::End if !has_program_number(line) => return Ok(()),
+            ProgramPlace::Subprogram | ProgramPlace::Refused if line.is_empty() => return Ok(()),
+            ProgramPlace::End if self.is_held() || !has_program_number(line) => return Ok(()),
             ProgramPlace::End if rested => {
                 self.place = ProgramPlace::Program;
                 return Ok(());
             }
-            ProgramPlace::End | ProgramPlace::Subprogram => {}
+            ProgramPlace::End if is_definition && !self.is_recording() => {
+                self.place = ProgramPlace::Subprogram;
+                return Ok(());
+            }
+            ProgramPlace::Subprogram if is_definition || self.is_recording() => return Ok(()),
+            // The last subprogram is complete.
+            ProgramPlace::Subprogram if rested && !self.is_held() && !has_program_number(line) => {
+                self.place = ProgramPlace::Program;
+                return Ok(());
+            }
+            ProgramPlace::End | ProgramPlace::Subprogram | ProgramPlace::Refused => {}
         }
-        self.place = ProgramPlace::Subprogram;
+        self.drop_held_program();
+        self.place = ProgramPlace::Refused;
         Err(Error::BehindEnd)
     }
 
-    /// Takes note of a refused line: after the end of a program it begins a subprogram if it has an O number anywhere, or if
+    /// Takes note of a refused line: after the end of a program it begins a refused subprogram if it has an O number anywhere, or if
     /// its text is unknown (`None`), because it was too long, damaged, or had an open remark.
     pub fn refused_behind_end(&mut self, line: Option<&[u8]>) {
         let may_have_number = line.is_none_or(|line| {
@@ -59,15 +74,28 @@ impl<const N: usize> Interpreter<N> {
                 })
         });
         if self.place == ProgramPlace::End && may_have_number {
-            self.place = ProgramPlace::Subprogram;
+            self.place = ProgramPlace::Refused;
         }
     }
 }
 
 /// Whether a line begins with the number of a program or subprogram, after its line number (N) if it has one. Further words
 /// may follow, and the numbers need not be valid ones.
-fn has_program_number(line: &[u8]) -> bool {
+pub(super) fn has_program_number(line: &[u8]) -> bool {
     is_program_number(line.strip_prefix(b"N").map_or(line, from_next_word))
+}
+
+/// Returns the number of a subprogram, without leading zeros, if the line consists of it, and of a line number or none.
+pub(super) fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
+    let digits = |text: &[u8]| text.iter().take_while(|byte| byte.is_ascii_digit()).count();
+    let line = match line.strip_prefix(b"N") {
+        Some(number) => number.get(digits(number)..)?,
+        None => line,
+    };
+    let Some((b'O' | b':', number)) = line.split_first() else { return None };
+    let zeros = number.iter().take_while(|digit| **digit == b'0').count();
+    let number = number.get(zeros.min(number.len().saturating_sub(1))..)?;
+    ((1..=8).contains(&number.len()) && digits(number) == number.len()).then_some(number)
 }
 
 /// Whether a text begins with O or a colon, and with no O word.

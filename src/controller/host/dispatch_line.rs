@@ -323,6 +323,10 @@ impl<const N: usize> Controller<N> {
                 self.say_ok();
             }
             Direction::LeftOut => self.say_ok(),
+            Direction::Waits => {
+                self.say(|out| reply_texts::message(out, "Program waits for its subprogram"));
+                self.say_ok();
+            }
             Direction::Call => {
                 self.tell_remark(remark);
                 self.task = Task::Held(Caller::Host);

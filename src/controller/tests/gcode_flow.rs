@@ -44,7 +44,7 @@ impl Sender {
             Ok(Direction::Check) => {
                 self.carry_out(line.as_bytes());
             }
-            Ok(Direction::Done | Direction::LeftOut) => {}
+            Ok(Direction::Done | Direction::LeftOut | Direction::Waits) => {}
             Ok(Direction::Call | Direction::Run) => {
                 let mut held = HeldLine::new();
                 loop {

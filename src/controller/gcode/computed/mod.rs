@@ -12,6 +12,7 @@ mod macros;
 mod o_words;
 mod parameters;
 mod real;
+mod subprograms;
 #[cfg(test)]
 mod tests;
 

@@ -104,6 +104,16 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
+    pub(super) fn is_recording(&self) -> bool {
+        false
+    }
+
+    pub(super) fn is_held(&self) -> bool {
+        false
+    }
+
+    pub(super) fn drop_held_program(&mut self) {}
+
     /// Returns 0: no line is skipped.
     pub fn skipped(&self) -> u32 {
         0

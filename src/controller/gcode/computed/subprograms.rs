@@ -1,0 +1,336 @@
+//! Fanuc's subprograms: `O1001` to `M99` behind the end of the program, called by M98 or, with arguments, by G65. They
+//! are held as text like other subroutines, so M98 and G65 also call `O1001 SUB`, and a macro.
+//!
+//! A call usually comes before its subprogram, whose lines the host has not sent yet. From such a call on, the program
+//! is held as well, without any motion:
+//!
+//! ```text
+//!            call of an unknown number        number behind M2, M30             M99
+//!  Streaming ────────────────────────▶ Holding ───────────────▶ Recording ──────────────▶ Running
+//!                                                                   ▲   number              │ call of an unknown number
+//!                                                                   └──────────── Waiting ◀─┘
+//! ```
+//! Guarantees: no line of a subprogram is executed except by a call. If a line of the held program or of a subprogram
+//! is refused before the program goes on, none of the held lines is executed. M99 without a call means that a
+//! subprogram has been taken for the program: all following lines are refused.
+
+use super::expression;
+use super::flow::{
+    FlowControl, FlowState, FrameKind, HeldLine, Keyword, OWord, PROGRAM, Passes, SPARE, STREAM, ends_program,
+};
+use super::m_words::has_m_word;
+use super::o_words::Label;
+use super::real::Real;
+use crate::error::Error;
+use crate::gcode::direction::Direction;
+use crate::gcode::program_end::{has_program_number, subprogram_number};
+use crate::gcode::state::{Interpreter, ProgramPlace};
+use core::fmt::Write;
+
+/// Maximum number of repeats (L).
+const MOST_REPEATS: i64 = 9999;
+/// Highest number of a subprogram.
+const HIGHEST: i64 = 99_999_999;
+/// The letters of G65's arguments: the first one sets #1, the second one #2, and so on. A point has no letter.
+const LETTERS: &[u8; 26] = b"ABCIJKDEF.H.M...QRSTUVWXYZ";
+
+/// The words of M98 or G65.
+struct Call {
+    number: u32,
+    label: Label,
+    passes: Passes,
+    arguments: heapless::Vec<(u8, Real), { LETTERS.len() }>,
+}
+
+impl<const N: usize> Interpreter<N> {
+    /// Handles a line of a held program or of a subprogram; returns `None` for all other lines.
+    pub(super) fn direct_subprogram(
+        &mut self,
+        line: &[u8],
+        remark: &[u8],
+        order: Option<OWord>,
+    ) -> Option<Result<Direction, Error>> {
+        let flow = &mut self.computed.flow;
+        match flow.state {
+            FlowState::Holding(Some(error)) => Some(Err(error)),
+            FlowState::Holding(None) => Some(self.hold_line(line, remark, order)),
+            FlowState::Recording(from, error) => {
+                let is_subprogram = flow.line(from).and_then(OWord::of)?.keyword == Keyword::Program;
+                is_subprogram.then(|| self.record_subprogram(line, remark, order, from, error))
+            }
+            FlowState::Running(_) => None,
+            FlowState::Waiting | FlowState::Streaming => match (self.place, subprogram_number(line)) {
+                (ProgramPlace::Subprogram, Some(label)) => Some(self.define(label)),
+                (ProgramPlace::Subprogram | ProgramPlace::Refused, _) if !line.is_empty() => {
+                    Some(Err(self.refuse_rest()))
+                }
+                _ => None,
+            },
+        }
+    }
+
+    /// Abandons the program and refuses all lines that follow.
+    pub(super) fn refuse_rest(&mut self) -> Error {
+        self.abandon_program();
+        self.place = ProgramPlace::Refused;
+        Error::BehindEnd
+    }
+
+    /// Whether the lines of the host are recorded, for a subroutine, a loop or a subprogram.
+    pub(in crate::gcode) fn is_recording(&self) -> bool {
+        matches!(self.computed.flow.state, FlowState::Recording(..))
+    }
+
+    /// Whether the program is held, or waits for a subprogram.
+    pub(in crate::gcode) fn is_held(&self) -> bool {
+        matches!(self.computed.flow.state, FlowState::Holding(_) | FlowState::Waiting)
+    }
+
+    /// Drops a program that is held, and a subprogram that is recorded.
+    pub(in crate::gcode) fn drop_held_program(&mut self) {
+        if self.is_held() || self.place == ProgramPlace::Subprogram && self.is_recording() {
+            self.abandon_program();
+        }
+    }
+
+    /// Holds a line of the program that comes after the call of an unknown subprogram.
+    fn hold_line(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
+        let flow = &mut self.computed.flow;
+        let has_ended = flow.after_end;
+        if has_ended && let Some(label) = subprogram_number(line) {
+            return self.define(label);
+        }
+        let keyword = order.map(|order| order.keyword);
+        let is_next = has_ended && order.is_none() && !line.is_empty();
+        if is_next || has_program_number(line) || keyword == Some(Keyword::Back) {
+            return Err(self.refuse_rest());
+        }
+        let held = match order {
+            Some(order) if !order.is_well_formed() => Err(Error::FlowSyntax),
+            Some(OWord { keyword: Keyword::Sub | Keyword::EndSub, .. }) => Err(Error::FlowSyntax),
+            None if has_m_word(line, &[b"98", b"99"]) => Err(Error::NotSupported),
+            _ => flow.hold(line, remark, SPARE),
+        };
+        if !line.is_empty() {
+            flow.after_end = order.is_none() && ends_program(line);
+        }
+        if let Err(error) = held {
+            flow.state = FlowState::Holding(Some(error));
+        }
+        held.map(|()| Direction::LeftOut)
+    }
+
+    /// Begins the definition of a subprogram.
+    fn define(&mut self, label: &[u8]) -> Result<Direction, Error> {
+        self.place = ProgramPlace::Subprogram;
+        let flow = &mut self.computed.flow;
+        let from = flow.text.len() as u16;
+        let waits = flow.waiting.is_some();
+        // A second definition would move the text of the program that waits.
+        let held = match waits && flow.find_own(label).is_some() {
+            true => Err(Error::BehindEnd),
+            false => flow.hold(&line_of(label, PROGRAM), &[], SPARE),
+        };
+        if let Err(error) = held {
+            self.refuse_rest();
+            return Err(error);
+        }
+        if !waits {
+            flow.recorded_from = flow.line;
+        }
+        flow.within = 0;
+        flow.state = FlowState::Recording(from, None);
+        Ok(Direction::LeftOut)
+    }
+
+    /// Records a line of a subprogram. M99 ends it, unless it is within a condition or loop.
+    fn record_subprogram(
+        &mut self,
+        line: &[u8],
+        remark: &[u8],
+        order: Option<OWord>,
+        from: u16,
+        error: Option<Error>,
+    ) -> Result<Direction, Error> {
+        let flow = &mut self.computed.flow;
+        let waits = flow.waiting.is_some();
+        let is_cut = has_program_number(line) || order.is_none() && ends_program(line);
+        if is_cut || waits && error.is_some() {
+            self.refuse_rest();
+            return Err(error.unwrap_or(Error::BehindEnd));
+        }
+        let ends = order.is_some_and(|order| order.keyword == Keyword::Back) && flow.within == 0;
+        let label = flow.line(from).and_then(OWord::of).map(|opening| opening.label);
+        let label = Label::from_slice(label.unwrap_or_default()).unwrap_or_default();
+        let end = line_of(&label, b"ENDSUB");
+        let held = match (error, order) {
+            (Some(error), _) => Err(error),
+            (None, Some(order)) if order.keyword == Keyword::Back && !order.arguments.is_empty() => {
+                Err(Error::NotSupported)
+            }
+            (None, Some(order)) if !order.is_well_formed() => Err(Error::FlowSyntax),
+            (None, Some(OWord { keyword: Keyword::Sub | Keyword::EndSub, .. })) => Err(Error::FlowSyntax),
+            (None, None) if has_m_word(line, &[b"98", b"99"]) => Err(Error::NotSupported),
+            (None, _) if ends => flow.hold(&end, remark, 0),
+            (None, order) => {
+                flow.count_blocks(from, order);
+                flow.hold(line, remark, SPARE)
+            }
+        };
+        match held {
+            Err(error) if waits => {
+                self.refuse_rest();
+                Err(error)
+            }
+            Err(error) if ends => {
+                flow.refuse_sub(from, &label, &end);
+                flow.state = FlowState::Streaming;
+                Err(error)
+            }
+            Err(error) => {
+                flow.state = FlowState::Recording(from, Some(error));
+                Err(error)
+            }
+            Ok(()) if !ends => Ok(Direction::LeftOut),
+            Ok(()) if flow.go_on() => Ok(Direction::Run),
+            Ok(()) => {
+                // `find_own` returns the first definition, which is the older one if there are two.
+                if flow.find_own(&label).is_some_and(|(at, _)| at < from) {
+                    flow.drop_sub(&label);
+                }
+                flow.state = FlowState::Streaming;
+                Ok(Direction::LeftOut)
+            }
+        }
+    }
+
+    /// Executes M98 or G65 in a line of the host. If the subprogram is unknown, the program is held from this line on.
+    pub(super) fn call_from_stream(&mut self, line: &[u8], remark: &[u8], order: &OWord) -> Result<Direction, Error> {
+        let call = self.read_call(order)?;
+        let flow = &mut self.computed.flow;
+        if let Some((_, begin)) = flow.find(&call.label) {
+            flow.run(begin, None);
+            self.call(FrameKind::Program(call.passes), &call.label, STREAM, &call.arguments)?;
+            return Ok(Direction::Call);
+        }
+        let at = flow.text.len() as u16;
+        let held = flow.hold(line, remark, SPARE);
+        flow.missing = call.number;
+        flow.wait(at, false);
+        if let Err(error) = held {
+            flow.state = FlowState::Holding(Some(error));
+        }
+        held.map(|()| Direction::Waits)
+    }
+
+    /// Executes M98 or G65 in the held line at `at`. Returns `false` if the program now waits for the subprogram.
+    pub(super) fn call_from_text(&mut self, order: &OWord, at: u16) -> Result<bool, Error> {
+        let call = self.read_call(order)?;
+        let flow = &mut self.computed.flow;
+        let back = flow.next;
+        match flow.find(&call.label) {
+            Some((_, begin)) => {
+                self.call(FrameKind::Program(call.passes), &call.label, back, &call.arguments)?;
+                self.computed.flow.go_back(begin)?;
+                Ok(true)
+            }
+            None => {
+                flow.missing = call.number;
+                if !flow.of_host {
+                    return Err(Error::BehindEnd);
+                }
+                flow.wait(at, self.place == ProgramPlace::Subprogram);
+                Ok(false)
+            }
+        }
+    }
+
+    /// Reads the words of M98 or G65.
+    fn read_call(&self, order: &OWord) -> Result<Call, Error> {
+        let is_macro = order.keyword == Keyword::CallMacro;
+        let (mut number, mut repeats) = (None, None);
+        let mut arguments = heapless::Vec::<(u8, Real), { LETTERS.len() }>::new();
+        let mut rest = order.arguments;
+        while let Some((letter, text)) = rest.split_first() {
+            if !letter.is_ascii_uppercase() {
+                return Err(Error::ExpectedLetter);
+            }
+            let is_number = matches!(text.first(), Some(b'0'..=b'9' | b'.' | b'-' | b'+'));
+            if !is_number && !expression::begins(text) {
+                return Err(Error::BadNumber);
+            }
+            let (value, behind) = self.value(text)?;
+            rest = behind;
+            let chosen = match letter {
+                b'P' => &mut number,
+                b'L' => &mut repeats,
+                _ => {
+                    let index = LETTERS.iter().position(|of| of == letter).filter(|_| is_macro);
+                    let argument = index.ok_or(Error::UnusedWords)? as u8 + 1;
+                    if arguments.iter().any(|(of, _)| *of == argument) {
+                        return Err(Error::WordRepeated);
+                    }
+                    let _ = arguments.push((argument, value));
+                    continue;
+                }
+            };
+            if chosen.is_some() {
+                return Err(Error::WordRepeated);
+            }
+            *chosen = Some(value.whole().ok_or(Error::IntegerRequired)?);
+        }
+        let number = number.ok_or(Error::ValueWordMissing)?;
+        let repeats = repeats.unwrap_or(1);
+        if number < 0 {
+            return Err(Error::NegativeValue);
+        }
+        if number > HIGHEST || !(1..=MOST_REPEATS).contains(&repeats) {
+            return Err(Error::ValueOutOfRange);
+        }
+        let mut label = Label::new();
+        write!(label, "{number}").map_err(|_| Error::FlowSyntax)?;
+        let passes = Passes { left: repeats as u16, is_macro };
+        Ok(Call { number: number as u32, label, passes, arguments })
+    }
+}
+
+impl FlowControl {
+    /// Begins the next pass of the innermost call, which is that of a subprogram.
+    pub(super) fn next_pass(&mut self) -> Result<(), Error> {
+        let label = self.last_label();
+        let (_, begin) = self.find(label).ok_or(Error::FlowSyntax)?;
+        if let Some(FrameKind::Program(passes)) = self.frames.last_mut().map(|frame| &mut frame.kind) {
+            passes.left = passes.left.saturating_sub(1);
+        }
+        self.skipping = false;
+        self.go_back(begin)
+    }
+
+    /// Counts the open conditions and loops of the subprogram that is recorded from `from` on.
+    fn count_blocks(&mut self, from: u16, order: Option<OWord>) {
+        let Some(order) = order else { return };
+        let opens = match order.keyword {
+            Keyword::If | Keyword::Do | Keyword::Repeat => true,
+            Keyword::While => !self.closes_do(from, order.label),
+            Keyword::EndIf | Keyword::EndWhile | Keyword::EndRepeat => false,
+            _ => return,
+        };
+        self.within = if opens { self.within.saturating_add(1) } else { self.within.saturating_sub(1) };
+    }
+
+    /// Whether a `while` with this label, as the next line, ends a `do`.
+    fn closes_do(&self, from: u16, label: &[u8]) -> bool {
+        let is_loop = |order: &OWord| matches!(order.keyword, Keyword::Do | Keyword::While) && order.label == label;
+        let (mut at, mut closes) = (from, false);
+        while let Some((line, behind)) = self.find_from(at, is_loop) {
+            closes = self.line(line).and_then(OWord::of).is_some_and(|order| order.keyword == Keyword::Do);
+            at = behind;
+        }
+        closes
+    }
+}
+
+/// Returns the line of an O word without values.
+fn line_of(label: &[u8], keyword: &[u8]) -> HeldLine {
+    [b"O", label, keyword].into_iter().flatten().copied().collect()
+}

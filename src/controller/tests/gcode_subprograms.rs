@@ -1,0 +1,452 @@
+//! Tests of subprograms: M98, G65 and M99. The lines of a subprogram run when it is called, and never otherwise.
+#![cfg(feature = "full")]
+
+use oxmill_controller::gcode::{Action, Dialect, Direction, Flow, Held, HeldLine, Interpreter, MotionCommand};
+use proptest::prelude::*;
+
+/// A host that sends a file. Records the X target of every straight move, the error numbers, and the ends of programs.
+struct Sender {
+    interpreter: Interpreter<3>,
+    went: Vec<i64>,
+    errors: Vec<u8>,
+    ends: usize,
+    sent: u32,
+    rested: bool,
+    /// X targets of moves in lines that ran as they came.
+    at_once: Vec<i64>,
+}
+
+impl Sender {
+    fn new() -> Self {
+        Self {
+            interpreter: Interpreter::default(),
+            went: Vec::new(),
+            errors: Vec::new(),
+            ends: 0,
+            sent: 0,
+            rested: false,
+            at_once: Vec::new(),
+        }
+    }
+
+    fn carry_out(&mut self, line: &[u8]) -> bool {
+        let mut checked = Action::NOTHING;
+        match self.interpreter.check_into(line, Dialect::Oxmill, &mut checked) {
+            Ok(()) => {
+                if let MotionCommand::Line { target, .. } = checked.motion {
+                    self.went.push(target.0[0].0 / 10_000_000);
+                }
+                self.ends += usize::from(checked.flow == Flow::End);
+                self.interpreter.commit(&checked);
+                true
+            }
+            Err(error) => {
+                self.errors.push(error.code());
+                false
+            }
+        }
+    }
+
+    fn run_held(&mut self) {
+        let mut held = HeldLine::new();
+        loop {
+            match self.interpreter.next_held(&mut held) {
+                Ok(Held::Line) => {
+                    if !self.carry_out(&held) {
+                        return self.interpreter.abandon_held();
+                    }
+                }
+                Ok(Held::Again) => {}
+                Ok(Held::End) => return,
+                Err(error) => return self.errors.push(error.code()),
+            }
+        }
+    }
+
+    fn send(&mut self, line: &str) {
+        let line: String = line.split(['(', ';']).next().unwrap().replace(' ', "").to_uppercase();
+        self.sent += 1;
+        if line == "%" {
+            if let Err(error) = self.interpreter.tape_mark() {
+                self.errors.push(error.code());
+            }
+            return;
+        }
+        let line = line.as_bytes();
+        let looked = self.interpreter.look_behind_end(line, self.rested);
+        match looked.and_then(|()| self.interpreter.direct(line, &[], self.sent)) {
+            Ok(Direction::Check) => {
+                let before = self.went.len();
+                let is_done = self.carry_out(line);
+                self.at_once.extend_from_slice(&self.went[before..]);
+                if !is_done {
+                    self.interpreter.line_refused(oxmill_controller::error::Error::BadNumber);
+                }
+            }
+            Ok(Direction::Done | Direction::LeftOut | Direction::Waits) => {}
+            Ok(Direction::Call | Direction::Run) => self.run_held(),
+            Err(error) => {
+                self.errors.push(error.code());
+                self.interpreter.line_refused(error);
+            }
+        }
+    }
+
+    fn send_all(&mut self, text: &str) -> &mut Self {
+        text.lines().for_each(|line| self.send(line));
+        self
+    }
+}
+
+/// Checks the X targets of a file without errors, which ends its program once.
+#[track_caller]
+fn goes(text: &str, places: &[i64]) {
+    let mut sender = Sender::new();
+    sender.send_all(text);
+    assert_eq!((sender.went, sender.errors, sender.ends), (places.to_vec(), vec![], 1), "{text}");
+}
+
+/// Checks the errors of a file, and the X targets that it still reaches.
+#[track_caller]
+fn fails(text: &str, errors: &[u8], places: &[i64]) {
+    let mut sender = Sender::new();
+    sender.send_all(text);
+    assert_eq!((sender.errors, sender.went), (errors.to_vec(), places.to_vec()), "{text}");
+}
+
+#[test]
+fn the_usual_file() {
+    goes(
+        "%\nO1000 (PART)\nG21 G90\nG0 X1\nM98 P1001\nG0 X9\nM98 P1001\nM30\nO1001 (POCKET)\nG0 X2\nG0 X3\nM99\n%",
+        &[1, 2, 3, 9, 2, 3],
+    );
+    goes("N1 :1000\nN2 G0 X1\nN3 M98 P7\nN4 M2\n\nN5 :0007\n\nN6 X2\nN7 M099\n%", &[1, 2]);
+    // Two subprograms, in either order, one of which calls the other.
+    for definitions in [["O1\nX2\nM98 P2\nX3\nM99\n", "O2\nX5\nM99\n"], ["O2\nX5\nM99\n", "O1\nX2\nM98 P2\nX3\nM99\n"]]
+    {
+        goes(&format!("G0 X1\nM98P1\nM98P2\nX9\nM30\n{}%\n", definitions.concat()), &[1, 2, 5, 3, 5, 9]);
+    }
+    // Subprograms that nothing calls.
+    goes("G0 X1\nM30\nO5\nG1 X-3 F100\nM99\nO6\nX7\nM99\n%", &[1]);
+    goes("G0 X1\nM98 P6\nM30\nO5\nG1 X-3 F100\nM99\nO6\nX7\nM99\nO8\nX8\nM99\n%", &[1, 7]);
+}
+
+#[test]
+fn repeats() {
+    goes("G91 G0 X1\nM98 P1 L3\nM30\nO1\nX2\nM99", &[1, 3, 5, 7]);
+    goes("G0 X1\nM98 L2 P1\nM30\nO1\nX2\nM98 P2 L2\nM99\nO2\nX5\nM99", &[1, 2, 5, 5, 2, 5, 5]);
+    // A return from within a condition begins the next pass, too.
+    goes("M98 P1 L2\nM30\nO1\nG0 X1\no5 if [1]\nM99\no5 endif\nX2\nM99", &[1, 1]);
+    goes("#5=2\nM98 P[0.5*2] L#5\nM30\nO1\nG0 X1\nM99", &[1, 1]);
+    for (words, error) in [
+        ("", 28),
+        ("L2", 28),
+        ("P1 L0", 39),
+        ("P1 L-1", 39),
+        ("P1 L10000", 39),
+        ("P1.5", 23),
+        ("P1 L1.5", 23),
+        ("P-1", 4),
+        ("P123456789", 39),
+        ("P1 P1", 25),
+        ("P1 L1 L1", 25),
+        ("P1 X5", 36),
+        ("P1 G0", 36),
+        ("P1=2", 1),
+        ("P", 2),
+    ] {
+        fails(&format!("M98 {words}\nG0 X1"), &[error], &[1]);
+    }
+}
+
+#[test]
+fn parameters() {
+    // M98 shares the parameters of its caller.
+    goes("#1=5\nM98 P1\nG0 X#1\nM30\nO1\nG0 X#1\n#1=[#1+1]\nM99", &[5, 6]);
+    // G65 has parameters of its own.
+    goes("#1=5 #2=7\nG65 P1 A2\nG0 X#1\nM30\nO1\nG0 X#1\nX#2\n#1=9\nM99", &[2, 0, 5]);
+    let letters = "ABCIJKDEFHMQRSTUVWXYZ";
+    let numbers = [1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 13, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26];
+    for (letter, number) in letters.chars().zip(numbers) {
+        goes(&format!("G65 P1 {letter}42\nM30\nO1\nG0 X#{number}\nM99"), &[42]);
+    }
+    goes("#5=3\nG65 A-2.0 B[#5*2] P1 C#5 DSQRT[16]\nM2\nO1\nG0 X#1\nX#2\nX#3\nX#7\nM99", &[-2, 6, 3, 4]);
+    // What the first pass has set, the next pass finds.
+    goes("G65 P1 L3 A1\nM2\nO1\nG0 X#1\n#1=[#1+1]\nM99", &[1, 2, 3]);
+    goes("G65 P1 A1\nM2\nO1\nG0 X#1\nG65 P2 A[#1+1]\nX#1\nM99\nO2\nX#1\nM98 P3\nM99\nO3\nX[#1+5]\nM99", &[1, 2, 7, 1]);
+    for (words, error) in [("P1 A1 A2", 25), ("P1 I1 J2 I3", 25), ("P1 G5", 36), ("P1 N5", 36), ("P1 A", 2), ("A1", 28)]
+    {
+        fails(&format!("G65 {words}\nG0 X1"), &[error], &[1]);
+    }
+}
+
+#[test]
+fn subroutines_and_macros() {
+    goes("o7 sub\nG0 X#1\nM99\nX9\no7 endsub\nM98 P7\nG65 P7 A4\no7 call [5]\nM2", &[0, 4, 5]);
+    goes("G0 X1\nM98 P7\no7 call [5]\nM2\nO7\nX#1\nM99", &[1, 0, 5]);
+    let mut sender = Sender::new();
+    for (index, line) in ["O9000SUB", "G0X#1", "O9000ENDSUB"].iter().enumerate() {
+        sender.interpreter.set_macro_line(index, line.as_bytes()).unwrap();
+    }
+    sender.send_all("G65 P9000 A3\nM98 P9000 L2\nM2");
+    assert_eq!((sender.went, sender.errors), (vec![3, 0, 0], vec![]));
+    // A macro calls a subprogram that is not known: the program waits in the middle of the call.
+    let mut sender = Sender::new();
+    for (index, line) in ["O9000SUB", "G0X1", "M98P5", "G0X3", "O9000ENDSUB"].iter().enumerate() {
+        sender.interpreter.set_macro_line(index, line.as_bytes()).unwrap();
+    }
+    sender.send_all("M98 P9000\nG0 X4");
+    assert_eq!(sender.went, [1]);
+    sender.send_all("M30\nO5\nX2\nM99\n%");
+    assert_eq!((sender.went.as_slice(), sender.errors.as_slice()), (&[1, 2, 3, 4][..], &[][..]));
+    assert_eq!(sender.interpreter.macro_line(4), Some(&b"O9000ENDSUB"[..]));
+    // From a startup line, nothing can follow.
+    assert_eq!(sender.interpreter.begin_call(b"O9000CALL"), Ok(true));
+    sender.went.clear();
+    sender.run_held();
+    assert_eq!((sender.went, sender.errors), (vec![1], vec![203]));
+    assert!(!sender.interpreter.is_within_block());
+}
+
+#[test]
+fn conditions_and_loops() {
+    goes("o1 repeat [2]\nG0 X1\nM98 P5\no1 endrepeat\nX3\nM2\nO5\nX2\nM99", &[1, 2, 1, 2, 3]);
+    goes("o1 if [1]\nG0 X1\nM98 P5\nX3\no1 else\nX4\no1 endif\nX5\nM2\nO5\nX2\nM99", &[1, 2, 3, 5]);
+    goes("o1 if [0]\nM98 P5\no1 endif\nG0 X5\nM2", &[5]);
+    goes("o2 sub\nG0 X1\nM98 P5\nX3\no2 endsub\no2 call\nX4\nM2\nO5\nX2\nM99", &[1, 2, 3, 4]);
+    // M2 in a branch that is not taken, and M99 in a loop.
+    goes("M98 P5\no1 if [0]\nM2\no1 endif\nG0 X3\nM2\nO5\nG0 X2\nM99", &[2, 3]);
+    let body = "o1 do\no2 while [1]\n#1=[#1+1]\nG0 X#1\no3 if [#1 GE 2]\nM99\no3 endif\no2 endwhile\no1 while [1]\nX9";
+    goes(&format!("M98 P5\nM2\nO5\n{body}\nM99\n%"), &[1, 2]);
+    // A program without an end does not fall into a subprogram.
+    fails("M98 P5\nG0 X3\no1 if [0]\nM2\nO5\nG0 X2\nM99\nG0 X4\n%", &[81, 203], &[2, 3]);
+}
+
+/// Whatever is missing, no line of a subprogram runs by itself, and nothing of a held program that is refused.
+#[test]
+fn nothing_falls_into_a_subprogram() {
+    // No subprogram of this number.
+    fails("G0 X1\nM98 P1\nX2\nM30\n%\nG0 X9", &[203], &[1, 9]);
+    fails("G0 X1\nM98 P1\nX2\nM30\nO2\nX3\nM99\n%\nX9", &[203], &[1, 9]);
+    fails("G0 X1\nM98 P1\nX2\nM30\nO2\nX3\nM99\nX4\nX5\n%\nX9", &[203, 203], &[1, 9]);
+    fails("G0 X1\nM98 P1\nX2\nM30\nX3\nX4\nO1\nX5\nM99\n%\nX9", &[203; 5], &[1, 9]);
+    // No M30 in front of the subprogram.
+    fails("G0 X1\nM98 P1\nX2\nO1\nX5\nM99\n%\nX9", &[203; 3], &[1, 9]);
+    // M99 in the program.
+    fails("O1000\nG0 X1\nM99\nO1\nX2\nM99\nX3\n%\nX9", &[203; 5], &[1, 9]);
+    fails("G0 X1\nM98 P1\nX2\nM99\nO1\nX2\nM99\n%\nX9", &[203; 4], &[1, 9]);
+    // No M99 in a subprogram.
+    fails("G0 X1\nM98 P1\nM30\nO1\nX2\nO2\nX3\nM99\n%\nX9", &[203; 3], &[1, 9]);
+    fails("G0 X1\nM98 P1\nM30\nO1\nX2\nM30\nX3\nM99\n%\nX9", &[203; 3], &[1, 9]);
+    fails("G0 X1\nM98 P1\nM30\nO1\nX2\n%\nX9", &[203], &[1, 9]);
+    fails("G0 X1\nM30\nO1\nX2\n%\nG0 X9", &[81], &[1, 9]);
+    // A number twice.
+    fails("G0 X1\nM98 P2\nM30\nO1\nX2\nM99\nO1\nX3\nM99\nO2\nX4\nM99\n%\nX9", &[203; 6], &[1, 9]);
+    // M99 with other words, and M98 behind others, in held lines.
+    fails("G0 X1\nM98 P1\nM30\nO1\nX2\nM99 P20\nX3\n%\nX9", &[121, 203], &[1, 9]);
+    fails("G0 X1\nM98 P1\nM30\nO1\nX2\nX3 M99\nX3\n%\nX9", &[121, 203], &[1, 9]);
+    fails("G0 X1\nM98 P1\nX5 M98 P2\nM30\nO1\nX2\nM99\n%\nX9", &[121, 121, 121, 121, 121, 203], &[1, 9]);
+    // An error within a call ends the program; the other subprograms are held, and lines outside of them refused.
+    fails("G0 X1\nM98 P1\nX5\nM30\nO1\nX2\nX\nX3\nM99\nO2\nX4\nM99\nX6\n%\nX9", &[2, 203], &[1, 2, 9]);
+    fails("G0 X1 X2\nM98 P1\nM98 P2 Q1\nX5\nM30\nO1\nX3\nM99\n%", &[25, 36], &[3]);
+    // Calls without an end.
+    fails("M98 P1\nM30\nO1\nG0 X1\nM98 P1\nM99", &[82], &[1; 48]);
+}
+
+/// Forms of numbers that are none of a subprogram, behind a program that is held or not.
+#[test]
+fn numbers_in_other_forms_are_refused() {
+    for number in
+        ["O1001.0", "O[1001]", "O#1", "O1001 G1 Z-3", "O1001 M3", "N10.5 O1001", "O", "O123456789", "N1 O1001 ("]
+    {
+        for program in ["G0 X1\nM30", "G0 X1\nM98 P1001\nM30"] {
+            let errors = if number.ends_with('(') { 0 } else { 3 };
+            let mut sender = Sender::new();
+            sender.send_all(&format!("{program}\n{number}\nG0 X5\nM99"));
+            assert_eq!(sender.errors, vec![203; errors], "{number}");
+            assert!(!sender.went.contains(&5) || errors == 0 && program.contains("M98"), "{number}");
+            // A program begins behind a tape mark.
+            sender.send("%");
+            sender.went.clear();
+            sender.errors.clear();
+            sender.send_all("O1000\nG0 X7\nM30");
+            assert_eq!((sender.errors, sender.went), (vec![], vec![7]), "{number}");
+        }
+    }
+}
+
+#[test]
+fn the_next_program() {
+    let mut sender = Sender::new();
+    sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
+    assert_eq!(sender.went, [1]);
+    // Without a rest, further lines belong to no program.
+    sender.send("G0 X2");
+    assert_eq!((sender.went.as_slice(), sender.errors.as_slice()), (&[1][..], &[203][..]));
+    let mut sender = Sender::new();
+    sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
+    sender.rested = true;
+    sender.send_all("G0 X2\nO1000\nG0 X3\nM30");
+    assert_eq!((sender.went, sender.errors), (vec![1, 2, 3], vec![]));
+    // A number is that of a subprogram, even behind a rest.
+    let mut sender = Sender::new();
+    sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
+    sender.rested = true;
+    sender.send_all("O2000\nG0 X3\nM30\nX4");
+    assert_eq!((sender.went, sender.errors), (vec![1], vec![203, 203]));
+    // `$X`, a reset and another host drop what is held.
+    for drop in [
+        |interpreter: &mut Interpreter<3>| interpreter.begin_program(),
+        |interpreter: &mut Interpreter<3>| interpreter.reset(),
+        |interpreter: &mut Interpreter<3>| {
+            interpreter.abandon_program();
+            interpreter.begin_program();
+        },
+    ] {
+        for text in ["M98 P1\nG0 X5", "M98 P1\nG0 X5\nM30", "M98 P1\nG0 X5\nM30\nO1\nG0 X6", "M30\nO1\nG0 X6", "M99"] {
+            let mut sender = Sender::new();
+            sender.send_all(text);
+            drop(&mut sender.interpreter);
+            assert!(!sender.interpreter.is_within_block(), "{text}");
+            sender.errors.clear();
+            sender.send_all("G0 X1\nM2\n%");
+            assert_eq!((sender.went, sender.errors), (vec![1], vec![]), "{text}");
+        }
+    }
+}
+
+/// A program that does not fit is refused from its call on.
+#[test]
+fn memory_for_programs() {
+    let line = "G1 F100 X5 Y2.5 Z-0.5\n";
+    for lines in [200, 330, 340, 400] {
+        let mut sender = Sender::new();
+        sender.send_all(&format!("G0 X1\nM98 P1\n{}M30\nO1\nX2\nM99\n%\nG0 X9", line.repeat(lines)));
+        if sender.errors.is_empty() {
+            assert!(lines <= 330);
+            assert_eq!(sender.went.len(), 3 + lines);
+        } else {
+            assert!(lines > 330 && sender.errors.iter().all(|code| *code == 83 || *code == 203), "{:?}", sender.errors);
+            assert_eq!(sender.went, [1, 9]);
+        }
+        sender.interpreter.reset();
+        assert!(!sender.interpreter.is_within_block());
+    }
+    // However full the memory is, no line of a subprogram runs by itself, and none of the held program before its call.
+    for free in 0..200 {
+        let fill = 6144 - 64 - free;
+        let mut sender = Sender::new();
+        sender.send_all(&format!("o7 sub\n{}o7 endsub", format!("G0X{}\n", "1".repeat(57)).repeat(fill / 61)));
+        sender.send_all(&format!("G0 X1\nM98 P1\n(\nX3\nM30\nO1\n{}\nX2\nM99\nO2\nX4\nM99\n", "X5\n".repeat(free / 9)));
+        assert!(!sender.went.contains(&4), "{free}");
+        if !sender.errors.is_empty() {
+            assert_eq!(sender.went, [1], "{free}");
+        }
+    }
+}
+
+#[test]
+fn grbl_has_none() {
+    let interpreter = Interpreter::<3>::default();
+    for line in ["M98P1", "M99", "G65P1"] {
+        assert_eq!(interpreter.check(line.as_bytes(), Dialect::Grbl).map_err(|error| error.code()), Err(20), "{line}");
+    }
+}
+
+/// A subprogram of a random program: its moves and calls.
+#[derive(Clone, Debug)]
+enum Step {
+    Move(i64),
+    Add(i64),
+    /// Which of the following subprograms, how often, and with an argument if it is a call by G65.
+    Call(usize, u16, Option<i64>),
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    prop_oneof![
+        3 => (-50_i64..50).prop_map(Step::Move),
+        1 => (-5_i64..5).prop_map(Step::Add),
+        2 => (0_usize..3, 1_u16..4, prop::option::of(-9_i64..9)).prop_map(|(to, times, with)| Step::Call(to, times, with)),
+    ]
+}
+
+/// The programs: the main program first. A program calls only those behind it.
+fn text_of(programs: &[Vec<Step>], index: usize) -> String {
+    let lines = programs[index].iter().map(|step| match step {
+        Step::Move(to) => format!("G0 X[{to} + #1]\n"),
+        Step::Add(number) => format!("#1=[#1 + {number}]\n"),
+        Step::Call(to, ..) if index + 1 + to >= programs.len() => String::new(),
+        Step::Call(to, times, None) => format!("M98 P{} L{times}\n", index + 1 + to),
+        Step::Call(to, times, Some(argument)) => format!("G65 P{} L{times} A{argument}\n", index + 1 + to),
+    });
+    lines.collect()
+}
+
+/// Appends the X targets of a program to `went`; `one` is #1.
+fn written_out(programs: &[Vec<Step>], index: usize, one: &mut i64, went: &mut Vec<i64>) {
+    for step in &programs[index] {
+        match step {
+            Step::Move(to) => went.push(to + *one),
+            Step::Add(number) => *one += number,
+            Step::Call(to, ..) if index + 1 + to >= programs.len() => {}
+            Step::Call(to, times, argument) => {
+                let mut own = argument.unwrap_or_default();
+                for _ in 0..*times {
+                    written_out(programs, index + 1 + to, if argument.is_some() { &mut own } else { one }, went);
+                }
+            }
+        }
+    }
+}
+
+proptest! {
+    /// A program with subprograms makes the same moves as the program written out, in whatever order its subprograms
+    /// follow it.
+    #[test]
+    fn calls_are_the_lines_of_their_subprograms(
+        programs in prop::collection::vec(prop::collection::vec(step(), 0..6), 1..5),
+        turn in 0_usize..4,
+    ) {
+        let mut went = Vec::new();
+        written_out(&programs, 0, &mut 0, &mut went);
+        let mut subprograms: Vec<String> =
+            (1..programs.len()).map(|index| format!("O{index}\n{}M99\n", text_of(&programs, index))).collect();
+        let turn = turn % subprograms.len().max(1);
+        subprograms.rotate_left(turn);
+        let text = format!("O1000\n{}M30\n{}%\n", text_of(&programs, 0), subprograms.concat());
+        let mut sender = Sender::new();
+        sender.send_all(&text);
+        prop_assert_eq!((sender.went, sender.errors, sender.ends), (went, vec![], 1), "{}", text);
+    }
+
+    /// However the lines behind a program are mixed, those behind the first number run in calls only.
+    #[test]
+    fn no_mixture_falls_into_a_subprogram(
+        program in prop::collection::vec(
+            "M98P[123]|G65P[12]A1|M98P[12]L2|G0X1|o1 if \\[[01]\\]|o1 endif|o1 repeat \\[2\\]|o1 endrepeat|M2|X|o9 sub|o9 endsub",
+            0..8,
+        ),
+        lines in prop::collection::vec(
+            "M98P[123]|G65P[12]A1|M98P1L2|M30|O[123]|M99|G0X-1|G0X-1|G0X-1M99|G0X-1M98P1|o1 if \\[1\\]|o1 endif\
+             |o1 repeat \\[2\\]|o1 endrepeat|X|o9 sub|o9 endsub|M99P2|O1G0X-1",
+            0..30,
+        ),
+    ) {
+        let mut sender = Sender::new();
+        sender.send_all(&program.join("\n"));
+        if sender.interpreter.is_within_block() {
+            // An open block is no concern of subprograms, and a held program is ended here.
+            sender.send_all("o1 endif\no1 endrepeat\no9 endsub");
+        }
+        sender.send_all("M30\nO5");
+        sender.send_all(&lines.join("\n"));
+        let at_once = sender.at_once.iter().filter(|x| **x < 0).count();
+        prop_assert_eq!(at_once, 0, "{:?} {:?}", program, lines);
+        sender.interpreter.begin_program();
+        sender.interpreter.abandon_program();
+        sender.went.clear();
+        sender.errors.clear();
+        sender.send_all("O1000\nG0X5\nM30");
+        prop_assert_eq!((sender.went, sender.errors), (vec![5], vec![]));
+    }
+}
