@@ -87,10 +87,10 @@ impl<const N: usize> Controller<N> {
     fn line_of_program(&mut self) {
         let (text, dialect) = (self.m.lines.text(), dialect(&self.m.settings));
         let checked = match self.m.interpreter.direct(text, &[], self.m.lines.lines_read()) {
-            Ok(Direction::Check) => {
-                let checked = self.m.interpreter.check_into(text, dialect, &mut self.line.action);
-                checked.map(|()| Direction::Check)
-            }
+            Ok(Direction::Check) => match self.m.interpreter.check_into(text, dialect, &mut self.line.action) {
+                Ok(()) => Ok(Direction::Check),
+                Err(error) => self.m.interpreter.direct_refused(text, &[], error),
+            },
             directed => directed,
         };
         if REASONS && let Err(error) = checked {
@@ -306,8 +306,14 @@ impl<const N: usize> Controller<N> {
             }
         };
         if direction == Direction::Check && !line.is_empty() {
-            self.gcode(line, Answer::Host)?;
-            self.tell_remark(remark);
+            match self.gcode(line, Answer::Host) {
+                Ok(()) => self.tell_remark(remark),
+                Err(error) if self.dialect() == Dialect::Grbl => return Err(error),
+                Err(error) => {
+                    let direction = self.m.interpreter.direct_refused(line, remark, error)?;
+                    self.directed(direction, &[]);
+                }
+            }
         } else {
             self.directed(direction, remark);
         }

@@ -1,6 +1,7 @@
 //! Tests of subprograms: M98, G65 and M99. The lines of a subprogram run when it is called, and never otherwise.
 #![cfg(feature = "full")]
 
+use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{Action, Dialect, Direction, Flow, Held, HeldLine, Interpreter, MotionCommand};
 use proptest::prelude::*;
 
@@ -29,10 +30,14 @@ impl Sender {
         }
     }
 
-    fn carry_out(&mut self, line: &[u8]) -> bool {
+    fn check(&mut self, line: &[u8]) -> Result<Action<3>, Error> {
         let mut checked = Action::NOTHING;
-        match self.interpreter.check_into(line, Dialect::Oxmill, &mut checked) {
-            Ok(()) => {
+        self.interpreter.check_into(line, Dialect::Oxmill, &mut checked).map(|()| checked)
+    }
+
+    fn carry_out(&mut self, line: &[u8]) -> bool {
+        match self.check(line) {
+            Ok(checked) => {
                 if let MotionCommand::Line { target, .. } = checked.motion {
                     self.went.push(target.0[0].0 / 10_000_000);
                 }
@@ -74,14 +79,18 @@ impl Sender {
         }
         let line = line.as_bytes();
         let looked = self.interpreter.look_behind_end(line, self.rested);
-        match looked.and_then(|()| self.interpreter.direct(line, &[], self.sent)) {
+        let directed = match looked.and_then(|()| self.interpreter.direct(line, &[], self.sent)) {
+            Ok(Direction::Check) => match self.check(line) {
+                Ok(_) => Ok(Direction::Check),
+                Err(error) => self.interpreter.direct_refused(line, &[], error),
+            },
+            directed => directed,
+        };
+        match directed {
             Ok(Direction::Check) => {
                 let before = self.went.len();
-                let is_done = self.carry_out(line);
+                self.carry_out(line);
                 self.at_once.extend_from_slice(&self.went[before..]);
-                if !is_done {
-                    self.interpreter.line_refused(oxmill_controller::error::Error::BadNumber);
-                }
             }
             Ok(Direction::Done | Direction::LeftOut | Direction::Waits) => {}
             Ok(Direction::Call | Direction::Run) => self.run_held(),
@@ -208,6 +217,19 @@ fn subroutines_and_macros() {
     assert!(!sender.interpreter.is_within_block());
 }
 
+/// Words in front of M98 and M99 act before them.
+#[test]
+fn words_in_front() {
+    goes("G0 X1 M98 P1 L2\nN5 X2 M98 P1\nX8\nM30\nO1\nX5\nX6 M99\n%", &[1, 5, 6, 5, 6, 2, 5, 6, 8]);
+    goes(
+        "o1 sub\nG0 X1\nX6 M99\no1 endsub\nX7 M98 P1\no2 repeat [2]\nX8 M98 P1\no2 endrepeat\nM30",
+        &[7, 1, 6, 8, 1, 6, 8, 1, 6],
+    );
+    fails("G0 X1 M98 P1 Y5\nX2\nX3 M98\nX4 M98 P1 L0", &[36, 28, 39], &[2]);
+    // In G65 the letter M is an argument.
+    goes("G65 X1 M98 P1\nM2\nO1\nG0 X#13\nX#24\nM99", &[98, 1]);
+}
+
 #[test]
 fn conditions_and_loops() {
     goes("o1 repeat [2]\nG0 X1\nM98 P5\no1 endrepeat\nX3\nM2\nO5\nX2\nM99", &[1, 2, 1, 2, 3]);
@@ -242,10 +264,13 @@ fn nothing_falls_into_a_subprogram() {
     fails("G0 X1\nM30\nO1\nX2\n%\nG0 X9", &[81], &[1, 9]);
     // A number twice.
     fails("G0 X1\nM98 P2\nM30\nO1\nX2\nM99\nO1\nX3\nM99\nO2\nX4\nM99\n%\nX9", &[203; 6], &[1, 9]);
-    // M99 with other words, and M98 behind others, in held lines.
+    // M99 with other words.
     fails("G0 X1\nM98 P1\nM30\nO1\nX2\nM99 P20\nX3\n%\nX9", &[121, 203], &[1, 9]);
-    fails("G0 X1\nM98 P1\nM30\nO1\nX2\nX3 M99\nX3\n%\nX9", &[121, 203], &[1, 9]);
-    fails("G0 X1\nM98 P1\nX5 M98 P2\nM30\nO1\nX2\nM99\n%\nX9", &[121, 121, 121, 121, 121, 203], &[1, 9]);
+    fails("G0 X1\nM98 P1\nX5 M99\nO1\nX2\nM99\n%\nX9", &[203; 4], &[1, 9]);
+    fails("G0 X1\nX5 M99\nO1\nX2\nM99\n%\nX9", &[203; 4], &[1, 9]);
+    // Lines that are refused, but end a program.
+    fails("G0 X1\nX5 X5 M99\nO1\nX2\nM99\n%\nX9", &[203; 4], &[1, 9]);
+    fails("G0 X1\nX5 X5 M30\nO1\nX2\nM99\n%\nX9", &[25], &[1, 9]);
     // An error within a call ends the program; the other subprograms are held, and lines outside of them refused.
     fails("G0 X1\nM98 P1\nX5\nM30\nO1\nX2\nX\nX3\nM99\nO2\nX4\nM99\nX6\n%\nX9", &[2, 203], &[1, 2, 9]);
     fails("G0 X1 X2\nM98 P1\nM98 P2 Q1\nX5\nM30\nO1\nX3\nM99\n%", &[25, 36], &[3]);

@@ -4,6 +4,8 @@
 
 use super::expression::{self, ParameterReference};
 use super::flow::{FlowState, KEYWORDS, Keyword, OWord, digits, ends_program};
+use super::m_words::has_m_word;
+use super::subprograms::split_call;
 use crate::error::Error;
 use crate::gcode::Reason;
 use crate::gcode::program_end::has_program_number;
@@ -17,7 +19,11 @@ impl<const N: usize> Interpreter<N> {
     /// another cause.
     #[inline(never)]
     pub(in crate::gcode) fn explain_flow(&self, line: &[u8], error: Error, out: &mut Reason) -> bool {
-        let order = OWord::of(line);
+        let behind_words = match error {
+            Error::UnusedWords | Error::ValueWordMissing | Error::ValueOutOfRange => split_call(line),
+            _ => None,
+        };
+        let order = OWord::of(behind_words.map_or(line, |(_, call)| call));
         let is_refused_block = matches!(self.computed.flow.state, FlowState::Recording(_, Some(of)) if of == error);
         match (order, error) {
             (_, Error::BehindEnd) => self.explain_place(line, order, out),
@@ -42,7 +48,7 @@ impl<const N: usize> Interpreter<N> {
     #[inline(never)]
     fn explain_place(&self, line: &[u8], order: Option<OWord>, out: &mut Reason) {
         match order.map(|order| order.keyword) {
-            Some(Keyword::Back) => say(
+            _ if has_m_word(line, &[b"99"]) => say(
                 out,
                 "M99 without a call: the lines above it have run as the program. Subprograms come behind M30; $X ends this",
                 &[],
@@ -75,6 +81,7 @@ impl<const N: usize> Interpreter<N> {
             Error::ValueWordMissing => say(out, "P is missing in %: the number of a subprogram", &[name]),
             Error::ValueOutOfRange => say(out, "P of % has up to 8 digits, and L is 1 to 9999", &[name]),
             Error::IntegerRequired => say(out, "P and L of % are whole numbers", &[name]),
+            Error::BadNumber => say(out, "% has a letter without a number", &[name]),
             Error::NegativeValue => say(out, "P of % is negative", &[name]),
             Error::WordRepeated => say(out, "% has a letter twice", &[name]),
             Error::UnusedWords if order.keyword == Keyword::CallMacro => {

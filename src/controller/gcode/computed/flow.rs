@@ -371,9 +371,14 @@ impl FlowControl {
             FlowState::Running(_) => usize::from(self.below),
             _ => self.frames.len(),
         };
-        let records = matches!(self.state, FlowState::Recording(..) | FlowState::Holding(_) | FlowState::Waiting);
+        let records = self.records() || self.state == FlowState::Waiting;
         let recorded = records.then_some(self.recorded_from);
         self.frames.get(..of_stream)?.first().map(|frame| frame.begun).or(recorded)
+    }
+
+    /// Whether lines of the host are recorded.
+    pub(super) fn records(&self) -> bool {
+        matches!(self.state, FlowState::Recording(..) | FlowState::Holding(_))
     }
 
     /// Whether lines of the host are skipped or recorded.

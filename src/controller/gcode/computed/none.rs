@@ -104,6 +104,11 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
+    /// Returns the error: there are no calls.
+    pub fn direct_refused(&mut self, _: &[u8], _: &[u8], error: Error) -> Result<Direction, Error> {
+        Err(error)
+    }
+
     pub(super) fn is_recording(&self) -> bool {
         false
     }

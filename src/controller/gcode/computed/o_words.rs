@@ -7,6 +7,7 @@ use super::flow::{
     ARGUMENTS, FlowState, FrameKind, HeldLine, Keyword, LABELS, OWord, PASSES, SPARE, STREAM, ends_program,
 };
 use super::real::Real;
+use super::subprograms::split_call;
 use crate::error::Error;
 use crate::gcode::direction::{Direction, Held};
 use crate::gcode::state::Interpreter;
@@ -114,6 +115,13 @@ impl<const N: usize> Interpreter<N> {
         }
         self.look_for_end(line, order)?;
         if let FlowState::Recording(from, error) = self.computed.flow.state {
+            if error.is_none()
+                && order.is_none()
+                && let Some((words, call)) = split_call(line)
+            {
+                self.record(words, &[], None, from, None)?;
+                return self.record(call, remark, OWord::of(call), from, None);
+            }
             return self.record(line, remark, order, from, error);
         }
         let flow = &mut self.computed.flow;

@@ -18,7 +18,7 @@ use super::expression;
 use super::flow::{
     FlowControl, FlowState, FrameKind, HeldLine, Keyword, OWord, PROGRAM, Passes, SPARE, STREAM, ends_program,
 };
-use super::m_words::has_m_word;
+use super::m_words::find_m_word;
 use super::o_words::Label;
 use super::real::Real;
 use crate::error::Error;
@@ -50,6 +50,20 @@ impl<const N: usize> Interpreter<N> {
         remark: &[u8],
         order: Option<OWord>,
     ) -> Option<Result<Direction, Error>> {
+        if self.computed.flow.records()
+            && order.is_none()
+            && let Some((words, call)) = split_call(line)
+        {
+            return match self.direct_part(words, &[], None)? {
+                Ok(_) => self.direct_part(call, remark, OWord::of(call)),
+                refused => Some(refused),
+            };
+        }
+        self.direct_part(line, remark, order)
+    }
+
+    /// Handles a line, or a part of one.
+    fn direct_part(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Option<Result<Direction, Error>> {
         let flow = &mut self.computed.flow;
         match flow.state {
             FlowState::Holding(Some(error)) => Some(Err(error)),
@@ -66,6 +80,36 @@ impl<const N: usize> Interpreter<N> {
                 }
                 _ => None,
             },
+        }
+    }
+
+    /// Decides on a line of the host that the check has refused with `error`: M98 behind other words is a call that
+    /// follows them. M99 and the end of a program count even in a refused line, so that no subprogram behind them is
+    /// taken for a part of the program.
+    #[cold]
+    #[inline(never)]
+    pub fn direct_refused(&mut self, line: &[u8], remark: &[u8], error: Error) -> Result<Direction, Error> {
+        let order = split_call(line).and_then(|(words, call)| Some((words, call, OWord::of(call)?)));
+        match order {
+            Some((words, call, order)) if order.keyword == Keyword::CallProgram && error == Error::NotSupported => {
+                self.read_call(&order)?;
+                let flow = &mut self.computed.flow;
+                let from = flow.text.len();
+                let held = flow.hold(words, &[], SPARE).and_then(|()| flow.hold(call, remark, SPARE));
+                if held.is_err() {
+                    flow.text.truncate(from);
+                }
+                held?;
+                flow.run(from as u16, Some(from as u16));
+                Ok(Direction::Run)
+            }
+            Some((.., order)) if order.keyword == Keyword::Back => Err(self.refuse_rest()),
+            _ => {
+                if ends_program(line) && self.place == ProgramPlace::Program {
+                    self.place = ProgramPlace::End;
+                }
+                Err(error)
+            }
         }
     }
 
@@ -108,7 +152,6 @@ impl<const N: usize> Interpreter<N> {
         let held = match order {
             Some(order) if !order.is_well_formed() => Err(Error::FlowSyntax),
             Some(OWord { keyword: Keyword::Sub | Keyword::EndSub, .. }) => Err(Error::FlowSyntax),
-            None if has_m_word(line, &[b"98", b"99"]) => Err(Error::NotSupported),
             _ => flow.hold(line, remark, SPARE),
         };
         if !line.is_empty() {
@@ -170,7 +213,6 @@ impl<const N: usize> Interpreter<N> {
             }
             (None, Some(order)) if !order.is_well_formed() => Err(Error::FlowSyntax),
             (None, Some(OWord { keyword: Keyword::Sub | Keyword::EndSub, .. })) => Err(Error::FlowSyntax),
-            (None, None) if has_m_word(line, &[b"98", b"99"]) => Err(Error::NotSupported),
             (None, _) if ends => flow.hold(&end, remark, 0),
             (None, order) => {
                 flow.count_blocks(from, order);
@@ -328,6 +370,11 @@ impl FlowControl {
         }
         closes
     }
+}
+
+/// Splits a line with M98 or M99 behind other words into these words, and the rest.
+pub(super) fn split_call(line: &[u8]) -> Option<(&[u8], &[u8])> {
+    line.split_at_checked(find_m_word(line, &[b"98", b"99"]).filter(|at| *at > 0)?)
 }
 
 /// Returns the line of an O word without values.
