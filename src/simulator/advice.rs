@@ -1,10 +1,10 @@
-//! Advice for each error and alarm, and replacements for words that the controller rejects (G33, G41, M98). The
+//! Advice for each error and alarm, and replacements for words that the controller rejects (G33, G41, M97). The
 //! controller's own texts name the fault; these texts say what the user can do about it.
 
 use oxmill_controller::error::{Alarm, Error};
 
 /// Rejected words, and what to write instead.
-const INSTEAD: [(&[&str], &str); 12] = [
+const INSTEAD: [(&[&str], &str); 14] = [
     (
         &["G33", "G33.1", "G74", "G76", "G84"],
         "The spindle is not measured, so nothing can follow its turns: drill the hole (G81), then mill the thread with G2 or G3 and Z, or tap by hand.",
@@ -23,9 +23,11 @@ const INSTEAD: [(&[&str], &str); 12] = [
     ),
     (&["G51.1"], "Mirror with G51 and a negative I or J."),
     (
-        &["G65", "G66", "M97", "M98", "M99"],
-        "Write sub-programs with O words in the same file: o100 sub, its lines, o100 endsub, then o100 call [5]; docs/expressions.md has more.",
+        &["G65", "M98", "M99"],
+        "Write the word at the beginning of a line, M99 without P: docs/gcode.md has more about subprograms. The Black Pill F401 has none.",
     ),
+    (&["G66"], "Write G65 with its arguments on each line that calls the subprogram."),
+    (&["M97"], "Write the lines from N1000 on as a subprogram behind M30: O1000, the lines, M99. Call it with M98 P1000."),
     (&["G87"], "Write the back boring as single moves."),
     (
         &["M82", "M83", "M84", "M104", "M106", "M107", "M109", "M117", "M140", "M190"],
@@ -228,8 +230,8 @@ pub fn for_error(error: Error) -> &'static str {
             "The host sends it again; one that does not know that lines are checked ends that with $LC=OFF."
         }
         Error::BehindEnd => {
-            "Write `o1001 sub` .. `o1001 endsub` in front of what calls it, or leave it out. For the next program send `%` or `$X` \
-             first, or reset the machine."
+            "Write subprograms behind M30, each as O1001 .. M99 in the same file. For the next program send `%` or `$X` first, or \
+             reset the machine."
         }
         Error::EndlessLoop => "Look for a condition that never becomes false.",
     }
@@ -287,7 +289,7 @@ mod tests {
                 assert_eq!(for_line(code, &line), advice, "{word}");
             }
         }
-        assert!(for_line(121, "n10 (G33) m098p1000 ; G31").contains("o100 call"));
+        assert!(for_line(121, "n10 (G33) m098p1000 ; G31").contains("subprograms"));
         assert!(for_line(121, "G00 g84.0X1").contains("G81"));
         for line in ["G0 X1 A0.", "g1 a-5", "A[#1]"] {
             assert_eq!(for_line(20, line), WORD_OF_A, "{line}");
