@@ -27,7 +27,10 @@ const INSTEAD: [(&[&str], &str); 14] = [
         "Write the word at the beginning of a line, M99 without P: docs/gcode.md has more about subprograms. The Black Pill F401 has none.",
     ),
     (&["G66"], "Write G65 with its arguments on each line that calls the subprogram."),
-    (&["M97"], "Write the lines from N1000 on as a subprogram behind M30: O1000, the lines, M99. Call it with M98 P1000."),
+    (
+        &["M97"],
+        "Write the lines from N1000 on as a subprogram behind M30: O1000, the lines, M99. Call it with M98 P1000.",
+    ),
     (&["G87"], "Write the back boring as single moves."),
     (
         &["M82", "M83", "M84", "M104", "M106", "M107", "M109", "M117", "M140", "M190"],

@@ -376,7 +376,8 @@ pub fn is_call(text: &str) -> bool {
 /// Returns whether a line is the number of a program or subprogram, such as `N5 O1001 (POCKET)`.
 fn is_program_number(text: &str) -> bool {
     let words = text.split(['(', ';']).next().unwrap_or_default().replace(' ', "").to_ascii_uppercase();
-    let behind = words.strip_prefix('N').map_or(&*words, |number| number.trim_start_matches(|c: char| c.is_ascii_digit()));
+    let behind =
+        words.strip_prefix('N').map_or(&*words, |number| number.trim_start_matches(|c: char| c.is_ascii_digit()));
     behind.strip_prefix(['O', ':']).is_some_and(|number| number.chars().all(|c| c.is_ascii_digit()))
 }
 
