@@ -132,7 +132,7 @@ impl<const N: usize> Interpreter<N> {
             self.saved.clear();
             self.tangent = NO_TANGENT;
             self.computed.end_program();
-            if self.place == ProgramPlace::Program {
+            if !FULL_IMAGE || self.place == ProgramPlace::Program {
                 self.place = ProgramPlace::End;
             }
         }

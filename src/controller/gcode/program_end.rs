@@ -13,7 +13,6 @@
 
 use super::state::{Interpreter, ProgramPlace};
 use crate::error::Error;
-use crate::image::FULL_IMAGE;
 
 impl<const N: usize> Interpreter<N> {
     /// Whether a program has ended, and no other program has begun.
@@ -34,28 +33,20 @@ impl<const N: usize> Interpreter<N> {
     /// # Errors
     /// [`Error::BehindEnd`] for lines that belong to no program.
     pub fn look_behind_end(&mut self, line: &[u8], rested: bool) -> Result<(), Error> {
-        let is_definition = FULL_IMAGE && subprogram_number(line).is_some();
         match self.place {
             ProgramPlace::Program => return Ok(()),
-            ProgramPlace::Subprogram | ProgramPlace::Refused if line.is_empty() => return Ok(()),
-            ProgramPlace::End if self.is_held() || !has_program_number(line) => return Ok(()),
+            ProgramPlace::End if !has_program_number(line) => return Ok(()),
             ProgramPlace::End if rested => {
                 self.place = ProgramPlace::Program;
                 return Ok(());
             }
-            ProgramPlace::End if is_definition && !self.is_recording() => {
-                self.place = ProgramPlace::Subprogram;
-                return Ok(());
-            }
-            ProgramPlace::Subprogram if is_definition || self.is_recording() => return Ok(()),
-            // The last subprogram is complete.
-            ProgramPlace::Subprogram if rested && !self.is_held() && !has_program_number(line) => {
-                self.place = ProgramPlace::Program;
-                return Ok(());
-            }
-            ProgramPlace::End | ProgramPlace::Subprogram | ProgramPlace::Refused => {}
+            ProgramPlace::End => {}
+            _ if line.is_empty() => return Ok(()),
+            _ => {}
         }
-        self.drop_held_program();
+        if self.look_among_subprograms(line, rested) {
+            return Ok(());
+        }
         self.place = ProgramPlace::Refused;
         Err(Error::BehindEnd)
     }
@@ -83,19 +74,6 @@ impl<const N: usize> Interpreter<N> {
 /// may follow, and the numbers need not be valid ones.
 pub(super) fn has_program_number(line: &[u8]) -> bool {
     is_program_number(line.strip_prefix(b"N").map_or(line, from_next_word))
-}
-
-/// Returns the number of a subprogram, without leading zeros, if the line consists of it, and of a line number or none.
-pub(super) fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
-    let digits = |text: &[u8]| text.iter().take_while(|byte| byte.is_ascii_digit()).count();
-    let line = match line.strip_prefix(b"N") {
-        Some(number) => number.get(digits(number)..)?,
-        None => line,
-    };
-    let Some((b'O' | b':', number)) = line.split_first() else { return None };
-    let zeros = number.iter().take_while(|digit| **digit == b'0').count();
-    let number = number.get(zeros.min(number.len().saturating_sub(1))..)?;
-    ((1..=8).contains(&number.len()) && digits(number) == number.len()).then_some(number)
 }
 
 /// Whether a text begins with O or a colon, and with no O word.
@@ -142,23 +120,28 @@ pub(super) const O_WORDS: [&[u8]; 15] = [
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gcode::Dialect;
+    use crate::gcode::{Dialect, Direction};
+    use crate::image::FULL_IMAGE;
 
-    /// Returns which of these lines are accepted, on a machine that never rests.
-    fn taken(lines: &[&str]) -> std::vec::Vec<bool> {
+    /// Returns what becomes of each of these lines, on a machine that never rests: `+` executed, `.` held, `-` refused.
+    fn taken(lines: &[&str]) -> std::string::String {
         let mut interpreter = Interpreter::<3>::default();
         let take = |line: &&str| {
             let line = line.as_bytes();
             if line == b"%" {
                 interpreter.tape_mark().unwrap();
-                return true;
+                return '+';
             }
-            if interpreter.look_behind_end(line, false).is_err() {
-                return false;
+            let looked = interpreter.look_behind_end(line, false);
+            match looked.and_then(|()| interpreter.direct(line, &[], 1)) {
+                Ok(Direction::Check) => {
+                    let action = interpreter.check(line, Dialect::Oxmill).unwrap();
+                    interpreter.commit(&action);
+                    '+'
+                }
+                Ok(_) => '.',
+                Err(_) => '-',
             }
-            let action = interpreter.check(line, Dialect::Oxmill).unwrap();
-            interpreter.commit(&action);
-            true
         };
         lines.iter().map(take).collect()
     }
@@ -166,20 +149,15 @@ mod tests {
     #[test]
     fn subprograms_behind_the_end_are_not_run() {
         let lines = ["O1000", "G0X1", "M30", "", "O1001", "G1Z-3F100", "", "#<M99>=2", "M99", "O1002", "M30", "G0Z1"];
-        let run = [true, true, true, true, false, false, true, false, false, false, false, false];
-        assert_eq!(taken(&lines), run);
-        assert_eq!(
-            taken(&["M2", "G0Z5", "N10O1", "G0Z-3", "N20M99", "G0Z1"]),
-            [true, true, false, false, false, false]
-        );
+        assert_eq!(taken(&lines), if FULL_IMAGE { "++++......--" } else { "++++--+-----" });
+        let lines = ["M2", "G0Z5", "N10O1", "G0Z-3", "N20M99", "G0Z1"];
+        assert_eq!(taken(&lines), if FULL_IMAGE { "++...-" } else { "++----" });
     }
 
     /// Whatever opens it, and wherever it returns.
     #[test]
     fn no_form_of_a_subprogram_is_run() {
         for number in [
-            ":1001",
-            "N1:1001",
             "N10.5O1001",
             "N#1O1001",
             "N[2]O1",
@@ -192,14 +170,21 @@ mod tests {
             "O1001%",
             "O",
         ] {
-            assert_eq!(taken(&["M30", number, "G1Z-3F100", "M99"]), [true, false, false, false], "{number}");
+            assert_eq!(taken(&["M30", number, "G1Z-3F100", "M99"]), "+---", "{number}");
         }
-        for end in ["IF[#1EQ1]M99", "IF#1EQ1THENM99", "M99", "N5M99P20", "/M99", "IF[#1EQ1]M30", "M30"] {
-            assert_eq!(
-                taken(&["M30", "O1001", end, "G1Z-3F100", "N20G1Z-4", "O1002", "M99"])[1..],
-                [false; 6],
-                "{end}"
-            );
+        for number in ["O1001", ":1001", "N1:1001", "O0001"] {
+            let held = if FULL_IMAGE { "+...-" } else { "+----" };
+            assert_eq!(taken(&["M30", number, "G1Z-3F100", "M99", "G1Z-3"]), held, "{number}");
+        }
+        for (end, full) in [
+            ("IF[#1EQ1]M99", "+.-----"),
+            ("IF#1EQ1THENM99", "+.-----"),
+            ("M99", "+..----"),
+            ("N5M99P20", "+.-----"),
+            ("M30", "+.-----"),
+        ] {
+            let taken = taken(&["M30", "O1001", end, "G1Z-3F100", "N20G1Z-4", "O1002", "M99"]);
+            assert_eq!(taken, if FULL_IMAGE { full } else { "+------" }, "{end}");
         }
     }
 
@@ -230,7 +215,7 @@ mod tests {
 
     #[test]
     fn the_number_of_the_next_program_is_no_subprogram() {
-        assert_eq!(taken(&["%", "O1", "M30", "%", "O2", "G0X1", "M30"]), [true; 7]);
+        assert_eq!(taken(&["%", "O1", "M30", "%", "O2", "G0X1", "M30"]), "+++++++");
         let mut interpreter = Interpreter::<3>::default();
         for end in ["M2", "M30"] {
             let action = interpreter.check(end.as_bytes(), Dialect::Oxmill).unwrap();
@@ -241,7 +226,7 @@ mod tests {
         }
         // A rest does not end a subprogram: the sender may have paused to ask the operator whether to continue.
         interpreter.place = ProgramPlace::End;
-        assert_eq!(interpreter.look_behind_end(b"O1", false), Err(Error::BehindEnd));
+        assert_eq!(interpreter.look_behind_end(b"O1X5", false), Err(Error::BehindEnd));
         assert_eq!(interpreter.look_behind_end(b"G0X1", true), Err(Error::BehindEnd));
         interpreter.reset();
         assert!(!interpreter.is_behind_end());

@@ -330,7 +330,9 @@ impl<const N: usize> Controller<N> {
             }
             Direction::LeftOut => self.say_ok(),
             Direction::Waits => {
-                self.say(|out| reply_texts::message(out, "Program waits for its subprogram"));
+                if FULL_IMAGE {
+                    self.say(|out| reply_texts::message(out, "Program waits for its subprogram"));
+                }
                 self.say_ok();
             }
             Direction::Call => {

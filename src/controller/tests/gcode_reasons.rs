@@ -213,6 +213,12 @@ const ROWS: &[Row] = &[
     ),
     ("M30 | O1", "M30", 203, "M30 is no end of a subprogram: M99 is; for the next program send $X first"),
     ("M30 | O1", "M99 P20", 121, "M99 with other words is not supported: it returns behind the call"),
+    (
+        "M98 P1",
+        "N5 IF[#1 EQ 0] GOTO 10",
+        121,
+        "IF, WHILE and GOTO are not supported: write o1 if .. o1 endif, o1 while .. o1 endwhile",
+    ),
     ("M30 | O1", "o2 sub", 81, "O2 SUB is within another one: write it in front"),
     ("F100", "M19", 121, "M19 is not supported: the spindle cannot be turned to an angle"),
     ("F100", "G87 X1", 121, "G87 is not supported: write the back boring as single moves"),

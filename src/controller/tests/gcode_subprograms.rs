@@ -226,6 +226,7 @@ fn words_in_front() {
         &[7, 1, 6, 8, 1, 6, 8, 1, 6],
     );
     fails("G0 X1 M98 P1 Y5\nX2\nX3 M98\nX4 M98 P1 L0", &[36, 28, 39], &[2]);
+    fails("X1 M98 P1\nG0 X2\nM30\nO1\nX3\nM99\n%", &[], &[1, 3, 2]);
     // In G65 the letter M is an argument.
     goes("G65 X1 M98 P1\nM2\nO1\nG0 X#13\nX#24\nM99", &[98, 1]);
 }
@@ -274,6 +275,11 @@ fn nothing_falls_into_a_subprogram() {
     // An error within a call ends the program; the other subprograms are held, and lines outside of them refused.
     fails("G0 X1\nM98 P1\nX5\nM30\nO1\nX2\nX\nX3\nM99\nO2\nX4\nM99\nX6\n%\nX9", &[2, 203], &[1, 2, 9]);
     fails("G0 X1 X2\nM98 P1\nM98 P2 Q1\nX5\nM30\nO1\nX3\nM99\n%", &[25, 36], &[3]);
+    // Words of Fanuc's macros.
+    for jump in ["IF[#1EQ1]M99", "N5 IF[#1EQ1]GOTO5", "WHILE[#1LT5]DO1", "GOTO 10", "END1"] {
+        fails(&format!("G0 X1\nM98 P1\nX2\nM30\nO1\nX3\n{jump}\n%\nX9"), &[121], &[1, 9]);
+        fails(&format!("G0 X1\nM98 P1\n{jump}\n%\nX9"), &[121, 203], &[1, 9]);
+    }
     // Calls without an end.
     fails("M98 P1\nM30\nO1\nG0 X1\nM98 P1\nM99", &[82], &[1; 48]);
 }

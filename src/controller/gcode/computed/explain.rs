@@ -5,7 +5,7 @@
 use super::expression::{self, ParameterReference};
 use super::flow::{FlowState, KEYWORDS, Keyword, OWord, digits, ends_program};
 use super::m_words::has_m_word;
-use super::subprograms::split_call;
+use super::subprograms::{is_jump, split_call};
 use crate::error::Error;
 use crate::gcode::Reason;
 use crate::gcode::program_end::has_program_number;
@@ -34,6 +34,9 @@ impl<const N: usize> Interpreter<N> {
             (Some(order), _) => self.explain_order(line, &order, error, out),
             (None, Error::OutOfMemory) => {
                 say(out, "no room to hold this line: subroutines and loops are too long", &[])
+            }
+            (None, Error::NotSupported) if is_jump(line) => {
+                say(out, "IF, WHILE and GOTO are not supported: write o1 if .. o1 endif, o1 while .. o1 endwhile", &[]);
             }
             (None, _) if is_refused_block => {
                 say(out, "the sub or loop of this line is refused as a whole: correct its first refused line", &[]);

@@ -6,6 +6,7 @@ pub(super) fn has_m_word(line: &[u8], numbers: &[&[u8]]) -> bool {
 }
 
 /// Returns the position of the first M word with one of these numbers, written as a plain integer.
+#[inline(never)]
 pub(super) fn find_m_word(line: &[u8], numbers: &[&[u8]]) -> Option<usize> {
     let mut in_name = false;
     let mut rest = line;

@@ -109,11 +109,7 @@ impl<const N: usize> Interpreter<N> {
         Err(error)
     }
 
-    pub(super) fn is_recording(&self) -> bool {
-        false
-    }
-
-    pub(super) fn is_held(&self) -> bool {
+    pub(super) fn look_among_subprograms(&mut self, _: &[u8], _: bool) -> bool {
         false
     }
 

@@ -14,7 +14,7 @@ use crate::gcode::state::Interpreter;
 use core::fmt::Write;
 
 /// The label of a call: a name or digits.
-pub(super) type Label = heapless::Vec<u8, LABELS>;
+type Label = heapless::Vec<u8, LABELS>;
 
 /// The line that restores a saved state.
 const RESTORE: &[u8] = b"M72";
@@ -31,7 +31,7 @@ impl<const N: usize> Interpreter<N> {
         let plain = flow.state == FlowState::Streaming && !flow.skipping;
         let may_direct = match line.first() {
             Some(b'O' | b'N' | b':' | b'M') => true,
-            Some(b'G') => matches!(line, [_, b'6' | b'0', ..]),
+            Some(b'G') => matches!(line, [_, b'6', b'5', ..] | [_, b'0', b'6', b'5', ..]),
             _ => false,
         };
         if plain && !may_direct {

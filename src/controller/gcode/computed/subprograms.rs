@@ -16,14 +16,13 @@
 
 use super::expression;
 use super::flow::{
-    FlowControl, FlowState, FrameKind, HeldLine, Keyword, OWord, PROGRAM, Passes, SPARE, STREAM, ends_program,
+    FlowControl, FlowState, FrameKind, Keyword, OWord, PROGRAM, Passes, SPARE, STREAM, digits, ends_program,
 };
 use super::m_words::find_m_word;
-use super::o_words::Label;
 use super::real::Real;
 use crate::error::Error;
 use crate::gcode::direction::Direction;
-use crate::gcode::program_end::{has_program_number, subprogram_number};
+use crate::gcode::program_end::has_program_number;
 use crate::gcode::state::{Interpreter, ProgramPlace};
 use core::fmt::Write;
 
@@ -34,16 +33,20 @@ const HIGHEST: i64 = 99_999_999;
 /// The letters of G65's arguments: the first one sets #1, the second one #2, and so on. A point has no letter.
 const LETTERS: &[u8; 26] = b"ABCIJKDEF.H.M...QRSTUVWXYZ";
 
+/// The number of a subprogram, or a line that consists of O, the number and a keyword.
+type ShortLine = heapless::Vec<u8, 16>;
+
 /// The words of M98 or G65.
 struct Call {
     number: u32,
-    label: Label,
+    label: ShortLine,
     passes: Passes,
     arguments: heapless::Vec<(u8, Real), { LETTERS.len() }>,
 }
 
 impl<const N: usize> Interpreter<N> {
     /// Handles a line of a held program or of a subprogram; returns `None` for all other lines.
+    #[inline(never)]
     pub(super) fn direct_subprogram(
         &mut self,
         line: &[u8],
@@ -52,6 +55,7 @@ impl<const N: usize> Interpreter<N> {
     ) -> Option<Result<Direction, Error>> {
         if self.computed.flow.records()
             && order.is_none()
+            && !is_jump(line)
             && let Some((words, call)) = split_call(line)
         {
             return match self.direct_part(words, &[], None)? {
@@ -63,6 +67,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Handles a line, or a part of one.
+    #[inline(never)]
     fn direct_part(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Option<Result<Direction, Error>> {
         let flow = &mut self.computed.flow;
         match flow.state {
@@ -100,6 +105,7 @@ impl<const N: usize> Interpreter<N> {
                     flow.text.truncate(from);
                 }
                 held?;
+                flow.of_host = true;
                 flow.run(from as u16, Some(from as u16));
                 Ok(Direction::Run)
             }
@@ -114,30 +120,53 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Abandons the program and refuses all lines that follow.
+    #[inline(never)]
     pub(super) fn refuse_rest(&mut self) -> Error {
         self.abandon_program();
         self.place = ProgramPlace::Refused;
         Error::BehindEnd
     }
 
-    /// Whether the lines of the host are recorded, for a subroutine, a loop or a subprogram.
-    pub(in crate::gcode) fn is_recording(&self) -> bool {
-        matches!(self.computed.flow.state, FlowState::Recording(..))
-    }
-
-    /// Whether the program is held, or waits for a subprogram.
-    pub(in crate::gcode) fn is_held(&self) -> bool {
-        matches!(self.computed.flow.state, FlowState::Holding(_) | FlowState::Waiting)
+    /// Examines a line after the end of a program: one with an O number, or one among subprograms. Returns whether the
+    /// line may be directed. `rested`: the machine has been idle for a while.
+    #[inline(never)]
+    pub(in crate::gcode) fn look_among_subprograms(&mut self, line: &[u8], rested: bool) -> bool {
+        let (is_held, is_recording) = match self.computed.flow.state {
+            FlowState::Holding(_) => return self.place != ProgramPlace::Refused,
+            FlowState::Waiting => (true, false),
+            FlowState::Recording(..) => (false, true),
+            _ => (false, false),
+        };
+        let is_definition = subprogram_number(line).is_some();
+        match self.place {
+            ProgramPlace::End if is_definition && !is_recording => self.place = ProgramPlace::Subprogram,
+            ProgramPlace::Subprogram if is_definition || is_recording => {}
+            // The last subprogram is complete.
+            ProgramPlace::Subprogram if rested && !is_held && !has_program_number(line) => {
+                self.place = ProgramPlace::Program;
+            }
+            _ => {
+                self.drop_held_program();
+                return false;
+            }
+        }
+        true
     }
 
     /// Drops a program that is held, and a subprogram that is recorded.
+    #[inline(never)]
     pub(in crate::gcode) fn drop_held_program(&mut self) {
-        if self.is_held() || self.place == ProgramPlace::Subprogram && self.is_recording() {
+        if match self.computed.flow.state {
+            FlowState::Holding(_) | FlowState::Waiting => true,
+            FlowState::Recording(..) => self.place == ProgramPlace::Subprogram,
+            _ => false,
+        } {
             self.abandon_program();
         }
     }
 
     /// Holds a line of the program that comes after the call of an unknown subprogram.
+    #[inline(never)]
     fn hold_line(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
         let flow = &mut self.computed.flow;
         let has_ended = flow.after_end;
@@ -152,6 +181,7 @@ impl<const N: usize> Interpreter<N> {
         let held = match order {
             Some(order) if !order.is_well_formed() => Err(Error::FlowSyntax),
             Some(OWord { keyword: Keyword::Sub | Keyword::EndSub, .. }) => Err(Error::FlowSyntax),
+            None if is_jump(line) => Err(Error::NotSupported),
             _ => flow.hold(line, remark, SPARE),
         };
         if !line.is_empty() {
@@ -164,6 +194,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Begins the definition of a subprogram.
+    #[inline(never)]
     fn define(&mut self, label: &[u8]) -> Result<Direction, Error> {
         self.place = ProgramPlace::Subprogram;
         let flow = &mut self.computed.flow;
@@ -187,6 +218,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Records a line of a subprogram. M99 ends it, unless it is within a condition or loop.
+    #[inline(never)]
     fn record_subprogram(
         &mut self,
         line: &[u8],
@@ -204,7 +236,7 @@ impl<const N: usize> Interpreter<N> {
         }
         let ends = order.is_some_and(|order| order.keyword == Keyword::Back) && flow.within == 0;
         let label = flow.line(from).and_then(OWord::of).map(|opening| opening.label);
-        let label = Label::from_slice(label.unwrap_or_default()).unwrap_or_default();
+        let label = ShortLine::from_slice(label.unwrap_or_default()).unwrap_or_default();
         let end = line_of(&label, b"ENDSUB");
         let held = match (error, order) {
             (Some(error), _) => Err(error),
@@ -213,6 +245,7 @@ impl<const N: usize> Interpreter<N> {
             }
             (None, Some(order)) if !order.is_well_formed() => Err(Error::FlowSyntax),
             (None, Some(OWord { keyword: Keyword::Sub | Keyword::EndSub, .. })) => Err(Error::FlowSyntax),
+            (None, None) if is_jump(line) => Err(Error::NotSupported),
             (None, _) if ends => flow.hold(&end, remark, 0),
             (None, order) => {
                 flow.count_blocks(from, order);
@@ -247,6 +280,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Executes M98 or G65 in a line of the host. If the subprogram is unknown, the program is held from this line on.
+    #[inline(never)]
     pub(super) fn call_from_stream(&mut self, line: &[u8], remark: &[u8], order: &OWord) -> Result<Direction, Error> {
         let call = self.read_call(order)?;
         let flow = &mut self.computed.flow;
@@ -266,6 +300,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Executes M98 or G65 in the held line at `at`. Returns `false` if the program now waits for the subprogram.
+    #[inline(never)]
     pub(super) fn call_from_text(&mut self, order: &OWord, at: u16) -> Result<bool, Error> {
         let call = self.read_call(order)?;
         let flow = &mut self.computed.flow;
@@ -288,6 +323,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Reads the words of M98 or G65.
+    #[inline(never)]
     fn read_call(&self, order: &OWord) -> Result<Call, Error> {
         let is_macro = order.keyword == Keyword::CallMacro;
         let (mut number, mut repeats) = (None, None);
@@ -329,7 +365,7 @@ impl<const N: usize> Interpreter<N> {
         if number > HIGHEST || !(1..=MOST_REPEATS).contains(&repeats) {
             return Err(Error::ValueOutOfRange);
         }
-        let mut label = Label::new();
+        let mut label = ShortLine::new();
         write!(label, "{number}").map_err(|_| Error::FlowSyntax)?;
         let passes = Passes { left: repeats as u16, is_macro };
         Ok(Call { number: number as u32, label, passes, arguments })
@@ -338,6 +374,7 @@ impl<const N: usize> Interpreter<N> {
 
 impl FlowControl {
     /// Begins the next pass of the innermost call, which is that of a subprogram.
+    #[inline(never)]
     pub(super) fn next_pass(&mut self) -> Result<(), Error> {
         let label = self.last_label();
         let (_, begin) = self.find(label).ok_or(Error::FlowSyntax)?;
@@ -349,6 +386,7 @@ impl FlowControl {
     }
 
     /// Counts the open conditions and loops of the subprogram that is recorded from `from` on.
+    #[inline(never)]
     fn count_blocks(&mut self, from: u16, order: Option<OWord>) {
         let Some(order) = order else { return };
         let opens = match order.keyword {
@@ -372,12 +410,37 @@ impl FlowControl {
     }
 }
 
+/// Returns the number of a subprogram, without leading zeros, if the line consists of it, and of a line number or none.
+#[inline(never)]
+fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
+    let line = match line.strip_prefix(b"N") {
+        Some(number) => number.get(digits(number)..)?,
+        None => line,
+    };
+    let Some((b'O' | b':', number)) = line.split_first() else { return None };
+    let zeros = number.iter().take_while(|digit| **digit == b'0').count();
+    let number = number.get(zeros.min(number.len().saturating_sub(1))..)?;
+    ((1..=8).contains(&number.len()) && digits(number) == number.len()).then_some(number)
+}
+
+/// Whether a line begins with a word of Fanuc's macros that is known to be missing here: IF, WHILE, END, GOTO.
+pub(super) fn is_jump(line: &[u8]) -> bool {
+    let line = line.strip_prefix(b"N").map_or(line, |number| number.get(digits(number)..).unwrap_or_default());
+    [b"IF".as_slice(), b"WHILE", b"END", b"GOTO"].iter().any(|word| line.starts_with(word))
+}
+
 /// Splits a line with M98 or M99 behind other words into these words, and the rest.
+#[inline(never)]
 pub(super) fn split_call(line: &[u8]) -> Option<(&[u8], &[u8])> {
     line.split_at_checked(find_m_word(line, &[b"98", b"99"]).filter(|at| *at > 0)?)
 }
 
 /// Returns the line of an O word without values.
-fn line_of(label: &[u8], keyword: &[u8]) -> HeldLine {
-    [b"O", label, keyword].into_iter().flatten().copied().collect()
+#[inline(never)]
+fn line_of(label: &[u8], keyword: &[u8]) -> ShortLine {
+    let mut line = ShortLine::new();
+    for part in [b"O".as_slice(), label, keyword] {
+        let _ = line.extend_from_slice(part);
+    }
+    line
 }
