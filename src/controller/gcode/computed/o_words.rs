@@ -221,13 +221,6 @@ impl<const N: usize> Interpreter<N> {
         next
     }
 
-    /// Stops the running text after one of its lines was refused.
-    pub fn abandon_held(&mut self) {
-        self.computed.flow.stop();
-        self.computed.parameters.leave_calls();
-        self.saved.abandon(0);
-    }
-
     /// Records that a line of the host was refused, possibly before `direct` was called for it. A subroutine, loop or
     /// program that is being recorded would lack this line, so it is refused up to its end.
     pub fn line_refused(&mut self, error: Error) {
@@ -238,16 +231,6 @@ impl<const N: usize> Interpreter<N> {
             FlowState::Holding(None) => flow.state = FlowState::Holding(Some(error)),
             _ => {}
         }
-    }
-
-    /// Abandons the program, because its rest will not run or another host has taken over. Forgets open conditions and
-    /// loops, and all recorded lines except macros. Ends G68 and G51, because no other program expects them.
-    pub fn abandon_program(&mut self) {
-        self.rotation = None;
-        self.scaling = None;
-        self.computed.flow.reset();
-        self.computed.parameters.leave_calls();
-        self.saved.abandon(0);
     }
 
     fn next_line(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
@@ -442,24 +425,6 @@ impl<const N: usize> Interpreter<N> {
         }
         let (_, begin) = self.computed.flow.find(&label).ok_or(Error::FlowSyntax)?;
         Ok((label, begin))
-    }
-
-    pub(super) fn call(
-        &mut self,
-        kind: FrameKind,
-        label: &[u8],
-        back: u16,
-        arguments: &[(u8, Real)],
-    ) -> Result<(), Error> {
-        let Computed { flow, parameters, .. } = &mut self.computed;
-        let mut pushed = flow.push(kind, label, back);
-        if kind.is_level() {
-            pushed = pushed.and_then(|()| parameters.enter_call(arguments));
-        }
-        if pushed.is_err() && back == STREAM {
-            self.abandon_held();
-        }
-        pushed
     }
 
     /// Executes `return`, `endsub` and M99: returns to the line after the call, with a value, or begins the next pass
