@@ -7,7 +7,7 @@
 //!
 //! Text and bytes are passed through an input buffer and an output buffer:
 //! 1. `oxmill_input(n)` returns the address of `n` bytes in the module's memory: write the input there. The next call
-//! that takes an input consumes it. The address is valid until the next call of the module.
+//!    that takes an input consumes it. The address is valid until the next call of the module.
 //! 2. Call a function. A function with a `status` returns 0, or 1 for a rejection: then the output is a text with the
 //!    reason.
 //! 3. `oxmill_output()` and `oxmill_output_len()` return address and length of the output, which is valid until the
