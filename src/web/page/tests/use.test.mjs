@@ -456,11 +456,19 @@ export async function settings_of_a_machine_are_pasted(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Returns the bytes that the browser uses for the page after garbage collection: script objects, and the module. */
+/**
+ * Returns the bytes that the browser uses for the page after garbage collection: script objects, and the module. The
+ * least of three figures, because work in the background can hold memory for a moment.
+ */
 const memory = async (page, devtools) => {
-  await devtools.send("HeapProfiler.collectGarbage");
-  const { metrics } = await devtools.send("Performance.getMetrics");
-  return metrics.find(({ name }) => name === "JSHeapUsedSize").value + await page.evaluate(() => oxmill.app.checked.memory);
+  let least = Infinity;
+  for (let time = 0; time < 3; time++) {
+    if (time > 0) await page.waitForTimeout(200);
+    await devtools.send("HeapProfiler.collectGarbage");
+    const { metrics } = await devtools.send("Performance.getMetrics");
+    least = Math.min(least, metrics.find(({ name }) => name === "JSHeapUsedSize").value);
+  }
+  return least + await page.evaluate(() => oxmill.app.checked.memory);
 };
 
 export async function ten_jobs_take_no_more_memory_than_two(browser) {
