@@ -4,56 +4,120 @@
 //! a tape mark, a reset, `$X`, or a rest of the machine right after the end of the program.
 //!
 //! ```text
-//!  Program ──M2, M30──▶ End ──O number──▶ Subprogram ──words outside of a subprogram──▶ Refused
-//!     ▲                  │                    │                                            │
-//!     ├──O number after a rest                │                                            │
-//!     └──%, $X, reset, another host───────────┴────────────────────────────────────────────┘
+//!  Program ──M2, M30──▶ End ──O number──▶ Subprogram ──words outside of a subprogram, an error──▶ Refused
+//!     ▲                  │                    │                                                     ▲ │
+//!     ├──O number after a rest                ├── $X, a stop, an alarm ──▶ Dropped ──a line at once──┘ │
+//!     ├──words after a rest───────────────────┤                             │                        │
+//!     ├──a line after a rest──────────────────│─────────────────────────────┤                        │
+//!     └──%, reset, another host───────────────┴─────────────────────────────┴──── $X ────────────────┘
 //! ```
-//! An M99 does not end the refusal: more lines of the same subprogram can follow it, which a GOTO reaches.
+//! A program that is held for the call of an unknown subprogram is dropped like a subprogram, although its place is
+//! still `Program`. Whatever drops them, the host can go on to send their lines, so these are refused. A rest does not
+//! end a refusal: the sender may have asked the operator whether to continue. Nor does an M99: more lines of the same
+//! subprogram can follow it, which a GOTO reaches.
 
 use super::state::{Interpreter, ProgramPlace};
+use super::tools::may_have_m_word;
 use crate::error::Error;
 
 impl<const N: usize> Interpreter<N> {
-    /// Whether a program has ended, and no other program has begun.
+    /// Whether the next line of the host has to be examined by [`Interpreter::look_behind_end`], because a program has
+    /// ended and no other one has begun, or because a program is held.
     #[inline]
     pub fn is_behind_end(&self) -> bool {
-        self.place != ProgramPlace::Program
+        self.place != ProgramPlace::Program || self.is_holding()
     }
 
     /// Marks the next line as the start of a program. Drops a held program, and a subprogram that has not ended.
     pub fn begin_program(&mut self) {
-        self.drop_held_program();
+        if self.is_held() {
+            self.abandon_program();
+        }
         self.place = ProgramPlace::Program;
     }
 
-    /// Examines a line after the end of a program. `rested`: the machine has been idle for a while, so an O number is
-    /// that of the next program.
-    ///
-    /// # Errors
-    /// [`Error::BehindEnd`] for lines that belong to no program.
-    pub fn look_behind_end(&mut self, line: &[u8], rested: bool) -> Result<(), Error> {
+    /// Executes `$X`: the next line begins a program. But if the host is in the middle of a held program or among
+    /// subprograms, the rest of them is refused, up to another `$X`. `is_locked`: the `$X` ends an alarm, so it does
+    /// not end the refusal of what the alarm has dropped.
+    pub fn unlock(&mut self, is_locked: bool) {
         match self.place {
-            ProgramPlace::Program => return Ok(()),
-            ProgramPlace::End if !has_program_number(line) => return Ok(()),
-            ProgramPlace::End if rested => {
-                self.place = ProgramPlace::Program;
-                return Ok(());
-            }
-            ProgramPlace::End => {}
-            _ if line.is_empty() => return Ok(()),
-            _ => {}
+            _ if self.is_held() => self.abandon_program(),
+            ProgramPlace::Subprogram => self.place = ProgramPlace::Dropped,
+            ProgramPlace::Dropped if is_locked => {}
+            _ => self.place = ProgramPlace::Program,
         }
-        if self.look_among_subprograms(line, rested) {
-            return Ok(());
-        }
-        self.place = ProgramPlace::Refused;
-        Err(Error::BehindEnd)
     }
 
-    /// Takes note of a refused line: after the end of a program it begins a refused subprogram if it has an O number anywhere, or if
-    /// its text is unknown (`None`), because it was too long, damaged, or had an open remark.
-    pub fn refused_behind_end(&mut self, line: Option<&[u8]>) {
+    /// Abandons the program and its subprograms, and refuses all lines that follow, up to the next program.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn refuse_rest(&mut self) -> Error {
+        self.abandon_program();
+        self.place = ProgramPlace::Refused;
+        Error::OutOfPlace
+    }
+
+    /// Examines a line after the end of a program or of a held program. `rested`: the machine has been idle for a
+    /// while, so an O number is that of the next program, and the rest of what is held will not come.
+    ///
+    /// # Errors
+    /// [`Error::OutOfPlace`] for lines that belong to no program.
+    pub fn look_behind_end(&mut self, line: &[u8], rested: bool) -> Result<(), Error> {
+        if line.is_empty() {
+            return Ok(());
+        }
+        let begins = match self.place {
+            _ if rested && self.is_held() => return Err(self.refuse_rest()),
+            ProgramPlace::Program => return Ok(()),
+            ProgramPlace::End if !has_program_number(line) => return Ok(()),
+            ProgramPlace::End | ProgramPlace::Dropped => rested,
+            ProgramPlace::Subprogram => rested && !has_program_number(line),
+            ProgramPlace::Refused => false,
+        };
+        if begins {
+            self.begin_program();
+        } else if !self.look_among_subprograms(line) {
+            return Err(self.refuse_rest());
+        }
+        Ok(())
+    }
+
+    /// Takes note that a line with the end of the program was refused: for the lines after it, the program has ended.
+    pub fn note_end(&mut self) {
+        if self.place == ProgramPlace::Program {
+            self.place = ProgramPlace::End;
+        }
+    }
+
+    /// Takes note of a line that block delete (`/`) skips. After the end of a program its O number begins a subprogram
+    /// all the same, and the lines of that one are refused.
+    pub fn skipped_line(&mut self, line: &[u8]) {
+        if self.place == ProgramPlace::End && has_program_number(line) {
+            self.refuse_rest();
+        }
+    }
+
+    /// Takes note that a line of the running text was refused, and with it the line of the host that runs the text. If
+    /// the text is a held program, that program is over, and what follows it is refused.
+    #[cold]
+    #[inline(never)]
+    pub fn refused_in_run(&mut self, line: &[u8]) {
+        if self.place == ProgramPlace::Subprogram {
+            self.refuse_rest();
+        } else {
+            self.refused_line(Some(line));
+        }
+    }
+
+    /// Takes note of a refused line. An M2 or M30 in it, also a computed one, ends the program all the same. After the
+    /// end of a program the line begins a subprogram that is refused if it has an O number anywhere, or if its text is
+    /// unknown (`None`), because it was too long, damaged, or had an open remark.
+    #[cold]
+    #[inline(never)]
+    pub fn refused_line(&mut self, line: Option<&[u8]>) {
+        if self.place == ProgramPlace::Program && line.is_some_and(may_end_program) {
+            return self.note_end();
+        }
         let may_have_number = line.is_none_or(|line| {
             let mut before = b' ';
             line.first() == Some(&b'<')
@@ -64,10 +128,22 @@ impl<const N: usize> Interpreter<N> {
                     begins_word && is_program_number(rest)
                 })
         });
-        if self.place == ProgramPlace::End && may_have_number {
-            self.place = ProgramPlace::Refused;
+        if matches!(self.place, ProgramPlace::End | ProgramPlace::Subprogram) && may_have_number {
+            self.refuse_rest();
         }
     }
+}
+
+/// Whether a refused line has the end of the program (M2, M30), or may have it.
+fn may_end_program(line: &[u8]) -> bool {
+    may_have_m_word(line, &[2, 30])
+}
+
+/// Returns the part of a line behind its line number (N and digits), or the whole line if it has none.
+pub(super) fn behind_line_number(line: &[u8]) -> &[u8] {
+    let Some(number) = line.strip_prefix(b"N") else { return line };
+    let digits = number.iter().take_while(|byte| byte.is_ascii_digit()).count();
+    number.get(digits..).unwrap_or_default()
 }
 
 /// Whether a line begins with the number of a program or subprogram, after its line number (N) if it has one. Further words
@@ -206,7 +282,7 @@ mod tests {
             for place in [ProgramPlace::Program, ProgramPlace::End] {
                 let mut interpreter = Interpreter::<3>::default();
                 interpreter.place = place;
-                interpreter.refused_behind_end(line.map(str::as_bytes));
+                interpreter.refused_line(line.map(str::as_bytes));
                 let refuses = interpreter.look_behind_end(b"G1Z-3", true).is_err();
                 assert_eq!(refuses, begins && place == ProgramPlace::End, "{line:?}");
             }
@@ -224,10 +300,10 @@ mod tests {
             assert_eq!(interpreter.look_behind_end(b"O1", true), Ok(()));
             assert!(!interpreter.is_behind_end());
         }
-        // A rest does not end a subprogram: the sender may have paused to ask the operator whether to continue.
+        // A rest does not end a refusal: the sender may have paused to ask the operator whether to continue.
         interpreter.place = ProgramPlace::End;
-        assert_eq!(interpreter.look_behind_end(b"O1X5", false), Err(Error::BehindEnd));
-        assert_eq!(interpreter.look_behind_end(b"G0X1", true), Err(Error::BehindEnd));
+        assert_eq!(interpreter.look_behind_end(b"O1X5", false), Err(Error::OutOfPlace));
+        assert_eq!(interpreter.look_behind_end(b"G0X1", true), Err(Error::OutOfPlace));
         interpreter.reset();
         assert!(!interpreter.is_behind_end());
     }

@@ -65,6 +65,9 @@ pub(super) enum ProgramPlace {
     /// After the end of a program, among subprograms. A build without subprograms refuses them instead.
     #[cfg_attr(not(feature = "full"), allow(dead_code, reason = "there are no subprograms"))]
     Subprogram,
+    /// In the rest of a program that has been dropped while it was held, or among its subprograms. The next line is
+    /// refused, unless the machine rests before it.
+    Dropped,
     /// Where all lines are refused up to the next program.
     Refused,
 }

@@ -130,28 +130,36 @@ impl Measured {
     }
 }
 
-/// Whether a refused line asks for another tool (M6), or may do so: the number of an M word may be computed (`M[6]`), a
-/// bracket may be open, or the text may be unknown (`None`: too long, damaged, or with an open remark).
-#[inline(never)]
+/// Whether a refused line asks for another tool (M6), or may do so, because its text is unknown (`None`: too long,
+/// damaged, or with an open remark).
 pub fn asks_for_tool(line: Option<&[u8]>) -> bool {
-    let Some(line) = line else { return true };
+    line.is_none_or(|line| may_have_m_word(line, &[6]))
+}
+
+/// Whether a line has one of these M words, or may have it: the number of an M word may be computed (`M[6]`), or a
+/// bracket may be open.
+#[inline(never)]
+pub(super) fn may_have_m_word(line: &[u8], wanted: &[u8]) -> bool {
     let mut depth = 0_usize;
-    let asks = line.iter().enumerate().any(|(at, byte)| {
+    let has = line.iter().enumerate().any(|(at, byte)| {
         match byte {
             b'[' | b'<' => depth += 1,
             b']' | b'>' => depth = depth.saturating_sub(1),
             _ => {}
         }
         let number = line.get(at + 1..).unwrap_or_default();
-        *byte == b'M' && depth == 0 && may_be_six(number)
+        *byte == b'M' && depth == 0 && may_be_one_of(number, wanted)
     });
-    asks || depth > 0 && line.contains(&b'M')
+    has || depth > 0 && line.contains(&b'M')
 }
 
-/// Whether a number, or the expression in its place, can be 6.
-fn may_be_six(number: &[u8]) -> bool {
+/// Whether a number, or the expression in its place, can be one of these.
+fn may_be_one_of(number: &[u8], wanted: &[u8]) -> bool {
     match number::read(number, Digits::Exact) {
-        Some(read) => Code::of(read.value) == Code { whole: 6, hundredths: 0 },
+        Some(read) => {
+            let code = Code::of(read.value);
+            code.hundredths == 0 && wanted.contains(&code.whole)
+        }
         // A bracket, a parameter, or a function such as `FIX[`.
         None => matches!(number.iter().find(|byte| !byte.is_ascii_uppercase()), Some(b'[' | b'#')),
     }

@@ -4,7 +4,7 @@
 
 use crate::dispatch::Controller;
 use crate::error::Error;
-use crate::gcode::{self, AS_WRITTEN, Dialect, Direction, Notice, REASONS, WITH_VALUES};
+use crate::gcode::{self, AS_WRITTEN, Dialect, Direction, Flow, Notice, REASONS, WITH_VALUES};
 use crate::image::FULL_IMAGE;
 use crate::messages::{HOST_CHANGED, LineByte};
 use crate::protocol::intake::Taken;
@@ -97,12 +97,18 @@ impl<const N: usize> Controller<N> {
             self.line.explain(&mut self.m.interpreter, text, dialect, error, false);
         }
         let asks_for_tool = checked.is_err() && gcode::asks_for_tool(known_text(text));
+        if checked.is_err() {
+            self.m.interpreter.refused_line(known_text(text));
+        }
         self.m.lines.clear();
         match checked {
             Ok(Direction::Check) => {
                 if let Err(error) = self.begin_checked(Answer::Host) {
                     if REASONS {
                         self.explain(&[], error);
+                    }
+                    if self.line.action.flow == Flow::End {
+                        self.m.interpreter.note_end();
                     }
                     self.refuse_program_line(error, self.line.action.tool_change);
                 }
@@ -257,7 +263,7 @@ impl<const N: usize> Controller<N> {
     /// Refuses a line of the host that is not a `$` command. `text`: its words, if they are known.
     fn refuse_host_line(&mut self, error: Error, text: Option<&[u8]>) {
         if self.dialect() != Dialect::Grbl {
-            self.m.interpreter.refused_behind_end(text);
+            self.m.interpreter.refused_line(text);
         }
         self.refuse_program_line(error, gcode::asks_for_tool(text));
     }

@@ -4,7 +4,7 @@ use super::Computed;
 use super::flow::{FrameKind, STREAM};
 use super::real::Real;
 use crate::error::Error;
-use crate::gcode::state::Interpreter;
+use crate::gcode::state::{Interpreter, ProgramPlace};
 
 impl<const N: usize> Interpreter<N> {
     /// Begins a call. `back`: the position after it, or [`STREAM`].
@@ -34,8 +34,12 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Abandons the program, because its rest will not run or another host has taken over. Forgets open conditions and
-    /// loops, and all recorded lines except macros. Ends G68 and G51, because no other program expects them.
+    /// loops, and all recorded lines except macros. Ends G68 and G51, because no other program expects them. If lines
+    /// were held, those that follow are refused up to the next program.
     pub fn abandon_program(&mut self) {
+        if self.is_held() {
+            self.place = ProgramPlace::Dropped;
+        }
         self.rotation = None;
         self.scaling = None;
         self.computed.flow.reset();

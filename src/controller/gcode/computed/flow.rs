@@ -4,9 +4,14 @@
 //! ```text
 //!            sub, while, do, repeat               endsub: kept; endwhile, while, endrepeat: run at once
 //!  Streaming ────────────────────────▶ Recording ─────────────────────────────────────────────┐
-//!      ▲  └── call ──────────────────────────────────────────────────────────────▶ Running ◀──┘
-//!      └─────────────────────────────── the end of the text, M2, an error ────────────┘
+//!   ▲  │  └── call ──────────────────────────────────────────────────────────────▶ Running ◀──┘
+//!   │  │                                                                           │ ▲  │
+//!   │  └── M98, G65 of an unknown subprogram ──▶ Holding ◀── in the program ───────┤ │  │
+//!   │                                               │  Waiting ◀── in held lines ──┘ │  │
+//!   │              a subprogram behind the end: ────┴─────┴──▶ Recording ── M99 ─────┘  │
+//!   └─────────────────────────────── the end of the text, M2, an error ─────────────────┘
 //! ```
+//! An error while lines are held for an unknown subprogram drops all of them (see `subprograms`).
 //! A condition is not recorded, because the lines of its false branches are only skipped. Subroutines and loops are
 //! held as text of bounded size, because a serial link sends each line only once. A subroutine or loop that does not
 //! fit is refused up to its end, so that none of its lines is executed as a line of the program. Held text is returned
@@ -14,6 +19,7 @@
 
 use super::m_words::has_m_word;
 use crate::error::Error;
+use crate::gcode::program_end::behind_line_number;
 use crate::gcode::remark::split_remark;
 use crate::lent::Lent;
 
@@ -103,10 +109,7 @@ impl<'a> OWord<'a> {
     /// keyword, such as `O1000`. The label may be an expression.
     pub(super) fn of(line: &'a [u8]) -> Option<OWord<'a>> {
         let (line, _) = split_remark(line);
-        let line = match line.strip_prefix(b"N") {
-            Some(numbered) => numbered.get(digits(numbered)..)?,
-            None => line,
-        };
+        let line = behind_line_number(line);
         let Some(mut text) = line.strip_prefix(b"O") else { return Self::of_call(line) };
         // Leading zeros do not count: O0100 is O100.
         while let [b'0', b'0'..=b'9', ..] = text {
@@ -263,8 +266,8 @@ pub(super) enum FlowState {
     Streaming,
     /// Lines are recorded; their text begins at this position. With an error, they are refused instead.
     Recording(u16, Option<Error>),
-    /// The program is recorded from the call of an unknown subprogram on. With an error, its lines are refused instead.
-    Holding(Option<Error>),
+    /// The program is recorded from the call of an unknown subprogram on.
+    Holding,
     /// The recorded program has ended, and waits for the definition of a subprogram.
     Waiting,
     /// Held text runs. A position means that it is a loop from the stream: its text begins there and is dropped at its
@@ -378,7 +381,7 @@ impl FlowControl {
 
     /// Whether lines of the host are recorded.
     pub(super) fn records(&self) -> bool {
-        matches!(self.state, FlowState::Recording(..) | FlowState::Holding(_))
+        matches!(self.state, FlowState::Recording(..) | FlowState::Holding)
     }
 
     /// Whether lines of the host are skipped or recorded.
@@ -529,7 +532,7 @@ impl FlowControl {
             }
             _ => at,
         };
-        self.state = if is_complete { FlowState::Waiting } else { FlowState::Holding(None) };
+        self.state = if is_complete { FlowState::Waiting } else { FlowState::Holding };
         if !is_complete {
             self.recorded_from = self.line;
             self.after_end = false;

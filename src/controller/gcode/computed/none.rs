@@ -4,6 +4,7 @@
 use crate::axes::PerAxis;
 use crate::error::Error;
 use crate::gcode::direction::{Direction, Held};
+use crate::gcode::program_end::behind_line_number;
 use crate::gcode::state::Interpreter;
 use crate::gcode::word::Word;
 use crate::units::Coordinate;
@@ -65,8 +66,7 @@ impl<const N: usize> Computed<N> {
 
 #[inline(never)]
 fn is_o_word(line: &[u8]) -> bool {
-    let line = line.strip_prefix(b"N").map_or(line, behind_digits);
-    let behind = line.strip_prefix(b"O").map(behind_digits);
+    let behind = behind_line_number(line).strip_prefix(b"O").map(behind_digits);
     matches!(behind, Some([b'A'..=b'Z', b'A'..=b'Z', ..] | [b'<' | b'#' | b'[', ..]))
 }
 
@@ -109,11 +109,23 @@ impl<const N: usize> Interpreter<N> {
         Err(error)
     }
 
-    pub(super) fn look_among_subprograms(&mut self, _: &[u8], _: bool) -> bool {
+    pub(super) fn look_among_subprograms(&mut self, _: &[u8]) -> bool {
         false
     }
 
-    pub(super) fn drop_held_program(&mut self) {}
+    /// Returns `false`: no program is held.
+    pub fn is_held(&self) -> bool {
+        false
+    }
+
+    pub(super) fn is_holding(&self) -> bool {
+        false
+    }
+
+    /// Returns `None`: no program waits.
+    pub fn awaited_subprogram(&self) -> Option<u32> {
+        None
+    }
 
     /// Returns 0: no line is skipped.
     pub fn skipped(&self) -> u32 {

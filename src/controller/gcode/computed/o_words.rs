@@ -103,6 +103,8 @@ impl<const N: usize> Interpreter<N> {
             flow.cut = None;
         } else if left_out && flow.after_end {
             self.computed.end_program();
+            self.note_end();
+            self.refused_line(Some(line));
             return Err(Error::FlowSyntax);
         }
         flow.after_end = left_out && order.is_none() && ends_program(line);

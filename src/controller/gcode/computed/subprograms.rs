@@ -1,5 +1,5 @@
 //! Fanuc's subprograms: `O1001` to `M99` behind the end of the program, called by M98 or, with arguments, by G65. They
-//! are held as text like other subroutines, so M98 and G65 also call `O1001 SUB`, and a macro.
+//! are held as text like other subroutines, so M98 and G65 also call `O1001 SUB`.
 //!
 //! A call usually comes before its subprogram, whose lines the host has not sent yet. From such a call on, the program
 //! is held as well, without any motion:
@@ -11,8 +11,12 @@
 //!                                                                   └──────────── Waiting ◀─┘
 //! ```
 //! Guarantees: no line of a subprogram is executed except by a call. If a line of the held program or of a subprogram
-//! is refused before the program goes on, none of the held lines is executed. M99 without a call means that a
-//! subprogram has been taken for the program: all following lines are refused.
+//! is refused before the program goes on, none of the held lines is executed, and all lines that follow are refused.
+//! The same holds if the machine rests meanwhile, because then the next line can be that of another file. M99 without a
+//! call means that a subprogram has been taken for the program: all following lines are refused. A subprogram ends with
+//! its file: one for which no program waits is read and forgotten.
+//!
+//! M98 and G65 do not call macros: a file that has a subprogram with the number of a macro would move otherwise.
 
 use super::expression;
 use super::flow::{
@@ -22,8 +26,9 @@ use super::m_words::find_m_word;
 use super::real::Real;
 use crate::error::Error;
 use crate::gcode::direction::Direction;
-use crate::gcode::program_end::has_program_number;
+use crate::gcode::program_end::{behind_line_number, has_program_number};
 use crate::gcode::state::{Interpreter, ProgramPlace};
+use crate::gcode::tools::may_have_m_word;
 use core::fmt::Write;
 
 /// Maximum number of repeats (L).
@@ -45,7 +50,31 @@ struct Call {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// Handles a line of a held program or of a subprogram; returns `None` for all other lines.
+    /// Whether a program is held, or a subprogram recorded.
+    pub fn is_held(&self) -> bool {
+        let flow = &self.computed.flow;
+        match flow.state {
+            FlowState::Holding | FlowState::Waiting => true,
+            FlowState::Recording(from, _) => {
+                flow.line(from).and_then(OWord::of).is_some_and(|opening| opening.keyword == Keyword::Program)
+            }
+            FlowState::Streaming | FlowState::Running(_) => false,
+        }
+    }
+
+    /// Whether the lines of a program are held.
+    #[inline]
+    pub(in crate::gcode) fn is_holding(&self) -> bool {
+        self.computed.flow.state == FlowState::Holding
+    }
+
+    /// Returns the number of the subprogram for which a program waits.
+    pub fn awaited_subprogram(&self) -> Option<u32> {
+        let flow = &self.computed.flow;
+        flow.waiting.map(|_| flow.missing)
+    }
+
+    /// Handles a line, or a part of one, of a held program or of a subprogram; returns `None` for all others.
     #[inline(never)]
     pub(super) fn direct_subprogram(
         &mut self,
@@ -53,44 +82,22 @@ impl<const N: usize> Interpreter<N> {
         remark: &[u8],
         order: Option<OWord>,
     ) -> Option<Result<Direction, Error>> {
-        if self.computed.flow.records()
-            && order.is_none()
-            && !is_jump(line)
-            && let Some((words, call)) = split_call(line)
-        {
-            return match self.direct_part(words, &[], None)? {
-                Ok(_) => self.direct_part(call, remark, OWord::of(call)),
-                refused => Some(refused),
-            };
-        }
-        self.direct_part(line, remark, order)
-    }
-
-    /// Handles a line, or a part of one.
-    #[inline(never)]
-    fn direct_part(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Option<Result<Direction, Error>> {
-        let flow = &mut self.computed.flow;
-        match flow.state {
-            FlowState::Holding(Some(error)) => Some(Err(error)),
-            FlowState::Holding(None) => Some(self.hold_line(line, remark, order)),
-            FlowState::Recording(from, error) => {
-                let is_subprogram = flow.line(from).and_then(OWord::of)?.keyword == Keyword::Program;
-                is_subprogram.then(|| self.record_subprogram(line, remark, order, from, error))
-            }
+        match self.computed.flow.state {
+            FlowState::Holding => Some(self.hold_line(line, remark, order)),
+            FlowState::Recording(from, _) => self.is_held().then(|| self.record_subprogram(line, remark, order, from)),
             FlowState::Running(_) => None,
-            FlowState::Waiting | FlowState::Streaming => match (self.place, subprogram_number(line)) {
-                (ProgramPlace::Subprogram, Some(label)) => Some(self.define(label)),
-                (ProgramPlace::Subprogram | ProgramPlace::Refused, _) if !line.is_empty() => {
-                    Some(Err(self.refuse_rest()))
-                }
-                _ => None,
+            FlowState::Waiting | FlowState::Streaming if self.place != ProgramPlace::Subprogram => None,
+            state => match subprogram_number(line) {
+                Some(label) => Some(self.define(label)),
+                None if state == FlowState::Waiting && !line.is_empty() => Some(Err(self.refuse_rest())),
+                None => None,
             },
         }
     }
 
     /// Decides on a line of the host that the check has refused with `error`: M98 behind other words is a call that
-    /// follows them. M99 and the end of a program count even in a refused line, so that no subprogram behind them is
-    /// taken for a part of the program.
+    /// follows them. M99 counts even in a refused line, so that no subprogram behind it is taken for a part of the
+    /// program.
     #[cold]
     #[inline(never)]
     pub fn direct_refused(&mut self, line: &[u8], remark: &[u8], error: Error) -> Result<Direction, Error> {
@@ -111,58 +118,31 @@ impl<const N: usize> Interpreter<N> {
             }
             Some((.., order)) if order.keyword == Keyword::Back => Err(self.refuse_rest()),
             _ => {
-                if ends_program(line) && self.place == ProgramPlace::Program {
-                    self.place = ProgramPlace::End;
+                if error == Error::NotSupported && may_have_m_word(line, &[99]) {
+                    self.refuse_rest();
                 }
                 Err(error)
             }
         }
     }
 
-    /// Abandons the program and refuses all lines that follow.
-    #[inline(never)]
-    pub(super) fn refuse_rest(&mut self) -> Error {
-        self.abandon_program();
-        self.place = ProgramPlace::Refused;
-        Error::BehindEnd
-    }
-
     /// Examines a line after the end of a program: one with an O number, or one among subprograms. Returns whether the
-    /// line may be directed. `rested`: the machine has been idle for a while.
+    /// line may be directed.
     #[inline(never)]
-    pub(in crate::gcode) fn look_among_subprograms(&mut self, line: &[u8], rested: bool) -> bool {
-        let (is_held, is_recording) = match self.computed.flow.state {
-            FlowState::Holding(_) => return self.place != ProgramPlace::Refused,
-            FlowState::Waiting => (true, false),
-            FlowState::Recording(..) => (false, true),
-            _ => (false, false),
+    pub(in crate::gcode) fn look_among_subprograms(&mut self, line: &[u8]) -> bool {
+        let flow = &self.computed.flow;
+        let belongs = match flow.state {
+            FlowState::Holding => return self.place != ProgramPlace::Refused,
+            FlowState::Recording(..) => self.is_held(),
+            FlowState::Waiting => subprogram_number(line).is_some(),
+            // No number belongs into an open condition.
+            _ => flow.frames.is_empty() && subprogram_number(line).is_some(),
         };
-        let is_definition = subprogram_number(line).is_some();
-        match self.place {
-            ProgramPlace::End if is_definition && !is_recording => self.place = ProgramPlace::Subprogram,
-            ProgramPlace::Subprogram if is_definition || is_recording => {}
-            // The last subprogram is complete.
-            ProgramPlace::Subprogram if rested && !is_held && !has_program_number(line) => {
-                self.place = ProgramPlace::Program;
-            }
-            _ => {
-                self.drop_held_program();
-                return false;
-            }
+        let belongs = belongs && matches!(self.place, ProgramPlace::End | ProgramPlace::Subprogram);
+        if belongs {
+            self.place = ProgramPlace::Subprogram;
         }
-        true
-    }
-
-    /// Drops a program that is held, and a subprogram that is recorded.
-    #[inline(never)]
-    pub(in crate::gcode) fn drop_held_program(&mut self) {
-        if match self.computed.flow.state {
-            FlowState::Holding(_) | FlowState::Waiting => true,
-            FlowState::Recording(..) => self.place == ProgramPlace::Subprogram,
-            _ => false,
-        } {
-            self.abandon_program();
-        }
+        belongs
     }
 
     /// Holds a line of the program that comes after the call of an unknown subprogram.
@@ -178,19 +158,14 @@ impl<const N: usize> Interpreter<N> {
         if is_next || has_program_number(line) || keyword == Some(Keyword::Back) {
             return Err(self.refuse_rest());
         }
-        let held = match order {
-            Some(order) if !order.is_well_formed() => Err(Error::FlowSyntax),
-            Some(OWord { keyword: Keyword::Sub | Keyword::EndSub, .. }) => Err(Error::FlowSyntax),
-            None if is_jump(line) => Err(Error::NotSupported),
-            _ => flow.hold(line, remark, SPARE),
-        };
+        if let Err(error) = flow.hold_order(line, remark, order) {
+            self.refuse_rest();
+            return Err(error);
+        }
         if !line.is_empty() {
             flow.after_end = order.is_none() && ends_program(line);
         }
-        if let Err(error) = held {
-            flow.state = FlowState::Holding(Some(error));
-        }
-        held.map(|()| Direction::LeftOut)
+        Ok(Direction::LeftOut)
     }
 
     /// Begins the definition of a subprogram.
@@ -199,25 +174,26 @@ impl<const N: usize> Interpreter<N> {
         self.place = ProgramPlace::Subprogram;
         let flow = &mut self.computed.flow;
         let from = flow.text.len() as u16;
-        let waits = flow.waiting.is_some();
-        // A second definition would move the text of the program that waits.
-        let held = match waits && flow.find_own(label).is_some() {
-            true => Err(Error::BehindEnd),
+        // A second definition would leave it open which one a call means.
+        let held = match flow.find_own(label).is_some() {
+            true => Err(Error::OutOfPlace),
             false => flow.hold(&line_of(label, PROGRAM), &[], SPARE),
         };
+        if flow.waiting.is_none() {
+            flow.recorded_from = flow.line;
+            flow.missing = 0;
+        }
         if let Err(error) = held {
             self.refuse_rest();
             return Err(error);
-        }
-        if !waits {
-            flow.recorded_from = flow.line;
         }
         flow.within = 0;
         flow.state = FlowState::Recording(from, None);
         Ok(Direction::LeftOut)
     }
 
-    /// Records a line of a subprogram. M99 ends it, unless it is within a condition or loop.
+    /// Records a line of a subprogram. M99 ends it, unless it is within a condition or loop. Then the program that
+    /// waits for it goes on; if none does, the subprogram is forgotten, because no later program may call it.
     #[inline(never)]
     fn record_subprogram(
         &mut self,
@@ -225,58 +201,37 @@ impl<const N: usize> Interpreter<N> {
         remark: &[u8],
         order: Option<OWord>,
         from: u16,
-        error: Option<Error>,
     ) -> Result<Direction, Error> {
         let flow = &mut self.computed.flow;
-        let waits = flow.waiting.is_some();
-        let is_cut = has_program_number(line) || order.is_none() && ends_program(line);
-        if is_cut || waits && error.is_some() {
-            self.refuse_rest();
-            return Err(error.unwrap_or(Error::BehindEnd));
+        if has_program_number(line) || order.is_none() && ends_program(line) {
+            return Err(self.refuse_rest());
         }
         let ends = order.is_some_and(|order| order.keyword == Keyword::Back) && flow.within == 0;
-        let label = flow.line(from).and_then(OWord::of).map(|opening| opening.label);
-        let label = ShortLine::from_slice(label.unwrap_or_default()).unwrap_or_default();
-        let end = line_of(&label, b"ENDSUB");
-        let held = match (error, order) {
-            (Some(error), _) => Err(error),
-            (None, Some(order)) if order.keyword == Keyword::Back && !order.arguments.is_empty() => {
-                Err(Error::NotSupported)
+        let held = match order {
+            Some(order) if order.keyword == Keyword::Back && !order.arguments.is_empty() => Err(Error::NotSupported),
+            _ if ends => {
+                let label = flow.line(from).and_then(OWord::of).map(|opening| opening.label);
+                let end = line_of(label.unwrap_or_default(), b"ENDSUB");
+                flow.hold(&end, remark, 0)
             }
-            (None, Some(order)) if !order.is_well_formed() => Err(Error::FlowSyntax),
-            (None, Some(OWord { keyword: Keyword::Sub | Keyword::EndSub, .. })) => Err(Error::FlowSyntax),
-            (None, None) if is_jump(line) => Err(Error::NotSupported),
-            (None, _) if ends => flow.hold(&end, remark, 0),
-            (None, order) => {
+            order => {
                 flow.count_blocks(from, order);
-                flow.hold(line, remark, SPARE)
+                flow.hold_order(line, remark, order)
             }
         };
-        match held {
-            Err(error) if waits => {
-                self.refuse_rest();
-                Err(error)
-            }
-            Err(error) if ends => {
-                flow.refuse_sub(from, &label, &end);
-                flow.state = FlowState::Streaming;
-                Err(error)
-            }
-            Err(error) => {
-                flow.state = FlowState::Recording(from, Some(error));
-                Err(error)
-            }
-            Ok(()) if !ends => Ok(Direction::LeftOut),
-            Ok(()) if flow.go_on() => Ok(Direction::Run),
-            Ok(()) => {
-                // `find_own` returns the first definition, which is the older one if there are two.
-                if flow.find_own(&label).is_some_and(|(at, _)| at < from) {
-                    flow.drop_sub(&label);
-                }
-                flow.state = FlowState::Streaming;
-                Ok(Direction::LeftOut)
-            }
+        if let Err(error) = held {
+            self.refuse_rest();
+            return Err(error);
         }
+        if !ends {
+            return Ok(Direction::LeftOut);
+        }
+        if flow.go_on() {
+            return Ok(Direction::Run);
+        }
+        flow.text.truncate(usize::from(from));
+        flow.state = FlowState::Streaming;
+        Ok(Direction::LeftOut)
     }
 
     /// Executes M98 or G65 in a line of the host. If the subprogram is unknown, the program is held from this line on.
@@ -284,19 +239,19 @@ impl<const N: usize> Interpreter<N> {
     pub(super) fn call_from_stream(&mut self, line: &[u8], remark: &[u8], order: &OWord) -> Result<Direction, Error> {
         let call = self.read_call(order)?;
         let flow = &mut self.computed.flow;
-        if let Some((_, begin)) = flow.find(&call.label) {
+        if let Some((_, begin)) = flow.find_own(&call.label) {
             flow.run(begin, None);
             self.call(FrameKind::Program(call.passes), &call.label, STREAM, &call.arguments)?;
             return Ok(Direction::Call);
         }
         let at = flow.text.len() as u16;
-        let held = flow.hold(line, remark, SPARE);
         flow.missing = call.number;
-        flow.wait(at, false);
-        if let Err(error) = held {
-            flow.state = FlowState::Holding(Some(error));
+        if let Err(error) = flow.hold(line, remark, SPARE) {
+            self.refuse_rest();
+            return Err(error);
         }
-        held.map(|()| Direction::Waits)
+        flow.wait(at, false);
+        Ok(Direction::Waits)
     }
 
     /// Executes M98 or G65 in the held line at `at`. Returns `false` if the program now waits for the subprogram.
@@ -305,7 +260,7 @@ impl<const N: usize> Interpreter<N> {
         let call = self.read_call(order)?;
         let flow = &mut self.computed.flow;
         let back = flow.next;
-        match flow.find(&call.label) {
+        match flow.find_own(&call.label) {
             Some((_, begin)) => {
                 self.call(FrameKind::Program(call.passes), &call.label, back, &call.arguments)?;
                 self.computed.flow.go_back(begin)?;
@@ -314,7 +269,7 @@ impl<const N: usize> Interpreter<N> {
             None => {
                 flow.missing = call.number;
                 if !flow.of_host {
-                    return Err(Error::BehindEnd);
+                    return Err(Error::OutOfPlace);
                 }
                 flow.wait(at, self.place == ProgramPlace::Subprogram);
                 Ok(false)
@@ -373,11 +328,22 @@ impl<const N: usize> Interpreter<N> {
 }
 
 impl FlowControl {
+    /// Holds a line of a program or of a subprogram, unless its O word cannot stand there.
+    #[inline(never)]
+    fn hold_order(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<(), Error> {
+        match order {
+            Some(order) if !order.is_well_formed() => Err(Error::FlowSyntax),
+            Some(OWord { keyword: Keyword::Sub | Keyword::EndSub, .. }) => Err(Error::FlowSyntax),
+            None if is_jump(line) => Err(Error::NotSupported),
+            _ => self.hold(line, remark, SPARE),
+        }
+    }
+
     /// Begins the next pass of the innermost call, which is that of a subprogram.
     #[inline(never)]
     pub(super) fn next_pass(&mut self) -> Result<(), Error> {
         let label = self.last_label();
-        let (_, begin) = self.find(label).ok_or(Error::FlowSyntax)?;
+        let (_, begin) = self.find_own(label).ok_or(Error::FlowSyntax)?;
         if let Some(FrameKind::Program(passes)) = self.frames.last_mut().map(|frame| &mut frame.kind) {
             passes.left = passes.left.saturating_sub(1);
         }
@@ -413,11 +379,7 @@ impl FlowControl {
 /// Returns the number of a subprogram, without leading zeros, if the line consists of it, and of a line number or none.
 #[inline(never)]
 fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
-    let line = match line.strip_prefix(b"N") {
-        Some(number) => number.get(digits(number)..)?,
-        None => line,
-    };
-    let Some((b'O' | b':', number)) = line.split_first() else { return None };
+    let Some((b'O' | b':', number)) = behind_line_number(line).split_first() else { return None };
     let zeros = number.iter().take_while(|digit| **digit == b'0').count();
     let number = number.get(zeros.min(number.len().saturating_sub(1))..)?;
     ((1..=8).contains(&number.len()) && digits(number) == number.len()).then_some(number)
@@ -425,7 +387,7 @@ fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
 
 /// Whether a line begins with a word of Fanuc's macros that is known to be missing here: IF, WHILE, END, GOTO.
 pub(super) fn is_jump(line: &[u8]) -> bool {
-    let line = line.strip_prefix(b"N").map_or(line, |number| number.get(digits(number)..).unwrap_or_default());
+    let line = behind_line_number(line);
     [b"IF".as_slice(), b"WHILE", b"END", b"GOTO"].iter().any(|word| line.starts_with(word))
 }
 
