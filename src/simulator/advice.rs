@@ -232,7 +232,7 @@ pub fn for_error(error: Error) -> &'static str {
         Error::DamagedLine => {
             "The host sends it again; one that does not know that lines are checked ends that with $LC=OFF."
         }
-        Error::BehindEnd => {
+        Error::OutOfPlace => {
             "Write subprograms behind M30, each as O1001 .. M99 in the same file. For the next program send `%` or `$X` first, or \
              reset the machine."
         }

@@ -87,7 +87,7 @@ impl Outcome {
         if let Some((line, source)) = since.and_then(|line| job.opener(line)) {
             let source = source.to_owned();
             let (error, text) = match is_call(&source) && !source.trim_start().starts_with(['o', 'O']) {
-                true => (Error::BehindEnd, "the file has no subprogram for this call, or for one in a subprogram"),
+                true => (Error::OutOfPlace, "the file has no subprogram for this call, or for one in a subprogram"),
                 false => (Error::FlowSyntax, "the program ended within the block that begins here"),
             };
             self.refused(line, error.code(), text, source);

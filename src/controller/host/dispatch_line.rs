@@ -17,8 +17,8 @@ use crate::units::{Duration, Instant};
 use crate::view::dialect;
 use crate::work::task::{Answer, Caller, Task};
 
-/// If a line arrives at least this long after the last answer, an O number in it begins the next program. A sender that
-/// continues its file is faster.
+/// If a line arrives at least this long after the last answer, an O number in it begins the next program, and what is
+/// held for a subprogram is dropped. A sender that continues its file is faster.
 const REST: Duration = Duration::from_ticks(5_000_000);
 
 /// Message of a line, with its mark.
@@ -116,6 +116,7 @@ impl<const N: usize> Controller<N> {
             Ok(direction) => self.directed(direction, &[]),
             Err(error) => self.refuse_program_line(error, asks_for_tool),
         }
+        self.m.last_line_at = self.m.now;
     }
 
     /// Processes every byte that does not simply end a line.
@@ -173,6 +174,9 @@ impl<const N: usize> Controller<N> {
         let (mut text, mut remark) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Remark::new());
         let _ = text.extend_from_slice(self.m.lines.text());
         self.read_remark(&mut remark);
+        if !self.m.lines.deleted().is_empty() && !self.has_rested() {
+            self.m.interpreter.skipped_line(self.m.lines.deleted());
+        }
         if FULL_IMAGE && self.m.lines.has_nested_remark() && self.dialect() == Dialect::Oxmill {
             self.tell_notice(Notice::NestedRemark);
         }
@@ -233,6 +237,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn dispatch(&mut self, line: &[u8], remark: &[u8]) {
+        let rested = self.has_rested();
         let result = match line.first() {
             None if remark.is_empty() || self.state.is_alarm() => {
                 self.say_ok();
@@ -254,10 +259,21 @@ impl<const N: usize> Controller<N> {
             Err(error) if line.first() == Some(&b'$') => self.refuse(error),
             Err(error) => self.refuse_host_line(error, known_text(line)),
         }
-        // Requests such as `$G`, which a sender may send all the time, do not interrupt a rest.
-        if line.first() != Some(&b'$') {
+        let goes_on = match line.first() {
+            // Requests such as `$G`, which a sender may send all the time, do not interrupt a rest.
+            Some(b'$') => true,
+            // The next program can begin with remarks.
+            None => rested,
+            _ => false,
+        };
+        if !goes_on {
             self.m.last_line_at = self.m.now;
         }
+    }
+
+    /// Whether the host has sent no line for so long that the next line can be that of another program.
+    fn has_rested(&self) -> bool {
+        self.m.now.checked_duration_since(self.m.last_line_at).is_some_and(|rest| rest >= REST)
     }
 
     /// Refuses a line of the host that is not a `$` command. `text`: its words, if they are known.
@@ -286,6 +302,7 @@ impl<const N: usize> Controller<N> {
     fn refuse_program_line(&mut self, error: Error, asks_for_tool: bool) {
         self.refuse(error);
         self.m.interpreter.line_refused(error);
+        self.m.last_line_at = self.m.now;
         self.stop_at_error(asks_for_tool);
     }
 
@@ -306,7 +323,10 @@ impl<const N: usize> Controller<N> {
         let direction = match self.dialect() {
             Dialect::Grbl => Direction::Check,
             _ => {
-                let rested = self.m.now.checked_duration_since(self.m.last_line_at).is_some_and(|rest| rest >= REST);
+                let rested = self.has_rested();
+                if rested && !line.is_empty() {
+                    self.tell_awaited();
+                }
                 self.m.interpreter.look_behind_end(line, rested)?;
                 self.m.interpreter.direct(line, remark, self.m.lines.lines_read())?
             }
@@ -336,9 +356,7 @@ impl<const N: usize> Controller<N> {
             }
             Direction::LeftOut => self.say_ok(),
             Direction::Waits => {
-                if FULL_IMAGE {
-                    self.say(|out| reply_texts::message(out, "Program waits for its subprogram"));
-                }
+                self.tell_awaited();
                 self.say_ok();
             }
             Direction::Call => {
@@ -346,6 +364,16 @@ impl<const N: usize> Controller<N> {
                 self.task = Task::Held(Caller::Host);
             }
             Direction::Run => self.task = Task::Held(Caller::Host),
+        }
+    }
+}
+
+impl<const N: usize> Controller<N> {
+    /// Tells for which subprogram the program waits, if it does.
+    #[inline(never)]
+    pub(crate) fn tell_awaited(&mut self) {
+        if let Some(number) = self.m.interpreter.awaited_subprogram() {
+            self.say(|out| reply_texts::message_number(out, "Program waits for subprogram O", number));
         }
     }
 }

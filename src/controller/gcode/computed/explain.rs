@@ -26,8 +26,8 @@ impl<const N: usize> Interpreter<N> {
         let order = OWord::of(behind_words.map_or(line, |(_, call)| call));
         let is_refused_block = matches!(self.computed.flow.state, FlowState::Recording(_, Some(of)) if of == error);
         match (order, error) {
-            (_, Error::BehindEnd) => self.explain_place(line, order, out),
-            (_, Error::OutOfMemory) if matches!(self.computed.flow.state, FlowState::Holding(_)) => {
+            (_, Error::OutOfPlace) => self.explain_place(line, order, out),
+            (_, Error::OutOfMemory) if self.place == ProgramPlace::Refused && self.computed.flow.missing > 0 => {
                 self.say_missing("no room to hold the program up to O%: write O% SUB .. O% ENDSUB above its call", out);
             }
             (Some(order), _) if order.label.is_empty() => self.explain_call(line, &order, error, out),
@@ -68,7 +68,7 @@ impl<const N: usize> Interpreter<N> {
             None if ends_program(line) => {
                 say(out, "% is no end of a subprogram: M99 is; for the next program send $X first", &[line])
             }
-            _ => say(out, "% is behind the end of the program and in no subprogram; $X ends this", &[line]),
+            _ => say(out, "% is in no program or subprogram that can run; $X ends this", &[line]),
         }
     }
 

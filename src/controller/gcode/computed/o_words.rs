@@ -7,9 +7,10 @@ use super::flow::{
     ARGUMENTS, FlowState, FrameKind, HeldLine, Keyword, LABELS, OWord, PASSES, SPARE, STREAM, ends_program,
 };
 use super::real::Real;
-use super::subprograms::split_call;
+use super::subprograms::{is_jump, split_call};
 use crate::error::Error;
 use crate::gcode::direction::{Direction, Held};
+use crate::gcode::program_end::has_program_number;
 use crate::gcode::state::Interpreter;
 use core::fmt::Write;
 
@@ -79,10 +80,10 @@ impl<const N: usize> Interpreter<N> {
     /// Handles a tape mark, which separates programs. A block that is still open is dropped, and is an error.
     ///
     /// # Errors
-    /// [`Error::FlowSyntax`]; [`Error::BehindEnd`] if the program waits for a subprogram.
+    /// [`Error::FlowSyntax`]; [`Error::OutOfPlace`] if the program waits for a subprogram.
     pub fn tape_mark(&mut self) -> Result<(), Error> {
         let is_open = self.computed.flow.open_since().is_some();
-        let error = if self.computed.flow.waiting.is_some() { Error::BehindEnd } else { Error::FlowSyntax };
+        let error = if self.computed.flow.waiting.is_some() { Error::OutOfPlace } else { Error::FlowSyntax };
         self.begin_program();
         if !is_open {
             return Ok(());
@@ -112,18 +113,26 @@ impl<const N: usize> Interpreter<N> {
     }
 
     fn direct_order(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
+        if self.computed.flow.records()
+            && order.is_none()
+            && !is_jump(line)
+            && !has_program_number(line)
+            && let Some((words, call)) = split_call(line)
+        {
+            // The words in front of M98 or M99 are held as a line of their own.
+            self.direct_part(words, &[], None)?;
+            return self.direct_part(call, remark, OWord::of(call));
+        }
+        self.direct_part(line, remark, order)
+    }
+
+    /// Directs a line, or a part of one.
+    fn direct_part(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
         if let Some(directed) = self.direct_subprogram(line, remark, order) {
             return directed;
         }
         self.look_for_end(line, order)?;
         if let FlowState::Recording(from, error) = self.computed.flow.state {
-            if error.is_none()
-                && order.is_none()
-                && let Some((words, call)) = split_call(line)
-            {
-                self.record(words, &[], None, from, None)?;
-                return self.record(call, remark, OWord::of(call), from, None);
-            }
             return self.record(line, remark, order, from, error);
         }
         let flow = &mut self.computed.flow;
@@ -223,15 +232,15 @@ impl<const N: usize> Interpreter<N> {
         next
     }
 
-    /// Records that a line of the host was refused, possibly before `direct` was called for it. A subroutine, loop or
-    /// program that is being recorded would lack this line, so it is refused up to its end.
+    /// Records that a line of the host was refused, possibly before `direct` was called for it. A subroutine or loop
+    /// that is being recorded would lack this line, so it is refused up to its end; a held program or a subprogram is
+    /// dropped, and all lines that follow are refused.
     pub fn line_refused(&mut self, error: Error) {
         self.computed.begin();
-        let flow = &mut self.computed.flow;
-        match flow.state {
-            FlowState::Recording(from, None) => flow.state = FlowState::Recording(from, Some(error)),
-            FlowState::Holding(None) => flow.state = FlowState::Holding(Some(error)),
-            _ => {}
+        if self.is_held() {
+            self.refuse_rest();
+        } else if let FlowState::Recording(from, None) = self.computed.flow.state {
+            self.computed.flow.state = FlowState::Recording(from, Some(error));
         }
     }
 
@@ -465,7 +474,7 @@ impl<const N: usize> Interpreter<N> {
                 return Ok(if frame.at == STREAM { Held::End } else { Held::Again });
             }
         }
-        Err(if is_back { Error::BehindEnd } else { Error::FlowSyntax })
+        Err(if is_back { Error::OutOfPlace } else { Error::FlowSyntax })
     }
 
     fn condition(&self, text: &[u8]) -> Result<bool, Error> {

@@ -132,7 +132,8 @@ impl<const N: usize> Interpreter<N> {
     pub(in crate::gcode) fn look_among_subprograms(&mut self, line: &[u8]) -> bool {
         let flow = &self.computed.flow;
         let belongs = match flow.state {
-            FlowState::Holding => return self.place != ProgramPlace::Refused,
+            // This line is refused when it is held, unless the program has ended.
+            FlowState::Holding => return true,
             FlowState::Recording(..) => self.is_held(),
             FlowState::Waiting => subprogram_number(line).is_some(),
             // No number belongs into an open condition.
