@@ -12,6 +12,7 @@ struct Sender {
     errors: Vec<u8>,
     ends: usize,
     sent: u32,
+    /// Whether the machine rests before the next line.
     rested: bool,
     /// X targets of moves in lines that ran as they came.
     at_once: Vec<i64>,
@@ -58,12 +59,16 @@ impl Sender {
             match self.interpreter.next_held(&mut held) {
                 Ok(Held::Line) => {
                     if !self.carry_out(&held) {
-                        return self.interpreter.abandon_held();
+                        self.interpreter.abandon_held();
+                        return self.interpreter.refused_in_run(&held);
                     }
                 }
                 Ok(Held::Again) => {}
                 Ok(Held::End) => return,
-                Err(error) => return self.errors.push(error.code()),
+                Err(error) => {
+                    self.errors.push(error.code());
+                    return self.interpreter.refused_in_run(&held);
+                }
             }
         }
     }
@@ -78,7 +83,8 @@ impl Sender {
             return;
         }
         let line = line.as_bytes();
-        let looked = self.interpreter.look_behind_end(line, self.rested);
+        let rested = std::mem::take(&mut self.rested);
+        let looked = self.interpreter.look_behind_end(line, rested);
         let directed = match looked.and_then(|()| self.interpreter.direct(line, &[], self.sent)) {
             Ok(Direction::Check) => match self.check(line) {
                 Ok(_) => Ok(Direction::Check),
@@ -96,9 +102,15 @@ impl Sender {
             Ok(Direction::Call | Direction::Run) => self.run_held(),
             Err(error) => {
                 self.errors.push(error.code());
+                self.interpreter.refused_line(Some(line));
                 self.interpreter.line_refused(error);
             }
         }
+    }
+
+    fn send_after_rest(&mut self, text: &str) -> &mut Self {
+        self.rested = true;
+        self.send_all(text)
     }
 
     fn send_all(&mut self, text: &str) -> &mut Self {
@@ -193,19 +205,11 @@ fn parameters() {
 fn subroutines_and_macros() {
     goes("o7 sub\nG0 X#1\nM99\nX9\no7 endsub\nM98 P7\nG65 P7 A4\no7 call [5]\nM2", &[0, 4, 5]);
     goes("G0 X1\nM98 P7\no7 call [5]\nM2\nO7\nX#1\nM99", &[1, 0, 5]);
-    let mut sender = Sender::new();
-    for (index, line) in ["O9000SUB", "G0X#1", "O9000ENDSUB"].iter().enumerate() {
-        sender.interpreter.set_macro_line(index, line.as_bytes()).unwrap();
-    }
-    sender.send_all("G65 P9000 A3\nM98 P9000 L2\nM2");
-    assert_eq!((sender.went, sender.errors), (vec![3, 0, 0], vec![]));
     // A macro calls a subprogram that is not known: the program waits in the middle of the call.
-    let mut sender = Sender::new();
-    for (index, line) in ["O9000SUB", "G0X1", "M98P5", "G0X3", "O9000ENDSUB"].iter().enumerate() {
-        sender.interpreter.set_macro_line(index, line.as_bytes()).unwrap();
-    }
-    sender.send_all("M98 P9000\nG0 X4");
+    let mut sender = with_macro(&["O9000SUB", "G0X1", "M98P5", "G0X3", "O9000ENDSUB"]);
+    sender.send_all("o9000 call\nG0 X4");
     assert_eq!(sender.went, [1]);
+    assert_eq!(sender.interpreter.awaited_subprogram(), Some(5));
     sender.send_all("M30\nO5\nX2\nM99\n%");
     assert_eq!((sender.went.as_slice(), sender.errors.as_slice()), (&[1, 2, 3, 4][..], &[][..]));
     assert_eq!(sender.interpreter.macro_line(4), Some(&b"O9000ENDSUB"[..]));
@@ -215,6 +219,218 @@ fn subroutines_and_macros() {
     sender.run_held();
     assert_eq!((sender.went, sender.errors), (vec![1], vec![203]));
     assert!(!sender.interpreter.is_within_block());
+}
+
+fn with_macro(lines: &[&str]) -> Sender {
+    let mut sender = Sender::new();
+    for (index, line) in lines.iter().enumerate() {
+        sender.interpreter.set_macro_line(index, line.as_bytes()).unwrap();
+    }
+    sender
+}
+
+/// A macro with the number of a subprogram is no subprogram of the file, whose own comes behind its end.
+#[test]
+fn a_macro_does_not_take_the_place_of_a_subprogram() {
+    let macro_lines = ["O100SUB", "G0X-1", "O100ENDSUB"];
+    for call in ["M98 P100", "G65 P100 A1", "G0 X1 M98 P100", "o2 sub\nM98 P100\no2 endsub\no2 call"] {
+        let mut sender = with_macro(&macro_lines);
+        sender.send_all(&format!("{call}\nG0 X9\nM30\nO100\nG0 X5\nM99\n%"));
+        assert!(sender.went.ends_with(&[5, 9]) && !sender.went.contains(&-1), "{call}: {:?}", sender.went);
+        assert_eq!(sender.errors, [], "{call}");
+        sender.send_all("M98 P100\nM30\n%");
+        assert_eq!((sender.errors.as_slice(), sender.went.contains(&-1)), (&[203][..], false), "{call}");
+        sender.send("o100 call");
+        assert_eq!(sender.went.last(), Some(&-1));
+    }
+}
+
+/// Definitions end with their file, whether or not its program has called them.
+#[test]
+fn definitions_end_with_their_file() {
+    let unlock = |sender: &mut Sender| sender.interpreter.unlock(false);
+    let ends: [(&str, &dyn Fn(&mut Sender)); 4] = [
+        ("a tape mark", &|sender| sender.send("%")),
+        ("$X", &|sender| {
+            unlock(sender);
+            unlock(sender);
+        }),
+        ("a rest", &|sender| sender.rested = true),
+        ("another host", &|sender| {
+            sender.interpreter.abandon_program();
+            sender.interpreter.begin_program();
+        }),
+    ];
+    for (name, end) in ends {
+        for file in [
+            "G0 X1\nM30\nO1\nG0 X-3\nM99",
+            "G0 X1\nM98 P2\nM30\nO1\nG0 X-3\nM99\nO2\nM99\nO3\nX-4\nM99",
+            "G0 X1\nM98 P2\nM30\nO2\nM99\nO1\nG0 X-3\nM99",
+        ] {
+            let mut sender = Sender::new();
+            sender.send_all(file);
+            end(&mut sender);
+            sender.send_all("G0 X2\nM98 P1\nG0 X4\nM30\n%");
+            assert_eq!((sender.went, sender.errors), (vec![1, 2], vec![203]), "{name}: {file}");
+        }
+    }
+    // After an error in the run, too.
+    for error in ["X", "M98 P1 L0", "o7 call"] {
+        let mut sender = Sender::new();
+        sender.send_all(&format!("M98 P5\nM30\nO1\nG0 X-3\nM99\nO5\nG0 X1\n{error}\nM99\nO2\nG0 X-3\nM99\n%"));
+        assert_eq!(sender.errors[1..], [203; 3], "{error}");
+        sender.errors.clear();
+        sender.send_all("M98 P1\nM30\n%\nM98 P2\nM30\n%");
+        assert_eq!((sender.went, sender.errors), (vec![1], vec![203, 203]), "{error}");
+    }
+}
+
+/// Whatever is wrong in a subprogram, the rest of it is no program, even after a rest.
+#[test]
+fn a_refused_subprogram_is_no_program_after_a_rest() {
+    for program in ["G0 X1\nM30\n", "G0 X1\nM98 P1\nM30\n"] {
+        for error in ["o7 sub", "o8 endsub", "M99 P5", "GOTO 5", "M30", "O2 X5", "o7 if", "o1"] {
+            let mut sender = Sender::new();
+            sender.send_all(&format!("{program}O1\nG0 X-2\n{error}"));
+            let errors = sender.errors.len();
+            assert_eq!(errors, usize::from(error != "o1" || sender.errors == [203]), "{error}");
+            for _ in 0..3 {
+                sender.send_after_rest("G0 X-3\nM99\nG0 X-4");
+            }
+            assert!(sender.errors.len() >= errors + 9 && sender.went.len() <= 1, "{error}: {:?}", sender.went);
+            sender.send_all("%\nG0 X9");
+            assert_eq!(sender.went.last(), Some(&9));
+        }
+        // A line that is refused before anybody reads it.
+        let mut sender = Sender::new();
+        sender.send_all(&format!("{program}O1\nG0 X-2"));
+        sender.interpreter.refused_line(None);
+        sender.interpreter.line_refused(Error::LineTooLong);
+        sender.send_after_rest("G0 X-3\nM99");
+        assert_eq!(sender.errors, [203, 203]);
+    }
+    // Between two subprograms such a line can be a number.
+    let mut sender = Sender::new();
+    sender.send_all("G0 X1\nM30\nO1\nG0 X-2\nM99");
+    sender.interpreter.refused_line(None);
+    sender.interpreter.line_refused(Error::LineTooLong);
+    sender.send_after_rest("G0 X-3\nM99");
+    assert_eq!((sender.errors, sender.went), (vec![203, 203], vec![1]));
+}
+
+/// A line with M30 that is refused or skipped ends the program all the same.
+#[test]
+fn a_refused_end_is_an_end() {
+    for (end, errors) in [
+        ("M98 P1 M30", &[36][..]),
+        ("G65 P1 A M30", &[2]),
+        ("o7 call M30", &[81]),
+        ("X5 X5 M[28+2]", &[25]),
+        ("M99.0", &[121, 203, 203, 203]),
+        ("o1 if [0]\nM30", &[81, 203, 203]),
+        ("o7 sub\nM30", &[81, 203, 203]),
+        ("o7 sub\nX5 X5 M30\no7 endsub\no7 call", &[25]),
+    ] {
+        fails(&format!("G0 X1\n{end}\nO1\nX-3\nM99\n%\nX9"), errors, &[1, 9]);
+    }
+}
+
+/// A rest while lines are held: the next line can be that of another file.
+#[test]
+fn a_rest_drops_a_held_program() {
+    for held in ["M98 P8", "M98 P8\nG0 X2\nM30", "M98 P8\nM30\nO9\nG0 X-2", "M98 P9\nM98 P8\nM30\nO9\nM99", "M30\nO9"] {
+        let mut sender = Sender::new();
+        sender.send_all(held);
+        assert_eq!(sender.errors, [], "{held}");
+        // Remarks do not count.
+        sender.rested = true;
+        sender.send("(PART)");
+        sender.send_after_rest("G21\nG0 X3\nO8\nG0 X4\nM99\nM30");
+        assert_eq!((sender.errors.as_slice(), sender.went.as_slice()), (&[203; 6][..], &[][..]), "{held}");
+        sender.send_all("%\nG0 X9\nM30");
+        assert_eq!((sender.errors.len(), sender.went), (6, vec![9]), "{held}");
+    }
+}
+
+/// `$X`, a stop and an alarm drop what is held, and refuse the rest of it, which the host can still send.
+#[test]
+fn what_is_dropped_does_not_go_on_as_a_program() {
+    let ways: [(&str, &dyn Fn(&mut Interpreter<3>)); 3] = [
+        ("$X", &|interpreter| interpreter.unlock(false)),
+        ("a stop", &|interpreter| interpreter.abandon_program()),
+        ("an alarm", &|interpreter| {
+            interpreter.abandon_program();
+            interpreter.unlock(true);
+        }),
+    ];
+    for (name, drop) in ways {
+        for held in ["M98 P8", "M98 P8\nG0 X2\nM30", "M98 P8\nM30\nO9\nG0 X-2", "M98 P9\nM98 P8\nM30\nO9\nM99", "M30\nO9"]
+        {
+            let mut sender = Sender::new();
+            sender.send_all(held);
+            drop(&mut sender.interpreter);
+            assert!(!sender.interpreter.is_within_block(), "{name}: {held}");
+            let before = sender.interpreter.clone();
+            sender.send_all("G0 X-3\nM99\nO8\nG0 X-4\nM99");
+            sender.send_after_rest("G0 X-3");
+            assert_eq!((sender.errors.as_slice(), sender.went.as_slice()), (&[203; 6][..], &[][..]), "{name}: {held}");
+            sender.interpreter.unlock(false);
+            sender.send("G0 X9");
+            assert_eq!(sender.went, [9], "{name}: {held}");
+            // The next program, after a rest or another `$X`.
+            for rested in [false, true] {
+                let mut sender = Sender { interpreter: before.clone(), rested, ..Sender::new() };
+                if !rested {
+                    sender.interpreter.unlock(false);
+                }
+                sender.send_all("O1000\nG0 X9\nM30");
+                assert_eq!((sender.went, sender.errors), (vec![9], vec![]), "{name}: {held}");
+            }
+        }
+    }
+}
+
+/// A startup line does not begin or end a program of the host.
+#[test]
+fn startup_lines_leave_the_place() {
+    let mut sender = Sender::new();
+    sender.send_all("G0 X1\nM30");
+    for line in [&b"G54"[..], b"M30"] {
+        let action = sender.check(line).unwrap();
+        sender.interpreter.commit_apart(&action);
+    }
+    sender.send_all("O1\nG0 X-3\nM99\nX-4");
+    assert_eq!((sender.went.as_slice(), sender.errors.as_slice()), (&[1][..], &[203][..]));
+    // A call among subprograms.
+    let mut sender = with_macro(&["O9000SUB", "G0X1", "O9000ENDSUB"]);
+    sender.send_all("M30\nO1\nM99");
+    assert_eq!(sender.interpreter.begin_call(b"O9000CALL"), Ok(true));
+    sender.run_held();
+    assert_eq!(sender.went, [1]);
+    sender.send_all("O2\nG0 X-3\nM99\nX-4");
+    assert_eq!((sender.went.as_slice(), sender.errors.as_slice()), (&[1][..], &[203][..]));
+    let mut sender = Sender::new();
+    sender.send_all("G0 X1");
+    let action = sender.check(b"M30").unwrap();
+    sender.interpreter.commit_apart(&action);
+    sender.send_all("O1000\nG0 X2");
+    assert_eq!((sender.went, sender.errors), (vec![1, 2], vec![]));
+}
+
+/// Block delete skips the number of a subprogram, and not its lines.
+#[test]
+fn a_skipped_number_begins_a_subprogram() {
+    for (number, errors) in [("O1001", 2), ("N5:7", 2), ("o1 call", 0), ("G0X1", 0)] {
+        let mut sender = Sender::new();
+        sender.send("M30");
+        sender.interpreter.skipped_line(number.replace(' ', "").to_uppercase().as_bytes());
+        sender.send_all("G0 X3\nX4");
+        assert_eq!(sender.errors, vec![203; errors], "{number}");
+    }
+    let mut sender = Sender::new();
+    sender.interpreter.skipped_line(b"O1001");
+    sender.send_all("G0 X3\nX4");
+    assert_eq!(sender.errors, []);
 }
 
 /// Words in front of M98 and M99 act before them.
@@ -272,13 +488,13 @@ fn nothing_falls_into_a_subprogram() {
     // Lines that are refused, but end a program.
     fails("G0 X1\nX5 X5 M99\nO1\nX2\nM99\n%\nX9", &[203; 4], &[1, 9]);
     fails("G0 X1\nX5 X5 M30\nO1\nX2\nM99\n%\nX9", &[25], &[1, 9]);
-    // An error within a call ends the program; the other subprograms are held, and lines outside of them refused.
-    fails("G0 X1\nM98 P1\nX5\nM30\nO1\nX2\nX\nX3\nM99\nO2\nX4\nM99\nX6\n%\nX9", &[2, 203], &[1, 2, 9]);
+    // An error within a call ends the program, and everything behind it is refused.
+    fails("G0 X1\nM98 P1\nX5\nM30\nO1\nX2\nX\nX3\nM99\nO2\nX4\nM99\nX6\n%\nX9", &[2, 203, 203, 203, 203], &[1, 2, 9]);
     fails("G0 X1 X2\nM98 P1\nM98 P2 Q1\nX5\nM30\nO1\nX3\nM99\n%", &[25, 36], &[3]);
     // Words of Fanuc's macros.
     for jump in ["IF[#1EQ1]M99", "N5 IF[#1EQ1]GOTO5", "WHILE[#1LT5]DO1", "GOTO 10", "END1"] {
         fails(&format!("G0 X1\nM98 P1\nX2\nM30\nO1\nX3\n{jump}\n%\nX9"), &[121], &[1, 9]);
-        fails(&format!("G0 X1\nM98 P1\n{jump}\n%\nX9"), &[121, 203], &[1, 9]);
+        fails(&format!("G0 X1\nM98 P1\n{jump}\n%\nX9"), &[121], &[1, 9]);
     }
     // Calls without an end.
     fails("M98 P1\nM30\nO1\nG0 X1\nM98 P1\nM99", &[82], &[1; 48]);
@@ -288,7 +504,7 @@ fn nothing_falls_into_a_subprogram() {
 #[test]
 fn numbers_in_other_forms_are_refused() {
     for number in
-        ["O1001.0", "O[1001]", "O#1", "O1001 G1 Z-3", "O1001 M3", "N10.5 O1001", "O", "O123456789", "N1 O1001 ("]
+        ["O1001.0", "O[1001]", "O#1", "O1001 G1 Z-3", "O1001 M98 P2", "N10.5 O1001", "O", "O123456789", "N1 O1001 ("]
     {
         for program in ["G0 X1\nM30", "G0 X1\nM98 P1001\nM30"] {
             let errors = if number.ends_with('(') { 0 } else { 3 };
@@ -316,16 +532,14 @@ fn the_next_program() {
     assert_eq!((sender.went.as_slice(), sender.errors.as_slice()), (&[1][..], &[203][..]));
     let mut sender = Sender::new();
     sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
-    sender.rested = true;
-    sender.send_all("G0 X2\nO1000\nG0 X3\nM30");
+    sender.send_after_rest("G0 X2\nO1000\nG0 X3\nM30");
     assert_eq!((sender.went, sender.errors), (vec![1, 2, 3], vec![]));
     // A number is that of a subprogram, even behind a rest.
     let mut sender = Sender::new();
     sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
-    sender.rested = true;
-    sender.send_all("O2000\nG0 X3\nM30\nX4");
+    sender.send_after_rest("O2000\nG0 X3\nM30\nX4");
     assert_eq!((sender.went, sender.errors), (vec![1], vec![203, 203]));
-    // `$X`, a reset and another host drop what is held.
+    // A tape mark, a reset and another host drop what is held.
     for drop in [
         |interpreter: &mut Interpreter<3>| interpreter.begin_program(),
         |interpreter: &mut Interpreter<3>| interpreter.reset(),
@@ -450,18 +664,21 @@ proptest! {
         prop_assert_eq!((sender.went, sender.errors, sender.ends), (went, vec![], 1), "{}", text);
     }
 
-    /// However the lines behind a program are mixed, those behind the first number run in calls only.
+    /// However the lines behind a program are mixed, and wherever the machine rests while lines are held, those behind
+    /// the first number run in calls only, and never in the next job.
     #[test]
     fn no_mixture_falls_into_a_subprogram(
         program in prop::collection::vec(
-            "M98P[123]|G65P[12]A1|M98P[12]L2|G0X1|o1 if \\[[01]\\]|o1 endif|o1 repeat \\[2\\]|o1 endrepeat|M2|X|o9 sub|o9 endsub",
+            "M98P[123]|G65P[12]A1|M98P[12]L2|G0X1|G0X1M98P1|o1 if \\[[01]\\]|o1 endif|o1 repeat \\[2\\]|o1 endrepeat|M2|X|o9 sub\
+             |o9 endsub|M98P1M30|XM30",
             0..8,
         ),
         lines in prop::collection::vec(
-            "M98P[123]|G65P[12]A1|M98P1L2|M30|O[123]|M99|G0X-1|G0X-1|G0X-1M99|G0X-1M98P1|o1 if \\[1\\]|o1 endif\
-             |o1 repeat \\[2\\]|o1 endrepeat|X|o9 sub|o9 endsub|M99P2|O1G0X-1",
+            ("M98P[123]|G65P[12]A1|M98P1L2|M30|O[123]|M99|G0X-1|G0X-1|G0X-1M99|G0X-1M98P1|o1 if \\[1\\]|o1 endif\
+              |o1 repeat \\[2\\]|o1 endrepeat|X|o9 sub|o9 endsub|M99P2|O1G0X-1", prop::bool::weighted(0.1)),
             0..30,
         ),
+        next in 0_usize..5,
     ) {
         let mut sender = Sender::new();
         sender.send_all(&program.join("\n"));
@@ -470,14 +687,33 @@ proptest! {
             sender.send_all("o1 endif\no1 endrepeat\no9 endsub");
         }
         sender.send_all("M30\nO5");
-        sender.send_all(&lines.join("\n"));
+        for (line, rests) in &lines {
+            // Lines behind a complete subprogram and a rest are those of the next program.
+            sender.rested = *rests && sender.interpreter.is_held();
+            sender.send(line);
+        }
         let at_once = sender.at_once.iter().filter(|x| **x < 0).count();
         prop_assert_eq!(at_once, 0, "{:?} {:?}", program, lines);
-        sender.interpreter.begin_program();
-        sender.interpreter.abandon_program();
         sender.went.clear();
+        match next {
+            0 => sender.send("%"),
+            1 => sender.interpreter.reset(),
+            2 => {
+                sender.interpreter.unlock(false);
+                sender.interpreter.unlock(false);
+            }
+            3 => {
+                sender.interpreter.abandon_program();
+                sender.interpreter.begin_program();
+            }
+            _ => sender.rested = true,
+        }
         sender.errors.clear();
-        sender.send_all("O1000\nG0X5\nM30");
-        prop_assert_eq!((sender.went, sender.errors), (vec![5], vec![]));
+        sender.send_all("G21\nG0X7\nM98P1\nM98P3\nM30\nO1\nG0X8\nM99\nO3\nG0X9\nM99\nG0X-2\n%");
+        if next < 4 || sender.errors == [203] {
+            prop_assert_eq!((sender.went, sender.errors), (vec![7, 8, 9], vec![203]), "{:?} {:?}", program, lines);
+        } else {
+            prop_assert_eq!(sender.went, vec![], "{:?} {:?}", program, lines);
+        }
     }
 }
