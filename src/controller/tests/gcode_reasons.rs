@@ -202,13 +202,13 @@ const ROWS: &[Row] = &[
         "F100",
         "M99",
         203,
-        "M99 without a call: the lines above it have run as the program. Subprograms come behind M30; $X ends this",
+        "M99 without a call: lines above it may have run as the program. Subprograms come behind M30; $X ends this",
     ),
     (
         "F100",
         "G0 X1 M99",
         203,
-        "M99 without a call: the lines above it have run as the program. Subprograms come behind M30; $X ends this",
+        "M99 without a call: lines above it may have run as the program. Subprograms come behind M30; $X ends this",
     ),
     ("M98 P1001 | M30", "G0 X1", 203, "G0X1 is in no program or subprogram that can run; $X ends this"),
     (

@@ -53,7 +53,7 @@ impl<const N: usize> Interpreter<N> {
         match order.map(|order| order.keyword) {
             _ if has_m_word(line, &[b"99"]) => say(
                 out,
-                "M99 without a call: the lines above it have run as the program. Subprograms come behind M30; $X ends this",
+                "M99 without a call: lines above it may have run as the program. Subprograms come behind M30; $X ends this",
                 &[],
             ),
             Some(Keyword::CallProgram | Keyword::CallMacro) if self.place == ProgramPlace::Program => {

@@ -11,7 +11,9 @@
 //!   │              a subprogram behind the end: ────┴─────┴──▶ Recording ── M99 ─────┘  │
 //!   └─────────────────────────────── the end of the text, M2, an error ─────────────────┘
 //! ```
-//! An error while lines are held for an unknown subprogram drops all of them (see `subprograms`).
+//! An error while lines are held for a subprogram drops all of them (see `subprograms`). A subprogram for which no
+//! program waits is forgotten at its M99.
+//!
 //! A condition is not recorded, because the lines of its false branches are only skipped. Subroutines and loops are
 //! held as text of bounded size, because a serial link sends each line only once. A subroutine or loop that does not
 //! fit is refused up to its end, so that none of its lines is executed as a line of the program. Held text is returned
