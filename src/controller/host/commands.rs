@@ -74,7 +74,10 @@ impl<const N: usize> Controller<N> {
             System::Unlock => self.unlock()?,
             System::Home(axis) => self.home(axis)?,
             System::Jog(text) => return self.jog(text),
-            System::Restore(what) => self.restore_defaults(what),
+            System::Restore(what) => {
+                self.must_hold_nothing()?;
+                self.restore_defaults(what);
+            }
             System::ResetCause => {
                 let restart = self.m.replies.tell_restart().clone();
                 self.say(|out| reply_texts::restart(out, &restart));

@@ -312,6 +312,7 @@ impl<const N: usize> Controller<N> {
         if line.len() > 1 {
             return Err(Error::ExpectedLetter);
         }
+        self.tell_awaited();
         self.m.interpreter.tape_mark()?;
         self.tell_remark(remark);
         self.say_ok();
