@@ -181,12 +181,7 @@ const ROWS: &[Row] = &[
         "G65 calls a subprogram only at the beginning of its line, as a plain number: G65 P1001",
     ),
     ("F100", "M3 M98.0 P1", 121, "M98.0 has to be a plain number in a program: M98 P1001, or M99"),
-    (
-        "F100",
-        "M[98] P1",
-        121,
-        "a computed M word is none that is supported: write its number, such as M98 P1001",
-    ),
+    ("F100", "M[98] P1", 121, "a computed M word is none that is supported: write its number, such as M98 P1001"),
     ("F100", "M97 P1000", 121, "M97 is not supported: write O1000 .. M99 behind M30, and call it with M98 P1000"),
     ("F100", "M98 L2", 28, "P is missing in M98: the number of a subprogram"),
     ("F100", "M98 P1 X2", 36, "M98 takes only P and L: write other words on a line of their own"),

@@ -364,7 +364,8 @@ fn what_is_dropped_does_not_go_on_as_a_program() {
         }),
     ];
     for (name, drop) in ways {
-        for held in ["M98 P8", "M98 P8\nG0 X2\nM30", "M98 P8\nM30\nO9\nG0 X-2", "M98 P9\nM98 P8\nM30\nO9\nM99", "M30\nO9"]
+        for held in
+            ["M98 P8", "M98 P8\nG0 X2\nM30", "M98 P8\nM30\nO9\nG0 X-2", "M98 P9\nM98 P8\nM30\nO9\nM99", "M30\nO9"]
         {
             let mut sender = Sender::new();
             sender.send_all(held);
