@@ -8,7 +8,8 @@
 //!     ▲                  │
 //!     └───────────O number after a rest
 //! ```
-//! An M99 does not end the refusal: more lines of the same subprogram can follow it, which a GOTO reaches.
+//! An M2 or M30 that was refused, or skipped by a condition, counts, too. An M99 does not end the refusal: more lines of
+//! the same subprogram can follow it, which a GOTO reaches.
 
 use super::state::{Interpreter, ProgramPlace};
 use super::tools::may_end_program;
@@ -53,9 +54,9 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Takes note of a refused line. An M2 or M30 in it, also a computed one, ends the program all the same. After the end of a program the line
-    /// begins a subprogram if it has an O number anywhere, or if its text is unknown (`None`), because it was too long,
-    /// damaged, or had an open remark.
+    /// Takes note of a refused line. If it has M2 or M30, also a computed one, the program has ended all the same. After
+    /// the end of a program, the line begins a subprogram if it has an O number anywhere, or if its text is unknown
+    /// (`None`), because it was too long, damaged, or had an open remark.
     #[cold]
     #[inline(never)]
     pub fn refused_line(&mut self, line: Option<&[u8]>) {

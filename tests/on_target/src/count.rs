@@ -657,7 +657,7 @@ fn unit_line(controller: &mut Whole, line: &[u8], segments_begun: u32) -> Outcom
 struct Streaming {
     controller: &'static mut Whole,
     waiting: Waiting,
-    /// Time of the lines that wait in the step task, ms.
+    /// Maximum time of the lines that wait in the step task, ms.
     most_ms: u32,
     text: heapless::String<48>,
 }

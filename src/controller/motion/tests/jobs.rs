@@ -4,6 +4,7 @@ use super::super::on_heap;
 use super::super::{Arc, ArcGeometry, Motion, Move, Speed};
 use super::rig::{Rig, settings, to};
 use crate::axes::{Axis, PerAxis};
+use crate::digest::Digest;
 use crate::messages::{Segment, ToStep};
 use crate::units::Coordinate;
 use proptest::prelude::*;
@@ -362,4 +363,39 @@ fn every_stop_is_marked() {
         }
     }
     assert!(last.is_some_and(|s| s.flags & Segment::FLAG_LAST != 0));
+}
+
+/// The full image leaves out limits that the machine cannot exceed, and the small image computes them all: both make the
+/// same steps at the same times.
+#[test]
+fn tight_curves_have_the_same_steps_in_both_images() {
+    let micrometres = |mm: f64| (mm * 1000.0).round() / 1000.0;
+    let (mut angle, mut at, mut heading) = (0.0_f64, [0.0; 2], 0_i64);
+    let relief = (0..600).map(|k| [0.1 * f64::from(k), 0.0, 0.7 * (f64::from(k) * 0.1 * 0.785).sin()]);
+    let spiral = (0..600).map(|_| {
+        let radius = 2.0 + 0.03 * angle;
+        angle += 0.1 / radius;
+        [radius * angle.sin(), 2.0 - radius * angle.cos(), 0.0]
+    });
+    let scribble = (0..600_i64).map(|k| {
+        heading += k * 7919 % 101 - 50;
+        let (way, turn) = (0.05 + (k * 31 % 17) as f64 * 0.02, heading as f64 * 0.004);
+        at = [at[0] + way * turn.cos(), at[1] + way * turn.sin()];
+        [at[0], at[1], 0.0]
+    });
+    let curves: [(Vec<[f64; 3]>, f32); 3] =
+        [(relief.collect(), 33.0), (spiral.collect(), 150.0), (scribble.collect(), 100.0)];
+    let digests = curves.map(|(points, feed)| {
+        let mut config = settings(80.0, 160.0, 500.0);
+        config.acceleration.set(Axis::Z, 200.0);
+        let mut rig = Rig::<3, 260>::new(config);
+        rig.moves.extend(points.iter().map(|point| to(point.map(micrometres), Speed::Feed(feed))));
+        rig.run();
+        let mut digest = Digest::new();
+        for tick in rig.trace.iter().filter(|tick| tick.steps != 0) {
+            digest.add(tick.time, tick.steps, tick.directions);
+        }
+        digest.time_hash()
+    });
+    assert_eq!(digests, [0x41de_5dfd_bb41_f9d2, 0x5c04_c299_c09d_fc6b, 0x42f0_40f6_76d8_978f], "{digests:x?}");
 }
