@@ -118,7 +118,7 @@ codes! {
     ReadOnlyParameter = 200, "the parameter belongs to the machine and cannot be set";
     ExpressionsLeftOut = 201, "this board has no room for expressions, parameters and O words";
     EndlessLoop = 202, "the loop or call has not come to an end in 100,000 passes";
-    BehindEnd = 203, "the O number stands behind the end of the program (M2, M30): what follows is a subprogram, and is not run";
+    OutOfPlace = 203, "a subprogram (O number, M98, M99, G65) is missing or out of place: the line is not run";
 }
 
 codes! {

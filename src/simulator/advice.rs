@@ -1,17 +1,17 @@
-//! Advice for each error and alarm, and replacements for words that the controller rejects (G33, G41, M98). The
+//! Advice for each error and alarm, and replacements for words that the controller rejects (G33, G41, M97). The
 //! controller's own texts name the fault; these texts say what the user can do about it.
 
 use oxmill_controller::error::{Alarm, Error};
 
 /// Rejected words, and what to write instead.
-const INSTEAD: [(&[&str], &str); 12] = [
+const INSTEAD: [(&[&str], &str); 14] = [
     (
         &["G33", "G33.1", "G74", "G76", "G84"],
-        "The spindle is not measured, so nothing can follow its turns: drill the hole (G81), then mill the thread with G2 or G3 and Z, or tap by hand.",
+        "The machine does not measure the spindle's rotation, so it cannot cut threads in step with it: drill the hole (G81), then mill the thread with G2 or G3 and Z, or tap by hand.",
     ),
     (&["G95"], "Write the feed per minute: G94, and F as feed per revolution times revolutions per minute."),
     (&["G96"], "Write the speed of the spindle in revolutions per minute: G97 S1000."),
-    (&["G7", "G8"], "Leave the word out, and write X as it is to move: there is no lathe mode."),
+    (&["G7", "G8"], "Remove the word, and write X as a radius: there is no lathe mode."),
     (&["G12", "G13"], "Write the circle as an arc: G2 or G3 with I and J."),
     (
         &["G15", "G16"],
@@ -19,27 +19,33 @@ const INSTEAD: [(&[&str], &str); 12] = [
     ),
     (
         &["G41", "G41.1", "G42", "G42.1"],
-        "Let the CAM program offset the path by the radius of the cutter, and leave the word out.",
+        "Let the CAM program offset the path by the radius of the cutter, and remove the word.",
     ),
     (&["G51.1"], "Mirror with G51 and a negative I or J."),
     (
-        &["G65", "G66", "M97", "M98", "M99"],
-        "Write sub-programs with O words in the same file: o100 sub, its lines, o100 endsub, then o100 call [5]; docs/expressions.md has more.",
+        &["G65", "M98", "M99"],
+        "Write the word at the beginning of a line, M99 without P: docs/gcode.md has more about subprograms. The Black Pill F401 has none.",
     ),
-    (&["G87"], "Write the back boring as single moves."),
+    (&["G66"], "Write G65 with its arguments on each line that calls the subprogram."),
+    (
+        &["M97"],
+        "Write the lines from N1000 on as a subprogram behind M30: O1000, the lines, M99. Call it with M98 P1000.",
+    ),
+    (&["G87"], "Write the back boring cycle as single moves."),
     (
         &["M82", "M83", "M84", "M104", "M106", "M107", "M109", "M117", "M140", "M190"],
         "The program is for the firmware of a 3D printer: choose a post-processor for Grbl. Spindle and laser are M3 or M4 with S, and M5.",
     ),
-    (&["M19"], "Leave the word out: the spindle cannot be turned to an angle."),
+    (&["M19"], "Remove the word: the spindle cannot be turned to an angle."),
 ];
 
 /// Advice for a word of the axis A on a machine without that axis.
 const WORD_OF_A: &str =
-    "Set $930=4 if the machine has an axis A that turns, on a board with four axes; else leave the word out.";
+    "Set $930=4 if the machine has a rotary axis A and the board has four axes; otherwise remove the word.";
 
 /// Advice for a comment with nested parentheses, such as `(profile (outside)`.
-const NESTED_REMARK: &str = "Close each parenthesis of the remark in its line, or take those within it out: Grbl's dialect ends it at the first one that closes.";
+const NESTED_REMARK: &str =
+    "Remove the inner parentheses of the comment: in Grbl's dialect a comment ends at the first closing parenthesis.";
 
 /// Returns the advice for error `code` at the line `line`: the replacement for its rejected word, if there is one,
 /// otherwise the general advice for the error.
@@ -119,18 +125,16 @@ pub fn for_error(error: Error) -> &'static str {
         | Error::UnsupportedCommand
         | Error::NotSupported
         | Error::CutterCompensation => {
-            "Choose a post-processor for Grbl in the CAM program, or correct the line; docs/gcode.md lists the words that are known."
+            "Choose a post-processor for Grbl in the CAM program, or correct the line; docs/gcode.md lists the supported words."
         }
-        Error::InvalidStatement => "Look the setting up in docs/settings.md: its number, unit and range.",
+        Error::InvalidStatement => "See docs/settings.md for the number, unit and range of the setting.",
         Error::SettingOutOfRange => {
-            "Look its values up in docs/settings.md; what is 0 or 1 takes no bits, as $21 and $22 of grblHAL (docs/coming-from.md)."
+            "See docs/settings.md for its values. Settings with 0 or 1 do not take grblHAL's bits, such as those of $21 and $22 (docs/coming-from.md)."
         }
-        Error::NegativeValue => {
-            "Write it without the minus sign, which places, distances, angles and $58 may have and nothing else."
-        }
-        Error::HomingDisabled => "Switch homing on with $22=1, if limit switches are fitted.",
+        Error::NegativeValue => "Remove the minus sign: only positions, distances, angles and $58 may be negative.",
+        Error::HomingDisabled => "Enable homing with $22=1, if the machine has limit switches.",
         Error::StepPulseTooShort => {
-            "Set $0 to 1 us or more (0.5 on a Nucleo F446RE, 3 in the dialect of Grbl), and to 255 us at most."
+            "Set $0 to 1 us or more (0.5 on a Nucleo F446RE, 3 in Grbl's dialect), and at most 255 us."
         }
         Error::StoreReadFailed => {
             "Read the settings with $$, restore what is wrong, and confirm with $X two seconds later."
@@ -173,10 +177,10 @@ pub fn for_error(error: Error) -> &'static str {
         Error::ToolNumberTooHigh | Error::ValueOutOfRange => "Use a value within the range that docs/gcode.md gives.",
         Error::SpindleNotTurning => "Start the spindle with M3 or M4 and an S word before the cycle.",
         Error::UnknownTool => {
-            "Enter the tool once with its length: G10 L1 P5 Z12.5 enters tool 5, G10 L1 P5 Z0 one whose length plays no part. If the table is full, G10 L1 P6 takes out tool 6."
+            "Enter the tool with its length: G10 L1 P5 Z12.5 for tool 5, or G10 L1 P5 Z0 if its length does not matter. If the table is full, G10 L1 P6 removes tool 6."
         }
         Error::EmergencyStop => "Release the emergency stop, then reset.",
-        Error::DriverFault => "Find out what the motor driver reports, and switch it off and on.",
+        Error::DriverFault => "Find out why the motor driver reports a fault, then turn it off and on.",
         Error::RetractBelowBottom => "Give R above the bottom of the hole.",
         Error::UnknownOperation
         | Error::DivisionByZero
@@ -187,51 +191,51 @@ pub fn for_error(error: Error) -> &'static str {
             "Correct the expression; docs/expressions.md has operators, functions and parameters."
         }
         Error::FlowSyntax => {
-            "Look for the beginning or the end of this block: each O number needs both, and only that of a call may be computed."
+            "Look for the missing start or end of this block: each O number needs both, and only a call may compute its number."
         }
         Error::TooDeep => "Nest fewer brackets, calls or loops.",
         Error::OutOfMemory => "Use fewer or shorter subroutines and parameters.",
-        Error::CycleNeedsPerMinute => "Change to G94 before the canned cycle.",
+        Error::CycleNeedsPerMinute => "Write G94 before the canned cycle.",
         Error::NothingSaved => "Save the state with M70 or M73 before M72, in the same subroutine.",
         Error::NotInRotatedPlane => "Select the plane of the rotation, or end it: G69, or G10 L2 P0 R0.",
         Error::UnequalScaling => "Give both axes of the plane the same factor, or write the curve in short lines.",
         Error::ThousandfoldScaling => {
-            "Write the factors of G51 as multiples: P1.5 instead of the P1500 of controls that count in thousandths."
+            "Write the factors of G51 as plain numbers: P1.5, not P1500 as for controls that count in thousandths."
         }
         Error::ScalingActs => "End the scaling with G50 before the line.",
         Error::RotationActs => "End the rotation with G69 before the line.",
-        Error::RecorderLeftOut => "Repeat it in the simulator: oxmill serve --record FILE.",
-        Error::DescriptionsLeftOut => "Look the numbers up in docs/settings.md and docs/errors.md.",
-        Error::ControlPointsNotBegun => "Begin the control points with G5.2, and move nothing else before G5.3.",
-        Error::ControlPointsNotEnded => {
-            "End the control points with G5.3 before other motions, or give them up with G80."
+        Error::RecorderLeftOut => {
+            "This board has no recorder. Repeat the job in the simulator: oxmill serve --record FILE."
         }
+        Error::DescriptionsLeftOut => "See docs/settings.md and docs/errors.md for the numbers.",
+        Error::ControlPointsNotBegun => "Write G5.2 before the control points, and no other move before G5.3.",
+        Error::ControlPointsNotEnded => "End the control points with G5.3 before other moves, or cancel them with G80.",
         Error::TooFewControlPoints => "Add control points before G5.3, or choose a lower order L.",
-        Error::TooManyControlPoints => "Divide the curve into some of fewer control points.",
-        Error::OneRotaryAxis => "Write the part with A, or have the post-processor turn it by hand between programs.",
-        Error::SplineOutsideXy => "Select G17 before the spline, and move Z and other axes in a line of their own.",
+        Error::TooManyControlPoints => "Split the curve into several with fewer control points.",
+        Error::OneRotaryAxis => "Use A as the rotary axis, or turn the part by hand between programs.",
+        Error::SplineOutsideXy => "Select G17 before the spline, and move Z and other axes in a separate line.",
         Error::ExpressionsLeftOut | Error::RotationLeftOut | Error::SplinesLeftOut | Error::ScalingLeftOut => {
             "Use a board with more flash, or a post-processor that writes plain moves."
         }
-        Error::ToolChangeNeedsHoming => "Switch homing on ($22=1), home with $H, and send the line again.",
+        Error::ToolChangeNeedsHoming => "Enable homing ($22=1), home with $H, and send the line again.",
         Error::ToolSetterNotSetUp => {
-            "Jog to the place for tool changes and send G30.1; store the place of the setter with G10 L20 P9 X0 Y0; look at $342 to $344."
+            "Jog to the position for tool changes and send G30.1; store the position of the tool setter with G10 L20 P9 X0 Y0; check $342 to $344."
         }
         Error::ToolChangeNotAlone => "Write T and M6 on one line, and G43, G49 or the move on the next.",
         Error::NoSuchPin => {
-            "Leave the line out, or take a number that the board has: P0 and P1 on a Nucleo. A Black Pill has none, and no board has analog ones."
+            "Remove the line, or use a number that the board has: P0 and P1 on a Nucleo. A Black Pill has none, and no board has analog outputs."
         }
         Error::BlendingLeftOut => "Write G64 without P, or use a board with more flash.",
         Error::NoParallelAxes => "Choose a post-processor for machines with the axes X, Y and Z.",
         Error::ReadOnlyParameter => "Use a parameter of your own, such as #100.",
         Error::DamagedLine => {
-            "The host sends it again; one that does not know that lines are checked ends that with $LC=OFF."
+            "The sender should send the line again. If it knows nothing of line checks, turn them off with $LC=OFF."
         }
-        Error::BehindEnd => {
-            "Write `o1001 sub` .. `o1001 endsub` in front of what calls it, or leave it out. For the next program send `%` or `$X` \
-             first, or reset the machine."
+        Error::OutOfPlace => {
+            "Write subprograms behind M30, each as O1001 .. M99 in the same file. For the next program send `%` or `$X` first, or \
+             reset the machine."
         }
-        Error::EndlessLoop => "Look for a condition that never becomes false.",
+        Error::EndlessLoop => "Look for a condition that never becomes false, or a missing change of its parameter.",
     }
 }
 
@@ -242,27 +246,27 @@ pub fn for_alarm(alarm: Alarm) -> &'static str {
             "Reset, find out which switch has tripped ($PINS), unlock with $X, move away from it, and home."
         }
         Alarm::SoftLimit => {
-            "Compare the job's extents and the work zero with the travel ($130 to $132); then reset, and $X."
+            "Compare the job's size and the work zero with the travel ($130 to $132); then reset, and $X."
         }
         Alarm::AbortInMotion => {
             "Home, or set the work zero again: the position may be lost. Hold before a reset keeps it."
         }
-        Alarm::ProbeInitialState => "Clear the probe before the cycle, or invert its input with $6.",
-        Alarm::ProbeNoContact => {
-            "Begin nearer to the plate, or let the probe travel further; check the wire of the plate."
+        Alarm::ProbeInitialState => {
+            "Move the probe away from the contact before the cycle, or invert its input with $6."
         }
+        Alarm::ProbeNoContact => "Start closer to the plate, or probe further; check the wire of the plate.",
         Alarm::HomingReset => "Home again.",
         Alarm::HomingDoor => "Close the door and home again.",
-        Alarm::HomingPullOff => "Raise the pull-off ($27), and check that the switch opens.",
+        Alarm::HomingPullOff => "Increase the pull-off ($27), and check that the switch opens.",
         Alarm::HomingNoSwitch => "Check direction ($23), travel ($130 to $132) and the switches ($PINS).",
         Alarm::HomingSquaring => {
             "Check both switches of the axis with two motors, and how far it may be out of square ($347 to $349)."
         }
-        Alarm::SpindleSpeed => "Check the spindle and its at-speed signal ($915), or allow it more time ($916).",
-        Alarm::Underrun => "Home, and report this: the controller should have braked.",
+        Alarm::SpindleSpeed => "Check the spindle and its at-speed signal ($915), or allow more time ($916).",
+        Alarm::Underrun => "Home, and please report this: the controller should have stopped the machine in time.",
         Alarm::EmergencyStop => "Make the machine safe, release the stop, reset, and home.",
-        Alarm::DriverFault => "Find out what the motor driver reports, switch it off and on, reset, and home.",
-        Alarm::Miscounted => "Home, and report this: an edge was lost or is one too many on the controller's chip.",
+        Alarm::DriverFault => "Find out why the motor driver reports a fault, turn it off and on, reset, and home.",
+        Alarm::Miscounted => "Home, and please report this: the chip counted one step pulse too few or too many.",
     }
 }
 
@@ -287,7 +291,7 @@ mod tests {
                 assert_eq!(for_line(code, &line), advice, "{word}");
             }
         }
-        assert!(for_line(121, "n10 (G33) m098p1000 ; G31").contains("o100 call"));
+        assert!(for_line(121, "n10 (G33) m098p1000 ; G31").contains("subprograms"));
         assert!(for_line(121, "G00 g84.0X1").contains("G81"));
         for line in ["G0 X1 A0.", "g1 a-5", "A[#1]"] {
             assert_eq!(for_line(20, line), WORD_OF_A, "{line}");

@@ -7,7 +7,7 @@ use crate::column;
 use crate::power_up::{Dialect, error_text};
 use crate::simulator::Simulator;
 use crate::summary::{AlarmReport, Extents, LineError, Summary, Warning, clock_time};
-use crate::text::{JobText, Said, without_header};
+use crate::text::{JobText, Said, is_call, without_header};
 use crate::tool_times::ToolTime;
 use oxmill_controller::error::{Alarm, Error};
 use oxmill_controller::messages::Realtime;
@@ -86,7 +86,11 @@ impl Outcome {
     fn look_for_open_block(&mut self, since: Option<u32>, job: &JobText) {
         if let Some((line, source)) = since.and_then(|line| job.opener(line)) {
             let source = source.to_owned();
-            self.refused(line, Error::FlowSyntax.code(), "the program ended within the block that begins here", source);
+            let (error, text) = match is_call(&source) && !source.trim_start().starts_with(['o', 'O']) {
+                true => (Error::OutOfPlace, "the file has no subprogram for this call, or for one in a subprogram"),
+                false => (Error::FlowSyntax, "the program ended within the block that begins here"),
+            };
+            self.refused(line, error.code(), text, source);
         }
     }
 

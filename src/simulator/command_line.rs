@@ -16,11 +16,11 @@ Exit status:
   2  it could not be begun, or a file could not be read to its end or written
   3  `replay`: steps, outputs or times are not those of the recording, or cannot be compared with them";
 
-/// Oxmill on a desk: runs G-code through the controller of the board, or takes the place of the board on a port.
+/// Oxmill's simulator: runs G-code through the same controller as a board, or acts as a board on a port.
 #[derive(Debug, Parser)]
 #[command(name = "oxmill", version, after_help = EXIT_STATUS)]
 pub struct CommandLine {
-    /// What to do.
+    /// The command.
     #[command(subcommand)]
     pub command: Command,
 }
@@ -28,27 +28,27 @@ pub struct CommandLine {
 /// What to do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Runs a G-code file in simulated time and says what the machine did.
+    /// Runs a G-code file in simulated time and reports what the machine did.
     Run(Run),
-    /// Runs a G-code file and says on one screen whether the machine can do it, how long it takes and how far it goes.
+    /// Checks a G-code file: whether the machine can run it, how long it takes and how far it moves.
     Check(CheckJob),
-    /// Runs a G-code file and draws its tool path, and path speed over time.
+    /// Runs a G-code file and draws its tool path and its speed over time.
     Plot(PlotJob),
-    /// A Grbl device that any sender may connect to.
+    /// Acts as a Grbl controller to which any sender can connect.
     Serve(Serve),
-    /// Plays a recording, and says what the machine did and whether it was the same.
+    /// Replays a recording, and reports what the machine did and whether it was the same.
     Replay(Replay),
-    /// Writes the rest of a job, from one of its lines on, as a program of its own: modal state, tool, offsets, the way to the place,
-    /// spindle and coolant, and the lines.
+    /// Writes the rest of a job, from one of its lines on, as a separate program: modal state, tool, offsets, the move to the
+    /// position, spindle and coolant, and the lines.
     Resume(ResumeJob),
-    /// Writes the completions of a shell to standard output.
+    /// Writes the completions for a shell to standard output.
     Completions {
         /// The shell.
         shell: clap_complete::Shell,
     },
-    /// Writes the manual: a page of the program and one of each command, in turn to standard output.
+    /// Writes the manual to standard output: one page for the program and one for each command.
     Man {
-        /// Writes each page to a file of this folder instead: oxmill.1, oxmill-run.1 and so on.
+        /// Writes each page to a file in this folder instead: oxmill.1, oxmill-run.1 and so on.
         #[arg(long, value_name = "FOLDER")]
         out: Option<PathBuf>,
     },
@@ -59,16 +59,16 @@ pub enum Command {
 pub struct Run {
     /// The job: .nc .ngc .gcode .gc .tap .mpf .cnc .min or any other text file; `-` for standard input.
     pub job: PathBuf,
-    /// The summary as one JSON object on standard output.
+    /// Prints the summary as a JSON object.
     #[arg(long)]
     pub json: bool,
-    /// Draws the tool path, and path speed over time. May be given more than once.
+    /// Draws the tool path and its speed over time into this file. Can be repeated.
     #[arg(long, value_name = "FILE.svg|FILE.png")]
     pub plot: Vec<PathBuf>,
-    /// Writes a row for each step event.
+    /// Writes a row for each step event into this file.
     #[arg(long, value_name = "FILE.csv")]
     pub trace: Option<PathBuf>,
-    /// Writes what comes in, for `replay`.
+    /// Records all input into this file, for `replay`.
     #[arg(long, value_name = "FILE", conflicts_with = "work_zero")]
     pub record: Option<PathBuf>,
     /// Before the job.
@@ -84,7 +84,7 @@ pub struct Run {
 pub struct CheckJob {
     /// The job: any text file, or `-` for standard input.
     pub job: PathBuf,
-    /// The summary as one JSON object on standard output, as `run --json` prints it.
+    /// Prints the summary as a JSON object, in the same form as `run --json`.
     #[arg(long)]
     pub json: bool,
     /// Before the job.
@@ -100,7 +100,7 @@ pub struct CheckJob {
 pub struct PlotJob {
     /// The job: any text file, or `-` for standard input.
     pub job: PathBuf,
-    /// Where the drawing goes. May be given more than once.
+    /// The file for the drawing. Can be repeated.
     #[arg(short, long, required = true, value_name = "FILE.svg|FILE.png")]
     pub output: Vec<PathBuf>,
     /// Before the job.
@@ -117,22 +117,22 @@ pub struct Serve {
     /// Where clients come from.
     #[command(flatten)]
     pub link: Link,
-    /// How many times faster than real time; `max` runs as fast as the host can while the machine is busy.
+    /// Speed relative to real time; `max` runs as fast as this computer can while the machine is busy.
     #[arg(long, default_value = "1", value_name = "N|max")]
     pub speed: Speed,
-    /// A new connection resets the controller, as DTR does on an Arduino.
+    /// Resets the controller at each new connection, as DTR does on an Arduino.
     #[arg(long)]
     pub reset_on_connect: bool,
-    /// The page of `--web`; without it `oxmill.html` beside the program, or in `target/web`.
+    /// The page for `--web`; the default is `oxmill.html` beside the program, or in `target/web`.
     // `requires = "web"` would not work: with another link, `--web` is a conflict, and clap does not require an option
     // that conflicts.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["tcp", "stdio"])]
     #[cfg_attr(unix, arg(conflicts_with = "pty"))]
     pub page: Option<PathBuf>,
-    /// Takes lines such as `limit x 1` or `door 0` that move input pins.
+    /// Reads lines such as `limit x 1` or `door 0`, which set input pins.
     #[arg(long, value_name = "[ADDR:]PORT")]
     pub pins: Option<String>,
-    /// Writes what comes in, for `replay`.
+    /// Records all input into this file, for `replay`.
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
     /// The machine.
@@ -143,12 +143,12 @@ pub struct Serve {
 /// `replay`.
 #[derive(Debug, Args)]
 pub struct Replay {
-    /// The recording: of `run --record` or `serve --record`.
+    /// The recording, made by `run --record` or `serve --record`.
     pub recording: PathBuf,
-    /// The summary as one JSON object on standard output, as `run --json` prints it.
+    /// Prints the summary as a JSON object, in the same form as `run --json`.
     #[arg(long)]
     pub json: bool,
-    /// Writes a row for each step event.
+    /// Writes a row for each step event into this file.
     #[arg(long, value_name = "FILE.csv")]
     pub trace: Option<PathBuf>,
 }
@@ -158,20 +158,20 @@ pub struct Replay {
 pub struct ResumeJob {
     /// The job: any text file.
     pub job: PathBuf,
-    /// Where it begins.
+    /// The line where the rest begins.
     #[command(flatten)]
     pub begin: BeginOptions,
-    /// Z at which the tool goes to the place, in mm as the program has it; the highest to which the job has gone if none is given and it
-    /// has travelled at known heights only.
+    /// Z of the move to the position, in mm in the program's coordinates. The default is the highest Z of the job so far, if all
+    /// its heights are known.
     #[arg(long, value_name = "Z", allow_hyphen_values = true)]
     pub clearance: Option<Millimetres>,
-    /// Feed from there down, in mm/min, 1 or more; that of the job's last plunge straight down if none is given.
+    /// Feed of the move down from there, in mm/min, at least 1. The default is the feed of the job's last vertical plunge.
     #[arg(long, value_name = "FEED")]
     pub plunge: Option<Millimetres>,
-    /// How long the spindle has to come up to speed.
+    /// Time for the spindle to reach its speed.
     #[arg(long, value_name = "SECONDS", default_value_t = SPIN_UP, value_parser = clap::value_parser!(u16).range(0..=600))]
     pub spin_up: u16,
-    /// Where the program goes; standard output if none is given.
+    /// The file for the program; the default is standard output.
     #[arg(short, long, value_name = "FILE")]
     pub output: Option<PathBuf>,
     /// The machine.
@@ -183,10 +183,10 @@ pub struct ResumeJob {
 #[derive(Debug, Args)]
 #[group(required = true, multiple = false)]
 pub struct BeginOptions {
-    /// From this line of the file on, the first one being 1.
+    /// Starts at this line of the file; the first line is 1.
     #[arg(long, value_name = "LINE")]
     pub line: Option<u64>,
-    /// From the first line with this N word on: what reports, alarms and $RC tell.
+    /// Starts at the first line with this N word, which status reports, alarms and $RC show.
     #[arg(long, value_name = "N")]
     pub number: Option<u32>,
 }
@@ -207,17 +207,17 @@ impl std::str::FromStr for Millimetres {
 #[derive(Debug, Args)]
 #[group(required = true, multiple = false)]
 pub struct Link {
-    /// Listens for clients, one after another. A port alone is one of the loopback.
+    /// Listens for clients, one at a time. A port without an address listens on this computer only.
     #[arg(long, value_name = "[ADDR:]PORT")]
     pub tcp: Option<String>,
-    /// Makes a pseudo terminal and prints its path; LINK becomes a symbolic link to it.
+    /// Creates a pseudo terminal and prints its path; LINK becomes a symbolic link to it.
     #[cfg(unix)]
     #[arg(long, value_name = "LINK", num_args = 0..=1)]
     pub pty: Option<Option<PathBuf>>,
-    /// Standard input and output.
+    /// Uses standard input and output.
     #[arg(long)]
     pub stdio: bool,
-    /// A page on this port of the loopback, connected to the machine; 0 for any port that is free.
+    /// Serves a page for the machine on this port, on this computer only; 0 for any free port.
     #[arg(long, value_name = "PORT")]
     pub web: Option<u16>,
 }
@@ -225,28 +225,28 @@ pub struct Link {
 /// What all commands know of the machine.
 #[derive(Debug, Args)]
 pub struct MachineOptions {
-    /// Whose step clock, step rates, pins and axes to use. The look-ahead and the words are those of the largest board.
+    /// The board whose step clock, step rates, pins and axes are used. Look-ahead and words are those of the largest board.
     #[arg(long, default_value = boards::DESK.name, value_parser = board_named, value_name = "NAME")]
     pub board: Board,
-    /// Another step clock than the board's.
+    /// Step clock frequency, in place of the board's.
     #[arg(long, value_name = "HZ", value_parser = clap::value_parser!(u32).range(100_000..=1_000_000_000))]
     pub step_clock: Option<u32>,
-    /// How lines are understood and answered.
+    /// Dialect of lines and answers.
     #[arg(long)]
     pub dialect: Option<Dialect>,
-    /// Lines of the form $n=v, applied before anything else; `serve` begins as a board that is powered up with them.
+    /// A file with lines $n=v, which are applied first; `serve` starts like a board that has these settings stored.
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,
-    /// One setting, applied after the file's. May be given more than once.
+    /// A setting, applied after those of the file. Can be repeated.
     #[arg(long, value_name = "N=V")]
     pub set: Vec<String>,
-    /// What is fitted to the machine: switches, a probe plate.
+    /// A file that describes the machine: switches, a probe plate.
     #[arg(long, value_name = "FILE")]
     pub machine: Option<PathBuf>,
-    /// The flash image of the settings, kept between runs.
+    /// A file that keeps the settings between runs, like a board's flash memory.
     #[arg(long, value_name = "FILE")]
     pub store: Option<PathBuf>,
-    /// Cuts the power after so many words written to the flash or sectors erased, and ends.
+    /// Cuts the power after this number of flash words written or sectors erased, and exits.
     #[arg(long, value_name = "OPERATIONS")]
     pub cut_power: Option<u32>,
 }
@@ -261,8 +261,8 @@ impl MachineOptions {
 /// What is done before a job.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub struct Start {
-    /// Homes the machine before the job ($22=1 is needed), and puts the work zero of G54 here, in mm of machine coordinates:
-    /// soft limits ($20=1) act then. Without switches in --machine it has those that $23 and $130 to $132 ask for.
+    /// Homes the machine before the job (needs $22=1), and sets the work zero of G54 to this position, in mm in machine
+    /// coordinates, so that soft limits ($20=1) are active. Without switches in --machine, $23 and $130 to $132 place them.
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub work_zero: Option<WorkZero>,
 }
@@ -283,7 +283,7 @@ impl std::str::FromStr for WorkZero {
 /// Ratio of virtual time to the host's time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Speed {
-    /// This many virtual seconds per second.
+    /// Virtual seconds per second.
     Times(f64),
     /// As fast as possible while the machine is busy.
     Max,

@@ -157,7 +157,7 @@ impl Fittings {
         ensure!((LINEAR..=AXES).contains(&told), "steps_per_mm must have {LINEAR} to {AXES} numbers");
         ensure!(
             contacts.iter().all(|contact| contact.axis < told),
-            "steps_per_mm must have a number for each axis with a contact"
+            "steps_per_mm must have a number for each axis with a switch or probe"
         );
         ensure!(backlash_mm.is_empty() || backlash_mm.len() == told, "backlash_mm must be as long as steps_per_mm");
         let of = |list: &[f64], other: f64| std::array::from_fn(|axis| list.get(axis).copied().unwrap_or(other));

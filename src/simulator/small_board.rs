@@ -59,6 +59,8 @@ fn refused(letter: u8, number: Decimal, words: &[(u8, Decimal)]) -> Option<Error
             Some(Error::RotationLeftOut)
         }
         b'M' if is(73_000) => Some(Error::ExpressionsLeftOut),
+        b'G' if is(65_000) => Some(Error::NotSupported),
+        b'M' if is(98_000) || is(99_000) => Some(Error::NotSupported),
         b'G' if is(31_000) || is(8000) && value(b'P').is_some() => Some(Error::NotSupported),
         b'G' if is(54_100) => Some(Error::UnsupportedCoordinateSystem),
         b'G' if [70_000, 71_000, 154_000, 187_000].into_iter().any(is) => Some(Error::UnsupportedCommand),
@@ -91,6 +93,9 @@ mod tests {
             ("G64P.05", 134),
             ("G5.1 Q1", 141),
             ("G31 Z-1", 121),
+            ("M98 P1001 L2", 121),
+            ("g65 p1 a1", 121),
+            ("N5 X1 M99", 121),
             ("g08p1", 121),
             ("G54.1 P1", 29),
             ("G70", 20),

@@ -72,6 +72,8 @@ pub struct JobText {
     ended_at: Option<ProgramEnd>,
     /// Number of lines with words after the end of the program that were answered `ok`.
     behind_end: u64,
+    /// Whether a subprogram has begun after the end of the program. Its lines are not carried out where they stand.
+    among_subprograms: bool,
 }
 
 /// Where a program ended.
@@ -130,6 +132,7 @@ impl JobText {
             has_words: false,
             ended_at: None,
             behind_end: 0,
+            among_subprograms: false,
         }
     }
 
@@ -338,13 +341,15 @@ impl JobText {
         if reply == "ok" || code.is_some() {
             self.answers += 1;
             let (line, text, left_out) = self.unanswered.pop_front().unwrap_or_default();
-            let is_carried_out = code.is_none() && !is_remark(&text);
-            self.behind_end += u64::from(is_carried_out && self.ended_at.is_some_and(|end| line > end.line));
+            let is_behind = self.ended_at.is_some_and(|end| line > end.line);
+            self.among_subprograms |= is_behind && code.is_none() && is_program_number(&text);
+            let is_carried_out = code.is_none() && !is_remark(&text) && !self.among_subprograms;
+            self.behind_end += u64::from(is_carried_out && is_behind);
             let reason = self.message.take().filter(|_| code.is_some_and(|code| !OF_STATE.contains(&code)));
             if let Some(code) = code.or(left_out.map(Error::code)) {
                 self.said.push(Said::Error { line, code, text: text.clone(), reason });
             }
-            if text.contains(['o', 'O']) {
+            if text.contains(['o', 'O']) || is_call(&text) {
                 self.openers.push(Opener { given: self.answers, number: line, text });
             }
         } else if !reply.is_empty() {
@@ -360,6 +365,20 @@ impl JobText {
 /// Returns an answer without the header of a checked line.
 pub fn without_header(reply: &str) -> &str {
     reply.strip_prefix(':').and_then(|answer| answer.get(ANSWER_HEADER - 1..)).unwrap_or(reply)
+}
+
+/// Returns whether a line may call a subprogram (M98, G65).
+pub fn is_call(text: &str) -> bool {
+    let words = text.to_ascii_uppercase().replace(' ', "");
+    ["M98", "M098", "G65", "G065"].iter().any(|word| words.contains(word))
+}
+
+/// Returns whether a line is the number of a program or subprogram, such as `N5 O1001 (POCKET)`.
+fn is_program_number(text: &str) -> bool {
+    let words = text.split(['(', ';']).next().unwrap_or_default().replace(' ', "").to_ascii_uppercase();
+    let behind =
+        words.strip_prefix('N').map_or(&*words, |number| number.trim_start_matches(|c: char| c.is_ascii_digit()));
+    behind.strip_prefix(['O', ':']).is_some_and(|number| number.chars().all(|c| c.is_ascii_digit()))
 }
 
 /// Returns whether a line is `%` followed only by comments.

@@ -230,7 +230,9 @@ fn what_the_page_says_is_refused_is_what_the_firmware_refuses() {
     for known in ["M52", "M53"] {
         assert!(named.remove(known), "{known}");
     }
-    let every: BTreeSet<String> = refused(Error::NotSupported).collect();
+    let mut every: BTreeSet<String> = refused(Error::NotSupported).collect();
+    // Words of subprograms are known where they may stand.
+    every.retain(|word| !["G65", "M98", "M99"].iter().any(|known| word.starts_with(known)));
     for word in &named {
         assert!(every.contains(word), "the firmware does not refuse {word} by error:121");
     }

@@ -5,6 +5,7 @@
 //! finite number; each stored line of a subroutine, loop or macro is carried out with a bounded amount of work.
 
 use super::work::at_most;
+use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{
     AS_WRITTEN, Action, Dialect, Direction, Held, HeldLine, Interpreter, WITH_VALUES, split_remark,
 };
@@ -77,15 +78,23 @@ impl Program {
                 let _ = self.interpreter.tape_mark();
                 return;
             }
-            _ => at_most(MOST_WORK, || self.interpreter.direct(text, remark, self.lines as u32)),
+            _ => at_most(MOST_WORK, || {
+                self.interpreter.look_behind_end(text, false)?;
+                self.interpreter.direct(text, remark, self.lines as u32)
+            }),
         };
         match direction {
             Ok(Direction::Check) => {
-                self.carry_out(text);
-                self.tell(remark);
+                if self.carry_out(text) {
+                    self.tell(remark);
+                } else if self.dialect != Dialect::Grbl
+                    && self.interpreter.direct_refused(text, remark, Error::NotSupported) == Ok(Direction::Run)
+                {
+                    self.run_held();
+                }
             }
             Ok(Direction::Run | Direction::Call) => self.run_held(),
-            Ok(Direction::Done | Direction::LeftOut) | Err(_) => {}
+            Ok(Direction::Done | Direction::LeftOut | Direction::Waits) | Err(_) => {}
         }
     }
 

@@ -198,18 +198,42 @@ fn a_block_without_an_end_is_an_error_of_the_line_that_began_it() {
     assert_eq!(run(&["run", text(&job)]).status.code(), Some(0));
 }
 
-/// Files for controls with M98 contain subprograms after the end of the program (M30). A sender sends these lines, too;
-/// they are rejected.
+/// Runs a file, and returns its summary and its errors: line, code, text.
+fn errors_of(name: &str, program: &str) -> (Value, Vec<(u64, u64, String)>) {
+    let job = file(name, program);
+    let output = run(&["run", text(&job), "--json"]);
+    let summary = json(&output);
+    let errors = summary["errors"].as_array().expect("a list").iter();
+    let errors: Vec<_> = errors
+        .map(|error| {
+            let number = |key: &str| error[key].as_u64().expect(key);
+            (number("line"), number("code"), error["text"].as_str().unwrap_or_default().to_owned())
+        })
+        .collect();
+    assert_eq!(output.status.code(), Some(i32::from(!errors.is_empty())), "{name}: {summary}");
+    (summary, errors)
+}
+
+/// Subprograms stand behind the end of their program. They run when they are called, and never otherwise.
 #[test]
 fn nothing_falls_into_a_subprogram_behind_the_end() {
-    let job = file("subprogram.nc", "%\nO1000\nG21 G0 X1\nM30\nO1001\nG1 Z-3 F100\nM99\n%\n");
-    let output = run(&["run", text(&job), "--json"]);
-    assert_eq!(output.status.code(), Some(1));
-    let summary = json(&output);
-    let errors = summary["errors"].as_array().expect("a list");
-    let refused: Vec<_> = errors.iter().map(|error| (error["line"].as_u64(), error["code"].as_u64())).collect();
-    assert_eq!(refused, [5, 6, 7].map(|line| (Some(line), Some(203))));
-    assert_eq!(summary["position_mm"], serde_json::json!([1.0, 0.0, 0.0]));
+    let (summary, errors) = errors_of("uncalled.nc", "%\nO1000\nG21 G0 X1\nM30\nO1001\nG1 Z-3 F100\nM99\n%\n");
+    assert_eq!((errors, &summary["position_mm"]), (vec![], &serde_json::json!([1.0, 0.0, 0.0])));
+    assert_eq!(summary["notes"], serde_json::json!([]), "the lines of a subprogram are no lines behind the end");
+    let called = "%\nO1000\nG21 G0 X1\nM98 P1001 L2\nM30\nO1001 (STEP)\nG91 G1 Z-3 F100\nG90\nM99\n%\n";
+    let (summary, errors) = errors_of("called.nc", called);
+    assert_eq!((errors, &summary["position_mm"]), (vec![], &serde_json::json!([1.0, 0.0, -6.0])));
+    assert_eq!(summary["notes"], serde_json::json!([]));
+    // The subprogram is missing, or has no end.
+    for (name, program, line, code) in [
+        ("missing.nc", "G21 G0 X1\nM98 P1001\nG0 X2\nM30\nO1002\nG1 Z-3 F100\nM99\n%\n", 2, 203),
+        ("endless.nc", "G21 G0 X1\nM98 P1001\nG0 X2\nM30\nO1001\nG1 Z-3 F100\n%\n", 2, 203),
+        ("first.nc", "O1001\nG21 G0 X1\nM99\n", 3, 203),
+    ] {
+        let (summary, errors) = errors_of(name, program);
+        assert_eq!(errors.iter().map(|(line, code, _)| (*line, *code)).collect::<Vec<_>>(), [(line, code)], "{name}");
+        assert_eq!(summary["position_mm"], serde_json::json!([1.0, 0.0, 0.0]), "{name}");
+    }
 }
 
 /// A check warns of each line with a byte that would act as a realtime command if it were sent unchanged, and of a

@@ -41,7 +41,7 @@ impl<const N: usize> Interpreter<N> {
         self.position == *place
             && offsets.into_iter().all(|offset| *offset == PerAxis::all(Coordinate::ZERO))
             && !self.is_within_block()
-            && self.place != ProgramPlace::Subprogram
+            && matches!(self.place, ProgramPlace::Program | ProgramPlace::End)
             && self.before_check.is_none()
             && self.saved.is_empty()
             && self.rotation.is_none()

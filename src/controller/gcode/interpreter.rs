@@ -133,9 +133,19 @@ impl<const N: usize> Interpreter<N> {
             self.saved.clear();
             self.tangent = NO_TANGENT;
             self.computed.end_program();
-            self.place = ProgramPlace::End;
+            if !FULL_IMAGE || self.place == ProgramPlace::Program {
+                self.place = ProgramPlace::End;
+            }
         }
         self.remember_motion(action);
+    }
+
+    /// Applies the changes of a line that does not belong to the host's program, such as a startup line. If it ends a
+    /// program, that is not the host's program.
+    pub fn commit_apart(&mut self, action: &Action<N>) {
+        let place = self.place;
+        self.commit(action);
+        self.place = place;
     }
 
     /// Applies the changes of a line to everything except modal state and position.

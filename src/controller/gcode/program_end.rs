@@ -1,50 +1,85 @@
-//! Decides on lines after the end of a program (M2, M30): they belong to the next program, or to subprograms, which
-//! controls with M98 have there (`O1001` .. `M99`). The interpreter cannot call such subprograms and refuses their
-//! lines, so that the machine does not execute them one after another. An O number (`O1001` .. `M30`) begins the next
-//! program only if it follows a tape mark, a reset, `$X`, or a rest of the machine.
+//! Decides on lines after the end of a program (M2, M30): they belong to the next program, or to subprograms (`O1001` ..
+//! `M99`), which are held for calls by M98 and G65 (see `computed/subprograms.rs`) and never executed one after another.
+//! A build without them refuses their lines. An O number (`O1001` .. `M30`) begins the next program only if it follows
+//! a tape mark, a reset, `$X`, or a rest of the machine right after the end of the program.
 //!
 //! ```text
-//!  Program ──M2, M30──▶ End ──O number──▶ Subprogram ──%, $X, reset, another host──▶ Program
-//!     ▲                  │
-//!     └───────────O number after a rest
+//!  Program ──M2, M30──▶ End ──O number──▶ Subprogram ──words outside of a subprogram, an error, $X,──▶ Refused
+//!     ▲                  │                    │          a stop, an alarm                              │
+//!     ├──O number after a rest                │                                                        │
+//!     ├──words after a rest───────────────────┤                                                        │
+//!     └──%, reset, another host───────────────┴──────────────────────── $X (not one that ends an alarm)┘
 //! ```
-//! An M2 or M30 that was refused, or skipped by a condition, counts, too. An M99 does not end the refusal: more lines of
-//! the same subprogram can follow it, which a GOTO reaches.
+//! A program that is held for the call of an unknown subprogram is dropped like a subprogram, although its place is
+//! still `Program`. Whatever drops them, the host can go on to send their lines, so these are refused. Neither a rest
+//! nor the `$X` that ends an alarm ends a refusal: the operator may have looked at the machine, and the sender goes on
+//! then. Nor does an M99: more lines of the same subprogram can follow it, which a GOTO reaches.
 
+use super::number::{self, Digits};
 use super::state::{Interpreter, ProgramPlace};
-use super::tools::may_end_program;
+use super::tools::may_have_m_word;
 use crate::error::Error;
 
 impl<const N: usize> Interpreter<N> {
-    /// Whether a program has ended, and no other program has begun.
+    /// Whether the next line of the host has to be examined by [`Interpreter::look_behind_end`], because a program has
+    /// ended and no other one has begun, or because a program is held.
     #[inline]
     pub fn is_behind_end(&self) -> bool {
-        self.place != ProgramPlace::Program
+        self.place != ProgramPlace::Program || self.is_holding()
     }
 
-    /// Marks the next line as the start of a program.
+    /// Marks the next line as the start of a program. Drops a held program, and a subprogram that has not ended.
     pub fn begin_program(&mut self) {
+        if self.is_held() {
+            self.abandon_program();
+        }
         self.place = ProgramPlace::Program;
     }
 
-    /// Examines a line after the end of a program. `rested`: the machine has been idle for a while, so an O number is
-    /// that of the next program.
+    /// Executes `$X`: the next line begins a program. But if the host is in the middle of a held program or among
+    /// subprograms, the rest of them is refused, up to another `$X`. `is_locked`: the `$X` ends an alarm, so it does
+    /// not end a refusal.
+    pub fn unlock(&mut self, is_locked: bool) {
+        match self.place {
+            _ if self.is_held() => self.abandon_program(),
+            ProgramPlace::Subprogram => self.place = ProgramPlace::Refused,
+            ProgramPlace::Refused if is_locked => {}
+            _ => self.place = ProgramPlace::Program,
+        }
+    }
+
+    /// Abandons the program and its subprograms, and refuses all lines that follow, up to the next program.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn refuse_rest(&mut self) -> Error {
+        self.abandon_program();
+        self.place = ProgramPlace::Refused;
+        Error::OutOfPlace
+    }
+
+    /// Examines a line after the end of a program or of a held program. `rested`: the machine has been idle for a
+    /// while, so an O number is that of the next program, and the rest of what is held will not come.
     ///
     /// # Errors
-    /// [`Error::BehindEnd`] for the lines of a subprogram.
+    /// [`Error::OutOfPlace`] for lines that belong to no program.
     pub fn look_behind_end(&mut self, line: &[u8], rested: bool) -> Result<(), Error> {
-        match self.place {
-            ProgramPlace::Program => return Ok(()),
-            ProgramPlace::Subprogram if line.is_empty() => return Ok(()),
-            ProgramPlace::End if !has_program_number(line) => return Ok(()),
-            ProgramPlace::End if rested => {
-                self.place = ProgramPlace::Program;
-                return Ok(());
-            }
-            ProgramPlace::End | ProgramPlace::Subprogram => {}
+        if line.is_empty() {
+            return Ok(());
         }
-        self.place = ProgramPlace::Subprogram;
-        Err(Error::BehindEnd)
+        let begins = match self.place {
+            _ if rested && self.is_held() => return Err(self.refuse_rest()),
+            ProgramPlace::Program => return Ok(()),
+            ProgramPlace::End if !has_program_number(line) => return Ok(()),
+            ProgramPlace::End => rested,
+            ProgramPlace::Subprogram => rested && !has_program_number(line),
+            ProgramPlace::Refused => false,
+        };
+        if begins {
+            self.begin_program();
+        } else if !self.look_among_subprograms(line) {
+            return Err(self.refuse_rest());
+        }
+        Ok(())
     }
 
     /// Takes note that a line with the end of the program was refused: for the lines after it, the program has ended.
@@ -54,13 +89,39 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Takes note of a refused line. If it has M2 or M30, also a computed one, the program has ended all the same. After
-    /// the end of a program, the line begins a subprogram if it has an O number anywhere, or if its text is unknown
-    /// (`None`), because it was too long, damaged, or had an open remark.
+    /// Takes note of a line that block delete (`/`) skips. Its M2 or M30 ends the program all the same. Its O number
+    /// after the end of a program begins a subprogram, whose lines are refused.
+    pub fn skipped_line(&mut self, line: &[u8]) {
+        if may_end_program(line) {
+            self.note_end();
+        } else if self.place == ProgramPlace::End && has_program_number(line) {
+            self.refuse_rest();
+        }
+    }
+
+    /// Takes note that a line of the running text was refused, and with it the line of the host that runs the text. If
+    /// the text is a held program, that program is over, and what follows it is refused.
+    #[cold]
+    #[inline(never)]
+    pub fn refused_in_run(&mut self, line: &[u8]) {
+        if self.place == ProgramPlace::Subprogram {
+            self.refuse_rest();
+        } else {
+            self.refused_line(Some(line));
+        }
+    }
+
+    /// Takes note of a refused line. Its text is unknown (`None`) if it was too long, damaged, or had an open remark.
+    /// If it has M2 or M30, also a computed one, or may have it, the program has ended all the same. After the end of a
+    /// program, an O number anywhere in it begins a subprogram whose lines are refused. M99 means that a subprogram has
+    /// been taken for the program, unless the line belongs to a subroutine or loop that is being recorded.
     #[cold]
     #[inline(never)]
     pub fn refused_line(&mut self, line: Option<&[u8]>) {
-        if self.place == ProgramPlace::Program && line.is_some_and(may_end_program) {
+        if !self.is_recording() && line.is_some_and(has_return) {
+            self.refuse_rest();
+        }
+        if self.place == ProgramPlace::Program && line.is_none_or(may_end_program) {
             return self.note_end();
         }
         let may_have_number = line.is_none_or(|line| {
@@ -73,15 +134,27 @@ impl<const N: usize> Interpreter<N> {
                     begins_word && is_program_number(rest)
                 })
         });
-        if self.place == ProgramPlace::End && may_have_number {
-            self.place = ProgramPlace::Subprogram;
+        if matches!(self.place, ProgramPlace::End | ProgramPlace::Subprogram) && may_have_number {
+            self.refuse_rest();
         }
     }
 }
 
+/// Whether a line has the end of the program (M2, M30), or may have it.
+fn may_end_program(line: &[u8]) -> bool {
+    may_have_m_word(line, &[2, 30])
+}
+
+/// Returns the part of a line behind its line number (N and digits), or the whole line if it has none.
+pub(super) fn behind_line_number(line: &[u8]) -> &[u8] {
+    let Some(number) = line.strip_prefix(b"N") else { return line };
+    let digits = number.iter().take_while(|byte| byte.is_ascii_digit()).count();
+    number.get(digits..).unwrap_or_default()
+}
+
 /// Whether a line begins with the number of a program or subprogram, after its line number (N) if it has one. Further words
 /// may follow, and the numbers need not be valid ones.
-fn has_program_number(line: &[u8]) -> bool {
+pub(super) fn has_program_number(line: &[u8]) -> bool {
     is_program_number(line.strip_prefix(b"N").map_or(line, from_next_word))
 }
 
@@ -91,6 +164,18 @@ fn is_program_number(text: &[u8]) -> bool {
     let word = from_next_word(number);
     let letters = word.iter().take_while(|byte| byte.is_ascii_uppercase()).count();
     !word.get(..letters).is_some_and(|word| O_WORDS.contains(&word))
+}
+
+/// Whether a line has M99, outside of names and expressions.
+fn has_return(line: &[u8]) -> bool {
+    let mut rest = line;
+    while let Some((letter, number)) = from_next_word(rest).split_first() {
+        if *letter == b'M' && number::read(number, Digits::Exact).is_some_and(|read| Code::of(read.value).whole == 99) {
+            return true;
+        }
+        rest = number;
+    }
+    false
 }
 
 /// Returns the part of a line from its first letter or colon on that is not in brackets.
@@ -129,23 +214,28 @@ pub(super) const O_WORDS: [&[u8]; 15] = [
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gcode::Dialect;
+    use crate::gcode::{Dialect, Direction};
+    use crate::image::FULL_IMAGE;
 
-    /// Returns which of these lines are accepted, on a machine that never rests.
-    fn taken(lines: &[&str]) -> std::vec::Vec<bool> {
+    /// Returns what becomes of each of these lines, on a machine that never rests: `+` executed, `.` held, `-` refused.
+    fn taken(lines: &[&str]) -> std::string::String {
         let mut interpreter = Interpreter::<3>::default();
         let take = |line: &&str| {
             let line = line.as_bytes();
             if line == b"%" {
                 interpreter.tape_mark().unwrap();
-                return true;
+                return '+';
             }
-            if interpreter.look_behind_end(line, false).is_err() {
-                return false;
+            let looked = interpreter.look_behind_end(line, false);
+            match looked.and_then(|()| interpreter.direct(line, &[], 1)) {
+                Ok(Direction::Check) => {
+                    let action = interpreter.check(line, Dialect::Oxmill).unwrap();
+                    interpreter.commit(&action);
+                    '+'
+                }
+                Ok(_) => '.',
+                Err(_) => '-',
             }
-            let action = interpreter.check(line, Dialect::Oxmill).unwrap();
-            interpreter.commit(&action);
-            true
         };
         lines.iter().map(take).collect()
     }
@@ -153,20 +243,15 @@ mod tests {
     #[test]
     fn subprograms_behind_the_end_are_not_run() {
         let lines = ["O1000", "G0X1", "M30", "", "O1001", "G1Z-3F100", "", "#<M99>=2", "M99", "O1002", "M30", "G0Z1"];
-        let run = [true, true, true, true, false, false, true, false, false, false, false, false];
-        assert_eq!(taken(&lines), run);
-        assert_eq!(
-            taken(&["M2", "G0Z5", "N10O1", "G0Z-3", "N20M99", "G0Z1"]),
-            [true, true, false, false, false, false]
-        );
+        assert_eq!(taken(&lines), if FULL_IMAGE { "++++......--" } else { "++++--+-----" });
+        let lines = ["M2", "G0Z5", "N10O1", "G0Z-3", "N20M99", "G0Z1"];
+        assert_eq!(taken(&lines), if FULL_IMAGE { "++...-" } else { "++----" });
     }
 
     /// Whatever opens it, and wherever it returns.
     #[test]
     fn no_form_of_a_subprogram_is_run() {
         for number in [
-            ":1001",
-            "N1:1001",
             "N10.5O1001",
             "N#1O1001",
             "N[2]O1",
@@ -179,14 +264,21 @@ mod tests {
             "O1001%",
             "O",
         ] {
-            assert_eq!(taken(&["M30", number, "G1Z-3F100", "M99"]), [true, false, false, false], "{number}");
+            assert_eq!(taken(&["M30", number, "G1Z-3F100", "M99"]), "+---", "{number}");
         }
-        for end in ["IF[#1EQ1]M99", "IF#1EQ1THENM99", "M99", "N5M99P20", "/M99", "IF[#1EQ1]M30", "M30"] {
-            assert_eq!(
-                taken(&["M30", "O1001", end, "G1Z-3F100", "N20G1Z-4", "O1002", "M99"])[1..],
-                [false; 6],
-                "{end}"
-            );
+        for number in ["O1001", ":1001", "N1:1001", "O0001"] {
+            let held = if FULL_IMAGE { "+...-" } else { "+----" };
+            assert_eq!(taken(&["M30", number, "G1Z-3F100", "M99", "G1Z-3"]), held, "{number}");
+        }
+        for (end, full) in [
+            ("IF[#1EQ1]M99", "+.-----"),
+            ("IF#1EQ1THENM99", "+.-----"),
+            ("M99", "+..----"),
+            ("N5M99P20", "+.-----"),
+            ("M30", "+.-----"),
+        ] {
+            let taken = taken(&["M30", "O1001", end, "G1Z-3F100", "N20G1Z-4", "O1002", "M99"]);
+            assert_eq!(taken, if FULL_IMAGE { full } else { "+------" }, "{end}");
         }
     }
 
@@ -217,7 +309,7 @@ mod tests {
 
     #[test]
     fn the_number_of_the_next_program_is_no_subprogram() {
-        assert_eq!(taken(&["%", "O1", "M30", "%", "O2", "G0X1", "M30"]), [true; 7]);
+        assert_eq!(taken(&["%", "O1", "M30", "%", "O2", "G0X1", "M30"]), "+++++++");
         let mut interpreter = Interpreter::<3>::default();
         for end in ["M2", "M30"] {
             let action = interpreter.check(end.as_bytes(), Dialect::Oxmill).unwrap();
@@ -226,10 +318,10 @@ mod tests {
             assert_eq!(interpreter.look_behind_end(b"O1", true), Ok(()));
             assert!(!interpreter.is_behind_end());
         }
-        // A rest does not end a subprogram: the sender may have paused to ask the operator whether to continue.
+        // A rest does not end a refusal: the sender may have paused to ask the operator whether to continue.
         interpreter.place = ProgramPlace::End;
-        assert_eq!(interpreter.look_behind_end(b"O1", false), Err(Error::BehindEnd));
-        assert_eq!(interpreter.look_behind_end(b"G0X1", true), Err(Error::BehindEnd));
+        assert_eq!(interpreter.look_behind_end(b"O1X5", false), Err(Error::OutOfPlace));
+        assert_eq!(interpreter.look_behind_end(b"G0X1", true), Err(Error::OutOfPlace));
         interpreter.reset();
         assert!(!interpreter.is_behind_end());
     }

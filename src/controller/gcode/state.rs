@@ -62,8 +62,11 @@ pub(super) enum ProgramPlace {
     Program,
     /// After the end of a program.
     End,
-    /// After the end of a program, in a subprogram.
+    /// After the end of a program, among subprograms. A build without subprograms refuses them instead.
+    #[cfg_attr(not(feature = "full"), allow(dead_code, reason = "there are no subprograms"))]
     Subprogram,
+    /// Where all lines are refused up to the next program.
+    Refused,
 }
 
 /// End of the last G5, from which another G5 can continue smoothly; in X and Y of the machine.

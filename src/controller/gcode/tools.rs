@@ -137,15 +137,10 @@ pub fn asks_for_tool(line: Option<&[u8]>) -> bool {
     line.is_none_or(|line| may_have_m_word(line, &[6]))
 }
 
-/// Whether a refused line has the end of the program (M2, M30), or may have it.
-pub(super) fn may_end_program(line: &[u8]) -> bool {
-    may_have_m_word(line, &[2, 30])
-}
-
 /// Whether a line has one of these M words, or may have it: the number of an M word may be computed (`M[6]`), or a
 /// bracket may be open.
 #[inline(never)]
-fn may_have_m_word(line: &[u8], wanted: &[u8]) -> bool {
+pub(super) fn may_have_m_word(line: &[u8], wanted: &[u8]) -> bool {
     let mut depth = 0_usize;
     let has = line.iter().enumerate().any(|(at, byte)| {
         match byte {

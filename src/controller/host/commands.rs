@@ -14,6 +14,7 @@ use crate::units::{DECIMAL_ONE, Decimal};
 use crate::work::task::{Answer, Ask, Caller, Listing, Task};
 
 /// Numbers of settings whose change has further effects.
+const DIALECT: u16 = Key::Dialect.number();
 const DIRECTION_INVERT: u16 = Key::DirectionInvert.number();
 const DOOR_FITTED: u16 = Key::DoorFitted.number();
 const AXES: u16 = Key::Axes.number();
@@ -73,7 +74,10 @@ impl<const N: usize> Controller<N> {
             System::Unlock => self.unlock()?,
             System::Home(axis) => self.home(axis)?,
             System::Jog(text) => return self.jog(text),
-            System::Restore(what) => self.restore_defaults(what),
+            System::Restore(what) => {
+                self.must_hold_nothing()?;
+                self.restore_defaults(what);
+            }
             System::ResetCause => {
                 let restart = self.m.replies.tell_restart().clone();
                 self.say(|out| reply_texts::restart(out, &restart));
@@ -123,6 +127,10 @@ impl<const N: usize> Controller<N> {
         if !matches!(self.state, State::Normal) {
             return Err(Error::NotIdle);
         }
+        // The check of the line can end a program (M2), and with it what is open.
+        if self.m.interpreter.is_within_block() {
+            return Err(Error::NotIdle);
+        }
         let stored = heapless::Vec::from_slice(text).map_err(|_| Error::LineTooLong)?;
         if text.is_empty() {
             self.m.records.save_startup_line(index, stored);
@@ -144,10 +152,16 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
+    /// Refuses a command that would run lines, or change their meaning, in the middle of a held program.
+    fn must_hold_nothing(&self) -> Result<(), Error> {
+        if self.m.interpreter.is_held() { Err(Error::NotIdle) } else { Ok(()) }
+    }
+
     fn home(&mut self, axis: Option<Axis>) -> Result<(), Error> {
         if !self.m.settings.is_on(Key::Homing) {
             return Err(Error::HomingDisabled);
         }
+        self.must_hold_nothing()?;
         if axis.is_some_and(|axis| self.dialect() == Dialect::Grbl || axis.index() >= self.m.settings.axes_in_use()) {
             return Err(Error::InvalidStatement);
         }
@@ -167,6 +181,9 @@ impl<const N: usize> Controller<N> {
     }
 
     fn set_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
+        if number == DIALECT {
+            self.must_hold_nothing()?;
+        }
         // The table of settings has the widest limits of all boards, so the limits of this board are checked here.
         let least_pulse = i64::from(self.m.settings_lock.least_pulse_tenths()) * (DECIMAL_ONE / 10);
         if number == STEP_PULSE && (0..least_pulse).contains(&value.0) {
@@ -255,6 +272,7 @@ impl<const N: usize> Controller<N> {
                 self.initialise();
             }
             State::Normal if self.m.motion.is_idle() => {
+                self.must_hold_nothing()?;
                 self.enter(State::Check);
                 self.m.interpreter.begin_check_mode(self.dialect());
                 self.say(|out| reply_texts::message(out, "Enabled"));
@@ -266,7 +284,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn unlock(&mut self) -> Result<(), Error> {
-        self.m.interpreter.begin_program();
+        self.m.interpreter.unlock(self.state.is_alarm());
         if let State::Alarm(_) = self.state {
             if self.m.inputs.signals().door {
                 return Err(Error::DoorOpen);

@@ -17,8 +17,8 @@ use crate::units::{Duration, Instant};
 use crate::view::dialect;
 use crate::work::task::{Answer, Caller, Task};
 
-/// If a line arrives at least this long after the last answer, an O number in it begins the next program. A sender that
-/// continues its file is faster.
+/// If a line arrives at least this long after the last answer, an O number in it begins the next program, and what is
+/// held for a subprogram is dropped. A sender that continues its file is faster.
 const REST: Duration = Duration::from_ticks(5_000_000);
 
 /// Message of a line, after its mark: a byte that tells whether parameters in the message are replaced by their values.
@@ -87,10 +87,10 @@ impl<const N: usize> Controller<N> {
     fn line_of_program(&mut self) {
         let (text, dialect) = (self.m.lines.text(), dialect(&self.m.settings));
         let checked = match self.m.interpreter.direct(text, &[], self.m.lines.lines_read()) {
-            Ok(Direction::Check) => {
-                let checked = self.m.interpreter.check_into(text, dialect, &mut self.line.action);
-                checked.map(|()| Direction::Check)
-            }
+            Ok(Direction::Check) => match self.m.interpreter.check_into(text, dialect, &mut self.line.action) {
+                Ok(()) => Ok(Direction::Check),
+                Err(error) => self.m.interpreter.direct_refused(text, &[], error),
+            },
             directed => directed,
         };
         if REASONS && let Err(error) = checked {
@@ -116,6 +116,7 @@ impl<const N: usize> Controller<N> {
             Ok(direction) => self.directed(direction, &[]),
             Err(error) => self.refuse_program_line(error, asks_for_tool),
         }
+        self.m.last_line_at = self.m.now;
     }
 
     /// Processes a byte that needs more than the fast paths for text and for line ends.
@@ -173,6 +174,9 @@ impl<const N: usize> Controller<N> {
         let (mut text, mut remark) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Remark::new());
         let _ = text.extend_from_slice(self.m.lines.text());
         self.read_remark(&mut remark);
+        if !self.m.lines.deleted().is_empty() && !self.has_rested() {
+            self.m.interpreter.skipped_line(self.m.lines.deleted());
+        }
         if FULL_IMAGE && self.m.lines.has_nested_remark() && self.dialect() == Dialect::Oxmill {
             self.tell_notice(Notice::NestedRemark);
         }
@@ -233,6 +237,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn dispatch(&mut self, line: &[u8], remark: &[u8]) {
+        let rested = self.has_rested();
         let result = match line.first() {
             None if remark.is_empty() || self.state.is_alarm() => {
                 self.say_ok();
@@ -254,10 +259,21 @@ impl<const N: usize> Controller<N> {
             Err(error) if line.first() == Some(&b'$') => self.refuse(error),
             Err(error) => self.refuse_host_line(error, known_text(line)),
         }
-        // A sender may send requests such as `$G` all the time, so they do not end the pause that [`REST`] measures.
-        if line.first() != Some(&b'$') {
+        let goes_on = match line.first() {
+            // A sender may send requests such as `$G` all the time, so they do not end the pause that [`REST`] measures.
+            Some(b'$') => true,
+            // The next program can begin with remarks.
+            None => rested,
+            _ => false,
+        };
+        if !goes_on {
             self.m.last_line_at = self.m.now;
         }
+    }
+
+    /// Whether the host has sent no line for so long that the next line can be that of another program.
+    fn has_rested(&self) -> bool {
+        self.m.now.checked_duration_since(self.m.last_line_at).is_some_and(|rest| rest >= REST)
     }
 
     /// Refuses a line of the host that is not a `$` command. `text`: its words, if they are known.
@@ -286,6 +302,7 @@ impl<const N: usize> Controller<N> {
     fn refuse_program_line(&mut self, error: Error, asks_for_tool: bool) {
         self.refuse(error);
         self.m.interpreter.line_refused(error);
+        self.m.last_line_at = self.m.now;
         self.stop_at_error(asks_for_tool);
     }
 
@@ -295,6 +312,7 @@ impl<const N: usize> Controller<N> {
         if line.len() > 1 {
             return Err(Error::ExpectedLetter);
         }
+        self.tell_awaited();
         self.m.interpreter.tape_mark()?;
         self.tell_remark(remark);
         self.say_ok();
@@ -306,14 +324,23 @@ impl<const N: usize> Controller<N> {
         let direction = match self.dialect() {
             Dialect::Grbl => Direction::Check,
             _ => {
-                let rested = self.m.now.checked_duration_since(self.m.last_line_at).is_some_and(|rest| rest >= REST);
+                let rested = self.has_rested();
+                if rested && !line.is_empty() {
+                    self.tell_awaited();
+                }
                 self.m.interpreter.look_behind_end(line, rested)?;
                 self.m.interpreter.direct(line, remark, self.m.lines.lines_read())?
             }
         };
         if direction == Direction::Check && !line.is_empty() {
-            self.gcode(line, Answer::Host)?;
-            self.tell_remark(remark);
+            match self.gcode(line, Answer::Host) {
+                Ok(()) => self.tell_remark(remark),
+                Err(error) if self.dialect() == Dialect::Grbl => return Err(error),
+                Err(error) => {
+                    let direction = self.m.interpreter.direct_refused(line, remark, error)?;
+                    self.directed(direction, &[]);
+                }
+            }
         } else {
             self.directed(direction, remark);
         }
@@ -335,6 +362,16 @@ impl<const N: usize> Controller<N> {
                 self.task = Task::Held(Caller::Host);
             }
             Direction::Run => self.task = Task::Held(Caller::Host),
+        }
+    }
+}
+
+impl<const N: usize> Controller<N> {
+    /// Tells for which subprogram the program waits, if it does.
+    #[inline(never)]
+    pub(crate) fn tell_awaited(&mut self) {
+        if let Some(number) = self.m.interpreter.awaited_subprogram() {
+            self.say(|out| reply_texts::message_number(out, "Program waits for subprogram O", number));
         }
     }
 }

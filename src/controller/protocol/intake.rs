@@ -279,6 +279,11 @@ impl LineIntake {
         self.line.lengths()
     }
 
+    /// Returns the first words of a line that block delete skips; empty for any other line.
+    pub fn deleted(&self) -> &[u8] {
+        self.line.deleted()
+    }
+
     /// Returns whether a remark of the line contained parentheses.
     pub fn has_nested_remark(&self) -> bool {
         self.line.has_nested_remark()

@@ -12,6 +12,9 @@ pub const LENGTH: usize = 256;
 /// Maximum number of bytes kept of a remark in parentheses, including its keyword (`MSG,`). Excess bytes are cut off.
 pub const MESSAGE_LENGTH: usize = 80;
 
+/// Maximum number of bytes kept of a line that block delete skips: enough for line number and O number.
+const DELETED_LENGTH: u8 = 40;
+
 /// Whether this build reports by how much a line is too long.
 const COUNTS_EXCESS: bool = cfg!(feature = "reasons");
 
@@ -76,6 +79,8 @@ enum Comment {
     Semicolon,
     /// After a dropped slash. The number of the block-delete switch, 1 to 9, is dropped too if it follows.
     Slash,
+    /// A line that is skipped. Its first bytes, this many, are kept in place of the text.
+    Deleted(u8),
 }
 
 impl Default for Line {
@@ -119,6 +124,16 @@ impl Line {
     /// Returns the text received so far.
     pub fn text(&self) -> &[u8] {
         self.text.get(..self.len).unwrap_or_default()
+    }
+
+    /// Returns the first words of a line that block delete skips; empty for any other line.
+    pub fn deleted(&self) -> &[u8] {
+        let Comment::Deleted(kept) = self.comment else { return &[] };
+        match self.text.get(..usize::from(kept)).unwrap_or_default() {
+            // The number of the block-delete switch.
+            [b'1'..=b'9', words @ ..] => words,
+            words => words,
+        }
     }
 
     /// Returns the message in the line's remark for the operator, if any, and whether it shows values of parameters:
@@ -290,7 +305,7 @@ impl Line {
         };
         if begins && rules.block_delete {
             self.len = 0;
-            self.comment = Comment::Semicolon;
+            self.comment = Comment::Deleted(0);
         } else if begins && rules.expressions {
             self.comment = Comment::Slash;
         }
@@ -310,6 +325,16 @@ impl Line {
 
     /// Takes a byte within a remark. A remark with more than 255 open parentheses ends too soon.
     fn remark(&mut self, byte: u8, rules: LineRules) {
+        if let Comment::Deleted(kept) = &mut self.comment {
+            if byte > b' '
+                && *kept < DELETED_LENGTH
+                && let Some(place) = self.text.get_mut(usize::from(*kept))
+            {
+                *place = byte.to_ascii_uppercase();
+                *kept += 1;
+            }
+            return;
+        }
         let ends = byte == b')' && matches!(self.comment, Comment::Parentheses(0) | Comment::Nested(0));
         if !ends && self.comment != Comment::Semicolon {
             // Excess bytes are dropped.
@@ -427,6 +452,29 @@ mod tests {
         );
         assert_eq!(lines(b"/(3) 1\n/1(;)G0\n//1G0\nG0/1\n", OXMILL), ["1", "G0", "G0", "G01"]);
         assert_eq!(lines(b"/2G0\nN5/2X1\n", GRBL), ["2G0", "N52X1"]);
+    }
+
+    #[test]
+    fn the_first_words_of_a_deleted_line_are_kept() {
+        let deleted = |text: &[u8]| {
+            let mut line = Line::new();
+            for byte in text {
+                line.push(*byte, || LineRules { block_delete: true, ..OXMILL });
+            }
+            assert!(line.text().is_empty() || line.deleted().is_empty());
+            String::from_utf8(line.deleted().to_vec()).unwrap()
+        };
+        for (text, words) in [
+            (&b"/o1001 (A)"[..], "O1001(A)"),
+            (b"/2 N5 O1", "N5O1"),
+            (b"N5 / :7", ":7"),
+            (b"/", ""),
+            (b"O1001", ""),
+            (b"; /O1001", ""),
+        ] {
+            assert_eq!(deleted(text), words);
+        }
+        assert_eq!(deleted(&[b'/'; 300]).len(), usize::from(DELETED_LENGTH));
     }
 
     #[test]

@@ -173,9 +173,54 @@ const ROWS: &[Row] = &[
     ("F100", "G12 I5", 121, "G12 is not supported: write the circle as G2 or G3 with I and J"),
     ("F100", "G16", 121, "G16 is not supported: write X and Y instead of angle and radius"),
     ("F100", "G51.1 X0", 121, "G51.1 is not supported: G51 with a negative I or J mirrors"),
-    ("F100", "G65 P100", 121, "G65 is not supported: write o100 sub .. o100 endsub, and call it with o100 call"),
-    ("F100", "M98 P1000", 121, "M98 is not supported: write o100 sub .. o100 endsub, and call it with o100 call"),
-    ("F100", "M99", 121, "M99 is not supported: write o100 sub .. o100 endsub, and call it with o100 call"),
+    ("F100", "G66 P100", 121, "G66 is not supported: write G65 on each line that calls"),
+    (
+        "F100",
+        "G0 G65 P100",
+        121,
+        "G65 calls a subprogram only at the beginning of its line, as a plain number: G65 P1001",
+    ),
+    ("F100", "M3 M98.0 P1", 121, "M98.0 has to be a plain number in a program: M98 P1001, or M99"),
+    ("F100", "M[98] P1", 121, "a computed M word is none that is supported: write its number, such as M98 P1001"),
+    ("F100", "M97 P1000", 121, "M97 is not supported: write O1000 .. M99 behind M30, and call it with M98 P1000"),
+    ("F100", "M98 L2", 28, "P is missing in M98: the number of a subprogram"),
+    ("F100", "M98 P1 X2", 36, "M98 takes only P and L: write other words on a line of their own"),
+    ("F100", "G0 X1 M98 P1 X2", 36, "M98 takes only P and L: write other words on a line of their own"),
+    ("F100", "M98 P1 L0", 39, "P of M98 has up to 8 digits, and L is 1 to 9999"),
+    ("F100", "M98 P1.5", 23, "P and L of M98 are whole numbers"),
+    ("F100", "M98 P-1", 4, "P of M98 is negative"),
+    ("F100", "G65 P1 A1 A2", 25, "G65 has a letter twice"),
+    ("F100", "G65 P1 N2", 36, "G65 takes P, L and arguments, which are letters except G, L, N, O and P"),
+    ("F100", "G65 P1 A#<depth>", 74, "#<DEPTH> is not set above this line"),
+    ("F100", "G65 P1 A", 2, "G65 has a letter without a number"),
+    (
+        "F100",
+        "M99",
+        203,
+        "M99 without a call: lines above it may have run as the program. Subprograms come behind M30; $X ends this",
+    ),
+    (
+        "F100",
+        "G0 X1 M99",
+        203,
+        "M99 without a call: lines above it may have run as the program. Subprograms come behind M30; $X ends this",
+    ),
+    ("M98 P1001 | M30", "G0 X1", 203, "G0X1 is in no program or subprogram that can run; $X ends this"),
+    (
+        "M98 P1 | M30 | O1",
+        "O2",
+        203,
+        "O2 is no subprogram here: M99 ends the one before it, and each number is there once; $X ends this",
+    ),
+    ("M30 | O1", "M30", 203, "M30 is no end of a subprogram: M99 is; for the next program send $X first"),
+    ("M30 | O1", "M99 P20", 121, "M99 with other words is not supported: it returns behind the call"),
+    (
+        "M98 P1",
+        "N5 IF[#1 EQ 0] GOTO 10",
+        121,
+        "IF, WHILE and GOTO are not supported: write o1 if .. o1 endif, o1 while .. o1 endwhile",
+    ),
+    ("M30 | O1", "o2 sub", 81, "O2 SUB is within another one: write it in front"),
     ("F100", "M19", 121, "M19 is not supported: the spindle cannot be turned to an angle"),
     ("F100", "G87 X1", 121, "G87 is not supported: write the back boring as single moves"),
     ("F100", "@5", 121, "@5 is not supported: write X and Y instead of angle and radius"),
@@ -212,8 +257,8 @@ const ROWS: &[Row] = &[
     ("F100", "G82 X1 Z-5 R1", 28, "P is missing in G82: how many seconds to wait"),
     ("F100", "G73 X1 Z-5 R2", 28, "Q is missing in G73: the depth of a peck"),
     ("F100 | G18", "G81 X1 R1 Z2", 28, "Y is missing in G81: the bottom of the hole"),
-    ("F100", "G83 X1 Z-5 R1 Q0", 39, "Q0 in G83 has to be above 0: the depth of a peck"),
-    ("F100", "G83 X1 Z-5 R1 Q-1", 39, "Q-1 in G83 has to be above 0: the depth of a peck"),
+    ("F100", "G83 X1 Z-5 R1 Q0", 39, "Q0 in G83 must be above 0: the depth of a peck"),
+    ("F100", "G83 X1 Z-5 R1 Q-1", 39, "Q-1 in G83 must be above 0: the depth of a peck"),
     ("F100", "G81 X1 Z-5 R1 L0", 39, "L0 in G81 has to be 1 to 1000000: how many holes"),
     ("F100", "G81 X1 Z-5 R1 L1.5", 23, "L1.5 has to be a whole number"),
     ("F100", "G81 X1 Z5 R1", 54, "R1 lies below Z5, the bottom of the hole"),
@@ -301,7 +346,7 @@ const ROWS: &[Row] = &[
     ("F100 | G5.2 X1 Y1 P1", "G1 X5", 146, "G1 comes before G5.3 has ended the control points"),
     ("F100 | G5.2 X1 Y1 P1", "X2", 28, "P is missing in G5.2: the weight of the point"),
     ("F100", "G5.2 X1 Y1", 28, "P is missing in G5.2: the weight of the point"),
-    ("F100", "G5.2 X1 Y1 P0", 39, "P0 in G5.2 has to be above 0: the weight"),
+    ("F100", "G5.2 X1 Y1 P0", 39, "P0 in G5.2 must be above 0: the weight"),
     ("F100", "G5.2 X1 Y1 P1 L99", 39, "L99 in G5.2 is no order that there is"),
     ("F100", "G68 X1 Y1", 28, "R is missing in G68: the angle"),
     ("F100", "G68 Z1 R30", 31, "Z1 does not go with G68: it has no such axis"),
@@ -314,7 +359,7 @@ const ROWS: &[Row] = &[
     ("F100 | G68 X0 Y0 R30", "G92 X0", 127, "G92 does not go while G68 acts: write G69 before it"),
     ("F100", "G51 X0", 28, "P is missing in G51: the factor, or I, J and K"),
     ("F100", "G51 X0 P0", 39, "P0 in G51 must not be 0"),
-    ("F100", "G51 X0 K-1", 39, "K-1 in G51 must not mirror Z: it has to be above 0"),
+    ("F100", "G51 X0 K-1", 39, "K-1 in G51 must be above 0: Z cannot be mirrored"),
     ("F100", "G51 X0 P1000", 151, "P1000 is above 100 in G51: P1 is the size as programmed"),
     ("F100 | G51 X0 P2", "G92 X0", 143, "G92 does not go while G51 acts: write G50 before it"),
     ("F100 | G51 X0 I2 J3", "G2 X5 R2.5", 142, "G2 would be an ellipse: the factors of G51 in its plane differ"),
@@ -349,9 +394,9 @@ const ROWS: &[Row] = &[
     ("F100 | o100 sub | o100 endsub", "o100 call 5", 81, "O100 CALL takes values in brackets, one behind the other"),
     (
         "F100 | M30",
-        "O1001",
+        "O1001 X5",
         203,
-        "O1001 stands behind the end of the program: a subprogram comes before M2 or M30; $X ends this",
+        "O1001X5 is no subprogram here: M99 ends the one before it, and each number is there once; $X ends this",
     ),
     ("", "$J=X5", 22, "F is missing: each jog needs its own"),
     ("", "$J=G91 X5", 22, "F is missing: each jog needs its own"),
@@ -448,7 +493,10 @@ fn refusal(program: &Program, line: &str) -> Option<(u8, String)> {
         false => {
             let ahead = interpreter.look_behind_end(text, false);
             match ahead.and_then(|()| interpreter.direct(text, &[], 1)) {
-                Ok(Direction::Check) => interpreter.check_into(text, dialect, &mut action),
+                Ok(Direction::Check) => match interpreter.check_into(text, dialect, &mut action) {
+                    Ok(()) => Ok(()),
+                    Err(error) => interpreter.direct_refused(text, &[], error).map(|_| ()),
+                },
                 other => other.map(|_| ()),
             }
         }
@@ -462,11 +510,13 @@ fn refusal(program: &Program, line: &str) -> Option<(u8, String)> {
 fn after(dialect: Dialect, setup: &str) -> Program {
     let mut program = Program::new(dialect);
     for line in setup.split(" | ").filter(|line| !line.is_empty()) {
-        if line.starts_with(['O', 'o']) {
-            let text = line.replace(' ', "").to_ascii_uppercase();
-            program.interpreter.direct(text.as_bytes(), &[], 1).expect(line);
+        let text = line.replace(' ', "").to_ascii_uppercase();
+        let looked = program.interpreter.look_behind_end(text.as_bytes(), false);
+        let directed = looked.and_then(|()| program.interpreter.direct(text.as_bytes(), &[], 1));
+        if dialect == Dialect::Grbl || directed == Ok(Direction::Check) {
+            program.run(&text);
         } else {
-            program.run(&line.to_ascii_uppercase());
+            directed.expect(line);
         }
     }
     program

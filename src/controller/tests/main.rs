@@ -22,6 +22,7 @@ mod gcode_rotation;
 mod gcode_scaling;
 mod gcode_splines;
 mod gcode_state;
+mod gcode_subprograms;
 mod gcode_tools;
 mod joined_start;
 mod pump;

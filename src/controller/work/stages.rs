@@ -234,7 +234,7 @@ impl<const N: usize> Controller<N> {
             }
             Stage::Apply if !self.has_room_for_pins() => None,
             Stage::Apply => {
-                job.spindle_delay = self.apply(checking);
+                job.spindle_delay = self.apply(checking, job.answer.is_of_program());
                 Some(Stage::Storing)
             }
             Stage::Storing if !self.m.records.are_stored() => None,
@@ -345,15 +345,19 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Commits the line's modal state, and sets everything in the line that is not a motion. Returns how long the
-    /// spindle takes to spin up or down.
-    fn apply(&mut self, checking: bool) -> Duration {
+    /// spindle takes to spin up or down. `of_program`: the line is one of the host's program, not a startup line.
+    fn apply(&mut self, checking: bool, of_program: bool) -> Duration {
         let dialect = self.dialect();
         let action = &self.line.action;
         let mut delay = Duration::from_ticks(0);
         let before = action.work_offset_changed.then(|| self.m.interpreter.work_zero(dialect));
         let held = self.m.interpreter.modal().overrides_held;
         let freed = action.removes_tool().and_then(|number| self.m.interpreter.tools().find(number));
-        self.m.interpreter.commit(action);
+        if of_program {
+            self.m.interpreter.commit(action);
+        } else {
+            self.m.interpreter.commit_apart(action);
+        }
         if before.is_some_and(|before| self.m.interpreter.work_zero(dialect) != before) {
             self.m.replies.offset_changed();
         }
@@ -460,8 +464,6 @@ impl<const N: usize> Controller<N> {
             }
             Answer::Held(caller) => self.task = Task::Held(caller),
             Answer::Startup(index, host_waits) => {
-                // If the startup line has ended a program (M2), that was not the program of the host.
-                self.m.interpreter.begin_program();
                 self.echo_startup_line(index);
                 self.say_ok();
                 self.begin_startup_line(index + 1, host_waits);
@@ -567,13 +569,18 @@ impl<const N: usize> Controller<N> {
                 }
                 self.refuse(error);
                 match caller {
-                    Caller::Host => self.stop_at_error(gcode::asks_for_tool(Some(words))),
+                    Caller::Host => {
+                        self.m.interpreter.refused_in_run(words);
+                        self.m.last_line_at = self.m.now;
+                        self.stop_at_error(gcode::asks_for_tool(Some(words)));
+                    }
                     Caller::Startup(index, host_waits) => self.begin_startup_line(index + 1, host_waits),
                     Caller::Validation(_) => {}
                 }
             }
         }
         if next == Ok(Held::End) {
+            self.tell_awaited();
             self.finish(caller.answer());
         }
     }

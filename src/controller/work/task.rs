@@ -48,6 +48,13 @@ pub(crate) enum Answer {
     Restart,
 }
 
+impl Answer {
+    /// Whether the line is one of the host's program, or a stored one that such a line has called.
+    pub(crate) fn is_of_program(self) -> bool {
+        matches!(self, Answer::Host | Answer::Held(Caller::Host))
+    }
+}
+
 /// Whose line has called a subroutine, loop or macro. The fields are those of [`Answer`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Caller {

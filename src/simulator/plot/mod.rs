@@ -235,7 +235,7 @@ mod tests {
     fn the_speed_chart_is_scaled_to_feeds() {
         // Rapids at 3000 mm/min, feeds at 700.
         let svg = svg(&synthetic(), &example()).unwrap();
-        assert!(svg.contains("go on to 3000 mm/min"));
+        assert!(svg.contains("reach 3000 mm/min"));
         assert!(!svg.contains(">\n1500\n<") && svg.contains(">\n600\n<"), "marks above the feeds, or none");
     }
 

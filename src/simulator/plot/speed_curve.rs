@@ -67,7 +67,7 @@ pub(super) fn speed_curve(area: &Area, drawing: &Drawing, scale: &Scale) -> Draw
     let top = if feeds { scale.high } else { rapids.max(1e-3) } * 1.1;
     let (left, margin) = (px(72), px(14));
     let caption = match rapids {
-        r if r > top => format!("Path speed (rapids, in grey, go on to {r:.0} mm/min)"),
+        r if r > top => format!("Path speed (rapids, in grey, reach {r:.0} mm/min)"),
         r if r > 0.0 => "Path speed (rapids in grey)".into(),
         _ => "Path speed".into(),
     };

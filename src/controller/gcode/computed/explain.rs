@@ -3,31 +3,40 @@
 //! macros.
 
 use super::expression::{self, ParameterReference};
-use super::flow::{FlowState, KEYWORDS, Keyword, OWord, digits};
+use super::flow::{FlowState, KEYWORDS, Keyword, OWord, digits, ends_program};
+use super::m_words::has_m_word;
+use super::subprograms::{is_jump, split_call};
 use crate::error::Error;
 use crate::gcode::Reason;
+use crate::gcode::program_end::has_program_number;
 use crate::gcode::refusal::say;
-use crate::gcode::state::Interpreter;
+use crate::gcode::state::{Interpreter, ProgramPlace};
 use crate::number::{Digits, read};
+use core::fmt::Write;
 
 impl<const N: usize> Interpreter<N> {
     /// Writes what is wrong with an O word, or with the block that a line belongs to. Returns `false` if the error has
     /// another cause.
     #[inline(never)]
     pub(in crate::gcode) fn explain_flow(&self, line: &[u8], error: Error, out: &mut Reason) -> bool {
-        let order = OWord::of(line);
+        let behind_words = match error {
+            Error::UnusedWords | Error::ValueWordMissing | Error::ValueOutOfRange => split_call(line),
+            _ => None,
+        };
+        let order = OWord::of(behind_words.map_or(line, |(_, call)| call));
         let is_refused_block = matches!(self.computed.flow.state, FlowState::Recording(_, Some(of)) if of == error);
         match (order, error) {
-            (_, Error::BehindEnd) => {
-                say(
-                    out,
-                    "% stands behind the end of the program: a subprogram comes before M2 or M30; $X ends this",
-                    &[line],
-                );
+            (_, Error::OutOfPlace) => self.explain_place(line, order, out),
+            (_, Error::OutOfMemory) if self.place == ProgramPlace::Refused && self.computed.flow.missing > 0 => {
+                self.say_missing("no room to hold the program up to O%: write O% SUB .. O% ENDSUB above its call", out);
             }
+            (Some(order), _) if order.label.is_empty() => self.explain_call(line, &order, error, out),
             (Some(order), _) => self.explain_order(line, &order, error, out),
             (None, Error::OutOfMemory) => {
                 say(out, "no room to hold this line: subroutines and loops are too long", &[])
+            }
+            (None, Error::NotSupported) if is_jump(line) => {
+                say(out, "IF, WHILE and GOTO are not supported: write o1 if .. o1 endif, o1 while .. o1 endwhile", &[]);
             }
             (None, _) if is_refused_block => {
                 say(out, "the sub or loop of this line is refused as a whole: correct its first refused line", &[]);
@@ -36,6 +45,72 @@ impl<const N: usize> Interpreter<N> {
             (None, _) => return false,
         }
         true
+    }
+
+    /// Explains a line that belongs to no program and to no subprogram.
+    #[inline(never)]
+    fn explain_place(&self, line: &[u8], order: Option<OWord>, out: &mut Reason) {
+        match order.map(|order| order.keyword) {
+            _ if has_m_word(line, &[b"99"]) => say(
+                out,
+                "M99 without a call: lines above it may have run as the program. Subprograms come behind M30; $X ends this",
+                &[],
+            ),
+            Some(Keyword::CallProgram | Keyword::CallMacro) if self.place == ProgramPlace::Program => {
+                self.say_missing("no subprogram O% above this line", out);
+            }
+            _ if line.first() == Some(&b'%') => self.say_missing("no subprogram O% above its call or behind M30", out),
+            _ if has_program_number(line) => say(
+                out,
+                "% is no subprogram here: M99 ends the one before it, and each number is there once; $X ends this",
+                &[line],
+            ),
+            None if ends_program(line) => {
+                say(out, "% is no end of a subprogram: M99 is; for the next program send $X first", &[line])
+            }
+            _ => say(out, "% is in no program or subprogram that can run; $X ends this", &[line]),
+        }
+    }
+
+    /// Explains M98, M99 and G65.
+    #[inline(never)]
+    fn explain_call(&self, line: &[u8], order: &OWord, error: Error, out: &mut Reason) {
+        let name: &[u8] = match order.keyword {
+            Keyword::CallMacro => b"G65",
+            Keyword::CallProgram => b"M98",
+            _ => b"M99",
+        };
+        match error {
+            Error::ValueWordMissing => say(out, "P is missing in %: the number of a subprogram", &[name]),
+            Error::ValueOutOfRange => say(out, "P of % has up to 8 digits, and L is 1 to 9999", &[name]),
+            Error::IntegerRequired => say(out, "P and L of % are whole numbers", &[name]),
+            Error::BadNumber => say(out, "% has a letter without a number", &[name]),
+            Error::NegativeValue => say(out, "P of % is negative", &[name]),
+            Error::WordRepeated => say(out, "% has a letter twice", &[name]),
+            Error::UnusedWords if order.keyword == Keyword::CallMacro => {
+                say(out, "% takes P, L and arguments, which are letters except G, L, N, O and P", &[name]);
+            }
+            Error::UnusedWords => say(out, "% takes only P and L: write other words on a line of their own", &[name]),
+            Error::NotSupported => say(out, "% with other words is not supported: it returns behind the call", &[name]),
+            Error::TooDeep => say(out, "% is within too many others", &[name]),
+            Error::EndlessLoop => say(out, "% came round 100,000 times", &[name]),
+            Error::OutOfMemory => say(out, "no room to hold %: subroutines and loops are too long", &[name]),
+            Error::InvalidArgument if self.unset_parameter(line).is_some() => {
+                say(out, "% is not set above this line", &[self.unset_parameter(line).unwrap_or_default()]);
+            }
+            error => {
+                say(out, "%: ", &[name]);
+                let _ = out.extend_from_slice(error.text().as_bytes());
+            }
+        }
+    }
+
+    /// Writes a sentence with the number of the missing subprogram in place of each `%`.
+    #[inline(never)]
+    fn say_missing(&self, sentence: &str, out: &mut Reason) {
+        let mut number = heapless::Vec::<u8, 10>::new();
+        let _ = write!(number, "{}", self.computed.flow.missing);
+        say(out, sentence, &[&number, &number, &number]);
     }
 
     #[inline(never)]
@@ -101,6 +176,9 @@ impl<const N: usize> Interpreter<N> {
             Keyword::EndWhile => b"WHILE",
             Keyword::EndRepeat => b"REPEAT",
             Keyword::Break | Keyword::Continue => return say(out, "% is within no loop of this number", &[name]),
+            Keyword::Program | Keyword::CallProgram | Keyword::CallMacro | Keyword::Back => {
+                return say(out, "a sub, loop or condition was not ended before this line", &[]);
+            }
         };
         say(out, "% has no O% % before it", &[name, label, opening]);
     }

@@ -4,9 +4,16 @@
 //! ```text
 //!            sub, while, do, repeat               endsub: kept; endwhile, while, endrepeat: run at once
 //!  Streaming ────────────────────────▶ Recording ─────────────────────────────────────────────┐
-//!      ▲  └── call ──────────────────────────────────────────────────────────────▶ Running ◀──┘
-//!      └─────────────────────────────── the end of the text, M2, an error ────────────┘
+//!   ▲  │  └── call ──────────────────────────────────────────────────────────────▶ Running ◀──┘
+//!   │  │                                                                           │ ▲  │
+//!   │  └── M98, G65 of an unknown subprogram ──▶ Holding ◀── in the program ───────┤ │  │
+//!   │                                               │  Waiting ◀── in held lines ──┘ │  │
+//!   │              a subprogram behind the end: ────┴─────┴──▶ Recording ── M99 ─────┘  │
+//!   └─────────────────────────────── the end of the text, M2, an error ─────────────────┘
 //! ```
+//! An error while lines are held for a subprogram drops all of them (see `subprograms`). A subprogram for which no
+//! program waits is forgotten at its M99.
+//!
 //! A condition is not recorded, because the lines of its false branches are only skipped. Subroutines and loops are
 //! held as text of bounded size, because a serial link sends each line only once. A subroutine or loop that does not
 //! fit is refused up to its end, so that none of its lines is executed as a line of the program. Held text is returned
@@ -14,6 +21,7 @@
 
 use super::m_words::has_m_word;
 use crate::error::Error;
+use crate::gcode::program_end::behind_line_number;
 use crate::gcode::remark::split_remark;
 use crate::lent::Lent;
 
@@ -56,9 +64,20 @@ pub(super) enum Keyword {
     EndRepeat,
     Break,
     Continue,
+    /// The number of a subprogram, as the held text has it.
+    Program,
+    /// M98.
+    CallProgram,
+    /// G65.
+    CallMacro,
+    /// M99.
+    Back,
     /// Any other word.
     Unknown,
 }
+
+/// The keyword of a held subprogram. No line of a host has it, because small letters become capitals.
+pub(super) const PROGRAM: &[u8] = b"sub";
 
 /// The keywords. Of two keywords that begin alike, the longer one comes first: `ELSEIF` before `ELSE`.
 pub(super) const KEYWORDS: [(&[u8], Keyword); 15] = [
@@ -79,7 +98,7 @@ pub(super) const KEYWORDS: [(&[u8], Keyword); 15] = [
     (b"CONTINUE", Keyword::Continue),
 ];
 
-/// A line with an O word.
+/// A line with an O word, or with M98, M99 or G65, which have no label.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OWord<'a> {
     pub(super) label: &'a [u8],
@@ -92,11 +111,8 @@ impl<'a> OWord<'a> {
     /// keyword, such as `O1000`. The label may be an expression.
     pub(super) fn of(line: &'a [u8]) -> Option<OWord<'a>> {
         let (line, _) = split_remark(line);
-        let line = match line.strip_prefix(b"N") {
-            Some(numbered) => numbered.get(digits(numbered)..)?,
-            None => line,
-        };
-        let mut text = line.strip_prefix(b"O")?;
+        let line = behind_line_number(line);
+        let Some(mut text) = line.strip_prefix(b"O") else { return Self::of_call(line) };
         // Leading zeros do not count: O0100 is O100.
         while let [b'0', b'0'..=b'9', ..] = text {
             text = text.get(1..)?;
@@ -104,10 +120,28 @@ impl<'a> OWord<'a> {
         let length = label_length(text)?;
         let (label, text) = text.split_at_checked(length).filter(|(label, _)| !label.is_empty())?;
         let Some((name, keyword)) = KEYWORDS.iter().find(|(name, _)| text.starts_with(name)) else {
+            if text == PROGRAM {
+                return Some(OWord { label, keyword: Keyword::Program, arguments: &[] });
+            }
             let is_word = label.first() == Some(&b'<') || matches!(text, [b'A'..=b'Z', b'A'..=b'Z', ..]);
             return is_word.then_some(OWord { label, keyword: Keyword::Unknown, arguments: text });
         };
         Some(OWord { label, keyword: *keyword, arguments: text.get(name.len()..)? })
+    }
+
+    /// Reads M98, M99 and G65 at the beginning of a line.
+    fn of_call(line: &'a [u8]) -> Option<OWord<'a>> {
+        let (letter, number) = line.split_first()?;
+        let zeros = number.iter().take_while(|digit| **digit == b'0').count();
+        let (number, arguments) = number.get(zeros..)?.split_at_checked(2)?;
+        let keyword = match (letter, number) {
+            (b'M', b"98") => Keyword::CallProgram,
+            (b'M', b"99") => Keyword::Back,
+            (b'G', b"65") => Keyword::CallMacro,
+            _ => return None,
+        };
+        let is_whole = !matches!(arguments.first(), Some(b'0'..=b'9' | b'.'));
+        is_whole.then_some(OWord { label: &[], keyword, arguments })
     }
 
     /// Whether `other` ends the block that this O word begins.
@@ -134,12 +168,18 @@ impl<'a> OWord<'a> {
             keyword if keyword != Keyword::Call && self.has_computed_label() => false,
             Keyword::If | Keyword::ElseIf | Keyword::While | Keyword::Repeat => bracket,
             Keyword::Call | Keyword::Return | Keyword::EndSub => bracket || self.arguments.is_empty(),
+            Keyword::CallProgram | Keyword::CallMacro | Keyword::Back => true,
             _ => self.arguments.is_empty(),
         }
     }
 
     pub(super) fn must_be_well_formed(&self) -> Result<(), Error> {
         if self.is_well_formed() { Ok(()) } else { Err(Error::FlowSyntax) }
+    }
+
+    /// Whether the line can still belong to a program whose M2 or M30 is in a block before it: calls cannot.
+    pub(super) fn may_follow_end(&self) -> bool {
+        !matches!(self.keyword, Keyword::Call | Keyword::CallProgram | Keyword::CallMacro | Keyword::Back)
     }
 
     /// Whether this O word can end the skipping of lines.
@@ -190,6 +230,28 @@ pub(super) enum FrameKind {
     /// A repeat loop with its remaining passes, including the current one.
     Repeat(u32),
     Call,
+    /// A call of a subprogram.
+    Program(Passes),
+}
+
+impl FrameKind {
+    pub(super) fn is_call(self) -> bool {
+        matches!(self, FrameKind::Call | FrameKind::Program(_))
+    }
+
+    /// Whether it is a call with parameters of its own.
+    pub(super) fn is_level(self) -> bool {
+        matches!(self, FrameKind::Call | FrameKind::Program(Passes { is_macro: true, .. }))
+    }
+}
+
+/// How often a subprogram runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Passes {
+    /// Remaining passes, including the current one.
+    pub(super) left: u16,
+    /// G65: the call has parameters of its own.
+    pub(super) is_macro: bool,
 }
 
 /// An open condition or loop, or an active call.
@@ -211,6 +273,10 @@ pub(super) enum FlowState {
     Streaming,
     /// Lines are recorded; their text begins at this position. With an error, they are refused instead.
     Recording(u16, Option<Error>),
+    /// The program is recorded from the call of an unknown subprogram on.
+    Holding,
+    /// The recorded program has ended, and waits for the definition of a subprogram.
+    Waiting,
     /// Held text runs. A position means that it is a loop from the stream: its text begins there and is dropped at its
     /// end.
     Running(Option<u16>),
@@ -245,6 +311,16 @@ pub(super) struct FlowControl {
     pub(super) after_end: bool,
     /// The host's line at which a block began that was still open at the end of the program.
     pub(super) cut: Option<u32>,
+    /// Position of the call of an unknown subprogram with which the program goes on.
+    pub(super) waiting: Option<u16>,
+    /// Position of the text that is held for this call.
+    held_from: u16,
+    /// Number of the unknown subprogram that was called last.
+    pub(super) missing: u32,
+    /// Number of open conditions and loops in the subprogram that is recorded.
+    pub(super) within: u8,
+    /// The present line comes from the host, which can send more lines.
+    pub(super) of_host: bool,
 }
 
 impl FlowControl {
@@ -264,6 +340,11 @@ impl FlowControl {
             recorded_from: 0,
             after_end: false,
             cut: None,
+            waiting: None,
+            held_from: 0,
+            missing: 0,
+            within: 0,
+            of_host: false,
         }
     }
 
@@ -283,6 +364,8 @@ impl FlowControl {
         self.recorded_from = 0;
         self.after_end = false;
         self.cut = None;
+        self.waiting = None;
+        self.within = 0;
     }
 
     /// Ends the program: resets the state, but notes in `cut` at which line a still open block began.
@@ -298,8 +381,14 @@ impl FlowControl {
             FlowState::Running(_) => usize::from(self.below),
             _ => self.frames.len(),
         };
-        let recorded = matches!(self.state, FlowState::Recording(..)).then_some(self.recorded_from);
+        let records = self.records() || self.state == FlowState::Waiting;
+        let recorded = records.then_some(self.recorded_from);
         self.frames.get(..of_stream)?.first().map(|frame| frame.begun).or(recorded)
+    }
+
+    /// Whether lines of the host are recorded.
+    pub(super) fn records(&self) -> bool {
+        matches!(self.state, FlowState::Recording(..) | FlowState::Holding)
     }
 
     /// Whether lines of the host are skipped or recorded.
@@ -341,7 +430,7 @@ impl FlowControl {
     }
 
     fn find_sub(&self, from: u16, label: &[u8]) -> Option<(u16, u16)> {
-        self.find_from(from, |order| order.keyword == Keyword::Sub && order.label == label)
+        self.find_from(from, |order| matches!(order.keyword, Keyword::Sub | Keyword::Program) && order.label == label)
     }
 
     /// Returns the position after the `endsub` line of a subroutine.
@@ -352,7 +441,7 @@ impl FlowControl {
 
     /// Finds the first line from a position on whose O word satisfies `is_it`. Returns the positions of this line and
     /// of the line after it.
-    fn find_from(&self, from: u16, is_it: impl Fn(&OWord) -> bool) -> Option<(u16, u16)> {
+    pub(super) fn find_from(&self, from: u16, is_it: impl Fn(&OWord) -> bool) -> Option<(u16, u16)> {
         let mut at = from;
         while let Some(line) = self.line(at) {
             let behind = at + 1 + line.len() as u16;
@@ -402,8 +491,13 @@ impl FlowControl {
 
     /// Whether the innermost frame has this label.
     pub(super) fn is_of_last(&self, label: &[u8]) -> bool {
+        self.last_label() == label
+    }
+
+    /// Returns the label of the innermost frame.
+    pub(super) fn last_label(&self) -> &[u8] {
         let length = self.frames.last().map_or(0, |frame| usize::from(frame.label));
-        self.labels.get(self.labels.len().saturating_sub(length)..) == Some(label)
+        self.labels.get(self.labels.len().saturating_sub(length)..).unwrap_or_default()
     }
 
     /// The innermost frame, if it has this label.
@@ -428,6 +522,40 @@ impl FlowControl {
         self.next = at;
         self.below = self.frames.len() as u8;
         self.passes = 0;
+    }
+
+    /// Holds the program from the call at `at` on, whose subprogram is not known yet. `is_complete`: the program has
+    /// been held up to its end, so only subprograms can follow.
+    pub(super) fn wait(&mut self, at: u16, is_complete: bool) {
+        let end = self.text.len() as u16;
+        self.held_from = match self.state {
+            FlowState::Running(Some(from)) => from,
+            FlowState::Running(None) => {
+                // The call from the stream returns to the lines that are held from here on.
+                if let Some(call) = self.frames.get_mut(usize::from(self.below)) {
+                    call.at = end;
+                }
+                end
+            }
+            _ => at,
+        };
+        self.state = if is_complete { FlowState::Waiting } else { FlowState::Holding };
+        if !is_complete {
+            self.recorded_from = self.line;
+            self.after_end = false;
+        }
+        self.waiting = Some(at);
+        // All open conditions belong to the program, whose rest is held.
+        self.below = 0;
+    }
+
+    /// Goes on with the call that has waited. Returns whether there was one.
+    pub(super) fn go_on(&mut self) -> bool {
+        let Some(at) = self.waiting.take() else { return false };
+        self.state = FlowState::Running(Some(self.held_from));
+        self.next = at;
+        self.passes = 0;
+        true
     }
 
     /// Stops the running text, whether or not it has reached its end.

@@ -2,9 +2,16 @@
 
 /// Whether a line has an M word with one of these numbers, written as a plain integer.
 pub(super) fn has_m_word(line: &[u8], numbers: &[&[u8]]) -> bool {
+    find_m_word(line, numbers).is_some()
+}
+
+/// Returns the position of the first M word with one of these numbers, written as a plain integer.
+#[inline(never)]
+pub(super) fn find_m_word(line: &[u8], numbers: &[&[u8]]) -> Option<usize> {
     let mut in_name = false;
     let mut rest = line;
     while let Some((byte, behind)) = rest.split_first() {
+        let at = line.len() - rest.len();
         rest = behind;
         in_name = *byte == b'<' || in_name && *byte != b'>';
         if *byte != b'M' || in_name {
@@ -15,8 +22,8 @@ pub(super) fn has_m_word(line: &[u8], numbers: &[&[u8]]) -> bool {
         let zeros = number.iter().take_while(|digit| **digit == b'0').count();
         let number = number.get(zeros..).unwrap_or_default();
         if numbers.contains(&number) && after.first() != Some(&b'.') {
-            return true;
+            return Some(at);
         }
     }
-    false
+    None
 }

@@ -2,6 +2,7 @@
 //! state before each line, commits it with the line, and resets parts of it at the end of a program. A build without
 //! the feature `full` has `none.rs` instead.
 
+mod calls;
 #[cfg(feature = "reasons")]
 mod explain;
 mod expression;
@@ -12,6 +13,7 @@ mod macros;
 mod o_words;
 mod parameters;
 mod real;
+mod subprograms;
 #[cfg(test)]
 mod tests;
 

@@ -4,6 +4,7 @@
 use crate::axes::PerAxis;
 use crate::error::Error;
 use crate::gcode::direction::{Direction, Held};
+use crate::gcode::program_end::behind_line_number;
 use crate::gcode::state::Interpreter;
 use crate::gcode::word::Word;
 use crate::units::Coordinate;
@@ -65,8 +66,7 @@ impl<const N: usize> Computed<N> {
 
 #[inline(never)]
 fn is_o_word(line: &[u8]) -> bool {
-    let line = line.strip_prefix(b"N").map_or(line, behind_digits);
-    let behind = line.strip_prefix(b"O").map(behind_digits);
+    let behind = behind_line_number(line).strip_prefix(b"O").map(behind_digits);
     matches!(behind, Some([b'A'..=b'Z', b'A'..=b'Z', ..] | [b'<' | b'#' | b'[', ..]))
 }
 
@@ -102,6 +102,34 @@ impl<const N: usize> Interpreter<N> {
     pub fn tape_mark(&mut self) -> Result<(), Error> {
         self.begin_program();
         Ok(())
+    }
+
+    /// Returns the error: there are no calls.
+    pub fn direct_refused(&mut self, _: &[u8], _: &[u8], error: Error) -> Result<Direction, Error> {
+        Err(error)
+    }
+
+    pub(super) fn look_among_subprograms(&mut self, _: &[u8]) -> bool {
+        false
+    }
+
+    /// Returns `false`: no program is held.
+    pub fn is_held(&self) -> bool {
+        false
+    }
+
+    pub(super) fn is_holding(&self) -> bool {
+        false
+    }
+
+    /// Returns `false`: no line is recorded.
+    pub(super) fn is_recording(&self) -> bool {
+        false
+    }
+
+    /// Returns `None`: no program waits.
+    pub fn awaited_subprogram(&self) -> Option<u32> {
+        None
     }
 
     /// Returns 0: no line is skipped.

@@ -7,8 +7,10 @@ use super::flow::{
     ARGUMENTS, FlowState, FrameKind, HeldLine, Keyword, LABELS, OWord, PASSES, SPARE, STREAM, ends_program,
 };
 use super::real::Real;
+use super::subprograms::{is_jump, split_call};
 use crate::error::Error;
 use crate::gcode::direction::{Direction, Held};
+use crate::gcode::program_end::has_program_number;
 use crate::gcode::state::Interpreter;
 use core::fmt::Write;
 
@@ -28,9 +30,15 @@ impl<const N: usize> Interpreter<N> {
         let flow = &mut self.computed.flow;
         flow.line = number;
         let plain = flow.state == FlowState::Streaming && !flow.skipping;
-        if plain && !matches!(line.first(), Some(b'O' | b'N')) {
+        let may_direct = match line.first() {
+            Some(b'O' | b'N' | b':' | b'M') => true,
+            Some(b'G') => matches!(line, [_, b'6', b'5', ..] | [_, b'0', b'6', b'5', ..]),
+            _ => false,
+        };
+        if plain && !may_direct {
             return Ok(Direction::Check);
         }
+        flow.of_host = true;
         self.direct_order(line, remark, OWord::of(line))
     }
 
@@ -46,6 +54,7 @@ impl<const N: usize> Interpreter<N> {
             Some(_) if self.is_within_block() => Err(Error::NotIdle),
             order => {
                 self.computed.begin();
+                self.computed.flow.of_host = false;
                 self.direct_order(line, &[], order).map(|_| true)
             }
         }
@@ -69,24 +78,29 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Handles a tape mark, which separates programs. A block that is still open is dropped, and is an error.
+    ///
+    /// # Errors
+    /// [`Error::FlowSyntax`]; [`Error::OutOfPlace`] if the program waits for a subprogram.
     pub fn tape_mark(&mut self) -> Result<(), Error> {
+        let is_open = self.computed.flow.open_since().is_some();
+        let error = if self.computed.flow.waiting.is_some() { Error::OutOfPlace } else { Error::FlowSyntax };
         self.begin_program();
-        if self.computed.flow.open_since().is_none() {
+        if !is_open {
             return Ok(());
         }
         self.computed.end_program();
-        Err(Error::FlowSyntax)
+        Err(error)
     }
 
-    /// Detects that a program has ended within a block. After a skipped or recorded M2 or M30 only O words can belong
-    /// to the same program, so any other line belongs to the next program.
+    /// Detects that a program has ended within a block. After a skipped or recorded M2 or M30 only O words, but no
+    /// calls, can belong to the same program, so any other line belongs to the next program.
     fn look_for_end(&mut self, line: &[u8], order: Option<OWord>) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         let left_out = flow.leaves_lines_out();
         if line.is_empty() {
             return Ok(());
         }
-        if order.is_some() {
+        if order.is_some_and(|order| !left_out || !flow.after_end || order.may_follow_end()) {
             flow.cut = None;
         } else if left_out && flow.after_end {
             self.computed.end_program();
@@ -99,6 +113,24 @@ impl<const N: usize> Interpreter<N> {
     }
 
     fn direct_order(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
+        if self.computed.flow.records()
+            && order.is_none()
+            && !is_jump(line)
+            && !has_program_number(line)
+            && let Some((words, call)) = split_call(line)
+        {
+            // The words in front of M98 or M99 are held as a line of their own.
+            self.direct_part(words, &[], None)?;
+            return self.direct_part(call, remark, OWord::of(call));
+        }
+        self.direct_part(line, remark, order)
+    }
+
+    /// Directs a line, or a part of one.
+    fn direct_part(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
+        if let Some(directed) = self.direct_subprogram(line, remark, order) {
+            return directed;
+        }
         self.look_for_end(line, order)?;
         if let FlowState::Recording(from, error) = self.computed.flow.state {
             return self.record(line, remark, order, from, error);
@@ -115,9 +147,11 @@ impl<const N: usize> Interpreter<N> {
                 let (label, at) = self.called(&order)?;
                 let arguments = self.arguments(order.arguments)?;
                 self.computed.flow.run(at, None);
-                self.call(&label, STREAM, &arguments)?;
+                self.call(FrameKind::Call, &label, STREAM, &arguments)?;
                 return Ok(Direction::Call);
             }
+            Keyword::CallProgram | Keyword::CallMacro => return self.run_call(&[], line, remark, &order),
+            Keyword::Back => return Err(self.refuse_rest()),
             Keyword::Sub | Keyword::Do | Keyword::While | Keyword::Repeat => {
                 let from = flow.text.len() as u16;
                 let held = order.must_be_well_formed().and_then(|()| flow.hold(line, remark, 0));
@@ -192,37 +226,22 @@ impl<const N: usize> Interpreter<N> {
     pub fn next_held(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         self.computed.begin();
         let next = self.next_line(line);
-        if !matches!(next, Ok(Held::Line | Held::Again)) {
+        if !matches!(next, Ok(Held::Line | Held::Again)) && self.computed.flow.waiting.is_none() {
             self.abandon_held();
         }
         next
     }
 
-    /// Stops the running text after one of its lines was refused.
-    pub fn abandon_held(&mut self) {
-        self.computed.flow.stop();
-        self.computed.parameters.leave_calls();
-        self.saved.abandon(0);
-    }
-
     /// Records that a line of the host was refused, possibly before `direct` was called for it. A subroutine or loop
-    /// that is being recorded would lack this line, so it is refused up to its end.
+    /// that is being recorded would lack this line, so it is refused up to its end; a held program or a subprogram is
+    /// dropped, and all lines that follow are refused.
     pub fn line_refused(&mut self, error: Error) {
         self.computed.begin();
-        let flow = &mut self.computed.flow;
-        if let FlowState::Recording(from, None) = flow.state {
-            flow.state = FlowState::Recording(from, Some(error));
+        if self.is_held() {
+            self.refuse_rest();
+        } else if let FlowState::Recording(from, None) = self.computed.flow.state {
+            self.computed.flow.state = FlowState::Recording(from, Some(error));
         }
-    }
-
-    /// Abandons the program, because its rest will not run or another host has taken over. Forgets open conditions and
-    /// loops, and all recorded lines except macros. Ends G68 and G51, because no other program expects them.
-    pub fn abandon_program(&mut self) {
-        self.rotation = None;
-        self.scaling = None;
-        self.computed.flow.reset();
-        self.computed.parameters.leave_calls();
-        self.saved.abandon(0);
     }
 
     fn next_line(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
@@ -245,8 +264,10 @@ impl<const N: usize> Interpreter<N> {
             line.clear();
             return Ok(Held::Again);
         };
-        // `endsub` is never skipped, because the line after it belongs to another subroutine.
-        let ends = order.ends_skipping() && flow.is_of_last(order.label) || order.keyword == Keyword::EndSub;
+        // `endsub` is never skipped, because the line after it belongs to another subroutine; nor is the number of a
+        // subprogram.
+        let ends = order.ends_skipping() && flow.is_of_last(order.label)
+            || matches!(order.keyword, Keyword::EndSub | Keyword::Program);
         if flow.skipping && !ends {
             line.clear();
             return Ok(Held::Again);
@@ -257,11 +278,17 @@ impl<const N: usize> Interpreter<N> {
                 let back = flow.next;
                 let (label, begin) = self.called(&order)?;
                 let arguments = self.arguments(order.arguments)?;
-                self.call(&label, back, &arguments)?;
+                self.call(FrameKind::Call, &label, back, &arguments)?;
                 self.computed.flow.go_back(begin)?;
             }
-            Keyword::Return | Keyword::EndSub => return self.leave_call(line),
-            Keyword::Sub => return Err(Error::FlowSyntax),
+            Keyword::CallProgram | Keyword::CallMacro => {
+                if !self.call_from_text(&order, at)? {
+                    line.clear();
+                    return Ok(Held::End);
+                }
+            }
+            Keyword::Return | Keyword::EndSub | Keyword::Back => return self.leave_call(line),
+            Keyword::Sub | Keyword::Program => return Err(Error::FlowSyntax),
             _ => self.go_round(order, at)?,
         }
         Ok(Held::Again)
@@ -382,14 +409,12 @@ impl<const N: usize> Interpreter<N> {
         let flow = &mut self.computed.flow;
         while !flow.is_of_last(order.label) {
             match flow.frames.last() {
-                Some(frame) if frame.kind != FrameKind::Call && flow.frames.len() > usize::from(flow.below) => {
-                    flow.pop()
-                }
+                Some(frame) if !frame.kind.is_call() && flow.frames.len() > usize::from(flow.below) => flow.pop(),
                 _ => return Err(Error::FlowSyntax),
             };
         }
         let frame = flow.last(order.label)?;
-        if matches!(frame.kind, FrameKind::If(_) | FrameKind::Call) {
+        if matches!(frame.kind, FrameKind::If(_)) || frame.kind.is_call() {
             return Err(Error::FlowSyntax);
         }
         frame.leaving = order.keyword == Keyword::Break;
@@ -413,29 +438,40 @@ impl<const N: usize> Interpreter<N> {
         Ok((label, begin))
     }
 
-    fn call(&mut self, label: &[u8], back: u16, arguments: &[Real]) -> Result<(), Error> {
-        let Computed { flow, parameters, .. } = &mut self.computed;
-        let pushed = flow.push(FrameKind::Call, label, back).and_then(|()| parameters.enter_call(arguments));
-        if pushed.is_err() && back == STREAM {
-            self.abandon_held();
-        }
-        pushed
-    }
-
-    /// Executes `return` and `endsub`: returns to the line after the call, with a value. If M73 requires it, the next
-    /// line is M72, which restores the state.
+    /// Executes `return`, `endsub` and M99: returns to the line after the call, with a value, or begins the next pass
+    /// of a subprogram. If M73 requires it, the next line is M72, which restores the state.
     fn leave_call(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         let order = OWord::of(line).ok_or(Error::FlowSyntax)?;
+        let is_back = order.keyword == Keyword::Back;
+        if is_back && !order.arguments.is_empty() {
+            return Err(Error::NotSupported);
+        }
         let value = if order.arguments.is_empty() { None } else { Some(self.argument(order.arguments)?) };
         let Computed { flow, parameters, returned, .. } = &mut self.computed;
-        if order.keyword == Keyword::EndSub && flow.last(order.label)?.kind != FrameKind::Call {
+        if order.keyword == Keyword::EndSub && !flow.last(order.label)?.kind.is_call() {
             return Err(Error::FlowSyntax);
         }
         while flow.frames.len() > usize::from(flow.below)
-            && let Some(frame) = flow.pop()
+            && let Some(frame) = flow.frames.last()
         {
-            if frame.kind == FrameKind::Call {
-                parameters.leave_call();
+            if let FrameKind::Program(passes) = frame.kind
+                && passes.left > 1
+            {
+                flow.next_pass()?;
+                // A state that M73 has saved in this pass is restored before the next one.
+                if passes.is_macro && self.saved.leave(parameters.level().saturating_sub(1)) {
+                    line.clear();
+                    line.extend_from_slice(RESTORE).map_err(|_| Error::OutOfMemory)?;
+                    return Ok(Held::Line);
+                }
+                return Ok(Held::Again);
+            }
+            let frame = *frame;
+            flow.pop();
+            if frame.kind.is_call() {
+                if frame.kind.is_level() {
+                    parameters.leave_call();
+                }
                 *returned = value;
                 flow.next = frame.at;
                 if self.saved.leave(parameters.level()) {
@@ -446,7 +482,7 @@ impl<const N: usize> Interpreter<N> {
                 return Ok(if frame.at == STREAM { Held::End } else { Held::Again });
             }
         }
-        Err(Error::FlowSyntax)
+        Err(if is_back { Error::OutOfPlace } else { Error::FlowSyntax })
     }
 
     fn condition(&self, text: &[u8]) -> Result<bool, Error> {
@@ -462,15 +498,17 @@ impl<const N: usize> Interpreter<N> {
         if rest.is_empty() { Ok(value) } else { Err(Error::FlowSyntax) }
     }
 
-    fn arguments(&self, text: &[u8]) -> Result<heapless::Vec<Real, ARGUMENTS>, Error> {
+    fn arguments(&self, text: &[u8]) -> Result<heapless::Vec<(u8, Real), ARGUMENTS>, Error> {
         let mut values = heapless::Vec::new();
         let mut rest = text;
+        let mut number = 1;
         while !rest.is_empty() {
             if rest.first() != Some(&b'[') {
                 return Err(Error::FlowSyntax);
             }
             let (value, behind) = self.value(rest)?;
-            values.push(value).map_err(|_| Error::FlowSyntax)?;
+            values.push((number, value)).map_err(|_| Error::FlowSyntax)?;
+            number += 1;
             rest = behind;
         }
         Ok(values)

@@ -173,12 +173,12 @@ impl Parameters {
         self.forget_locals();
     }
 
-    /// Begins a call, and sets #1 and the following to its arguments.
-    pub fn enter_call(&mut self, arguments: &[Real]) -> Result<(), Error> {
+    /// Begins a call, and sets its parameters to its arguments: numbers and values.
+    pub fn enter_call(&mut self, arguments: &[(u8, Real)]) -> Result<(), Error> {
         self.level += 1;
-        for (number, value) in (1..).zip(arguments) {
+        for (number, value) in arguments {
             self.drop_staged();
-            self.stage(ParameterReference::Number(number), *value)?;
+            self.stage(ParameterReference::Number((*number).into()), *value)?;
             self.commit();
         }
         Ok(())

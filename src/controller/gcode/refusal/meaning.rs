@@ -416,7 +416,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             let is_wait = value(b'L').is_none_or(|l| l <= Decimal::from_int(4));
             return match is_wait {
                 true if self.parsed.values.has(b'E') => say(out, "% does not go with E in %", &[self.word(b'L'), word]),
-                true => say(out, "% in % has to be above 0: seconds to wait", &[self.word(b'Q'), word]),
+                true => say(out, "% in % must be above 0: seconds to wait", &[self.word(b'Q'), word]),
                 false => say(out, "% in % is not known: L0 to L4", &[self.word(b'L'), word]),
             };
         }
@@ -424,17 +424,17 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             let z = value(b'K').filter(|factor| *factor < Decimal::ZERO);
             let zero = [b'P', b'I', b'J', b'K'].into_iter().find(|letter| value(*letter) == Some(Decimal::ZERO));
             return match (z, zero) {
-                (Some(_), _) => say(out, "% in G51 must not mirror Z: it has to be above 0", &[self.word(b'K')]),
+                (Some(_), _) => say(out, "% in G51 must be above 0: Z cannot be mirrored", &[self.word(b'K')]),
                 (None, zero) => say(out, "% in G51 must not be 0", &[self.word(zero.unwrap_or(b'P'))]),
             };
         }
         match self.modal.motion {
             MotionMode::Spline(_) if value(b'P').is_some_and(|weight| weight <= Decimal::ZERO) => {
-                say(out, "% in % has to be above 0: the weight", &[self.word(b'P'), self.motion()]);
+                say(out, "% in % must be above 0: the weight", &[self.word(b'P'), self.motion()]);
             }
             MotionMode::Spline(_) => say(out, "% in % is no order that there is", &[self.word(b'L'), self.motion()]),
             _ if value(b'Q').is_some_and(|peck| peck <= Decimal::ZERO) => {
-                say(out, "% in % has to be above 0: the depth of a peck", &[self.word(b'Q'), self.motion()]);
+                say(out, "% in % must be above 0: the depth of a peck", &[self.word(b'Q'), self.motion()]);
             }
             _ => say(out, "% in % has to be 1 to 1000000: how many holes", &[self.word(b'L'), self.motion()]),
         }

@@ -107,7 +107,7 @@ pub(super) fn end_of(line: &[u8], start: usize) -> usize {
 }
 
 /// Refused words, by their numbers in tenths, and what to write instead.
-const INSTEAD_OF_G: [(&[u16], &str); 12] = [
+const INSTEAD_OF_G: [(&[u16], &str); 13] = [
     (
         &[330, 331, 740, 760, 840],
         "% is not supported: nothing measures the spindle. Drill (G81), mill the thread (G3 with Z)",
@@ -119,13 +119,15 @@ const INSTEAD_OF_G: [(&[u16], &str); 12] = [
     (&[150, 160], "% is not supported: write X and Y instead of angle and radius"),
     (&[410, 411, 420, 421], "% is not supported: let the CAM program offset the path by the radius of the cutter"),
     (&[511], "% is not supported: G51 with a negative I or J mirrors"),
-    (&[650, 660, 670], "% is not supported: write o100 sub .. o100 endsub, and call it with o100 call"),
+    (&[650], "% calls a subprogram only at the beginning of its line, as a plain number: G65 P1001"),
+    (&[660, 670], "% is not supported: write G65 on each line that calls"),
     (&[870], "% is not supported: write the back boring as single moves"),
     (&[290], "% is a word of 3-D printers: choose a post-processor for Grbl"),
     (&[380], "% lacks its digit: G38.2 to G38.5 are probing moves"),
 ];
-const INSTEAD_OF_M: [(&[u16], &str); 3] = [
-    (&[970, 980, 990], "% is not supported: write o100 sub .. o100 endsub, and call it with o100 call"),
+const INSTEAD_OF_M: [(&[u16], &str); 4] = [
+    (&[980, 990], "% has to be a plain number in a program: M98 P1001, or M99"),
+    (&[970], "% is not supported: write O1000 .. M99 behind M30, and call it with M98 P1000"),
     (&[190], "% is not supported: the spindle cannot be turned to an angle"),
     (
         &[
@@ -495,6 +497,9 @@ fn explain_unknown<const N: usize>(text: &Text, word: &[u8], before: &[u8], erro
             say(out, "% is not known: G", &[word]);
             digits(out, whole.into(), 1);
             let _ = out.extend_from_slice(b" has no fraction");
+        }
+        Error::NotSupported if letter == b'M' && number.is_none() => {
+            say(out, "a computed M word is none that is supported: write its number, such as M98 P1001", &[]);
         }
         _ if letter == b'M' => say(out, "% is no M word that is known", &[word]),
         _ => say(out, "% is no G word that is known", &[word]),

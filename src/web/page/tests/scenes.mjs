@@ -24,6 +24,8 @@ export const SCENES = {
       await page.click("#vary");
       await page.waitForFunction(() => document.getElementById("whatif-note").textContent.includes("whole jobs"));
       await page.evaluate(() => oxmill.app.player.seek(oxmill.app.player.time * 0.62));
+      // The legend names the mark of the time once the picture has been drawn.
+      await page.waitForFunction(() => document.getElementById("legend-marks").textContent.includes("time"));
     },
     async go() {},
   },

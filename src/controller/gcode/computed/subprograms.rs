@@ -1,0 +1,401 @@
+//! Fanuc's subprograms: `O1001` to `M99` behind the end of the program, called by M98 or, with arguments, by G65. They
+//! are held as text like other subroutines, so M98 and G65 also call `O1001 SUB`.
+//!
+//! A call usually comes before its subprogram, whose lines the host has not sent yet. From such a call on, the program
+//! is held as well, without any motion:
+//!
+//! ```text
+//!            call of an unknown number        number behind M2, M30             M99
+//!  Streaming ────────────────────────▶ Holding ───────────────▶ Recording ──────────────▶ Running
+//!                                                                   ▲   number              │ call of an unknown number
+//!                                                                   └──────────── Waiting ◀─┘
+//! ```
+//! Guarantees: no line of a subprogram is executed except by a call. If a line of the held program or of a subprogram
+//! is refused before the program goes on, none of the held lines is executed, and all lines that follow are refused.
+//! The same holds if the machine rests meanwhile, because then the next line can be that of another file. M99 without a
+//! call means that a subprogram has been taken for the program: all following lines are refused. A subprogram ends with
+//! its file: one for which no program waits is read and forgotten.
+//!
+//! M98 and G65 do not call macros: a file that has a subprogram with the number of a macro would move otherwise.
+
+use super::expression;
+use super::flow::{
+    FlowControl, FlowState, FrameKind, Keyword, OWord, PROGRAM, Passes, SPARE, digits, ends_program,
+};
+use super::m_words::find_m_word;
+use super::real::Real;
+use crate::error::Error;
+use crate::gcode::direction::Direction;
+use crate::gcode::program_end::{behind_line_number, has_program_number};
+use crate::gcode::state::{Interpreter, ProgramPlace};
+use core::fmt::Write;
+
+/// Maximum number of repeats (L).
+const MOST_REPEATS: i64 = 9999;
+/// Highest number of a subprogram.
+const HIGHEST: i64 = 99_999_999;
+/// The letters of G65's arguments: the first one sets #1, the second one #2, and so on. A point has no letter.
+const LETTERS: &[u8; 26] = b"ABCIJKDEF.H.M...QRSTUVWXYZ";
+
+/// The number of a subprogram, or a line that consists of O, the number and a keyword.
+type ShortLine = heapless::Vec<u8, 16>;
+
+/// The words of M98 or G65.
+struct Call {
+    number: u32,
+    label: ShortLine,
+    passes: Passes,
+    arguments: heapless::Vec<(u8, Real), { LETTERS.len() }>,
+}
+
+impl<const N: usize> Interpreter<N> {
+    /// Whether a program is held, or a subprogram recorded.
+    pub fn is_held(&self) -> bool {
+        let flow = &self.computed.flow;
+        match flow.state {
+            FlowState::Holding | FlowState::Waiting => true,
+            FlowState::Recording(from, _) => {
+                flow.line(from).and_then(OWord::of).is_some_and(|opening| opening.keyword == Keyword::Program)
+            }
+            FlowState::Streaming | FlowState::Running(_) => false,
+        }
+    }
+
+    /// Whether the lines of a program are held.
+    #[inline]
+    pub(in crate::gcode) fn is_holding(&self) -> bool {
+        self.computed.flow.state == FlowState::Holding
+    }
+
+    /// Whether lines of the host are recorded.
+    pub(in crate::gcode) fn is_recording(&self) -> bool {
+        self.computed.flow.records()
+    }
+
+    /// Returns the number of the subprogram for which a program waits.
+    pub fn awaited_subprogram(&self) -> Option<u32> {
+        let flow = &self.computed.flow;
+        flow.waiting.map(|_| flow.missing)
+    }
+
+    /// Handles a line, or a part of one, of a held program or of a subprogram; returns `None` for all others.
+    #[inline(never)]
+    pub(super) fn direct_subprogram(
+        &mut self,
+        line: &[u8],
+        remark: &[u8],
+        order: Option<OWord>,
+    ) -> Option<Result<Direction, Error>> {
+        match self.computed.flow.state {
+            FlowState::Holding => Some(self.hold_line(line, remark, order)),
+            FlowState::Recording(from, _) => self.is_held().then(|| self.record_subprogram(line, remark, order, from)),
+            FlowState::Running(_) => None,
+            FlowState::Waiting | FlowState::Streaming if self.place == ProgramPlace::Subprogram => {
+                subprogram_number(line).map(|label| self.define(label))
+            }
+            FlowState::Waiting | FlowState::Streaming => None,
+        }
+    }
+
+    /// Decides on a line of the host that the check has refused with `error`: M98 behind other words is a call that
+    /// follows them.
+    #[cold]
+    #[inline(never)]
+    pub fn direct_refused(&mut self, line: &[u8], remark: &[u8], error: Error) -> Result<Direction, Error> {
+        match split_call(line) {
+            Some((words, call)) if error == Error::NotSupported && !ends_program(words) => match OWord::of(call) {
+                Some(order) if order.keyword == Keyword::CallProgram => self.run_call(words, call, remark, &order),
+                _ => Err(error),
+            },
+            _ => Err(error),
+        }
+    }
+
+    /// Executes M98 or G65 in a line of the host (`call`), after the words in front of it. The line is held and runs
+    /// like a loop. If the subprogram is unknown, the program is held from the call on.
+    #[inline(never)]
+    pub(super) fn run_call(
+        &mut self,
+        words: &[u8],
+        call: &[u8],
+        remark: &[u8],
+        order: &OWord,
+    ) -> Result<Direction, Error> {
+        self.read_call(order)?;
+        let flow = &mut self.computed.flow;
+        let from = flow.text.len();
+        let mut held = Ok(());
+        if !words.is_empty() {
+            held = flow.hold(words, &[], SPARE);
+        }
+        if let Err(error) = held.and_then(|()| flow.hold(call, remark, SPARE)) {
+            flow.text.truncate(from);
+            self.refuse_rest();
+            return Err(error);
+        }
+        flow.of_host = true;
+        flow.run(from as u16, Some(from as u16));
+        Ok(Direction::Run)
+    }
+
+    /// Examines a line after the end of a program: one with an O number, or one among subprograms. Returns whether the
+    /// line may be directed.
+    #[inline(never)]
+    pub(in crate::gcode) fn look_among_subprograms(&mut self, line: &[u8]) -> bool {
+        let flow = &self.computed.flow;
+        let belongs = match flow.state {
+            // This line is refused when it is held, unless the program has ended.
+            FlowState::Holding => return true,
+            FlowState::Recording(..) => self.is_held(),
+            FlowState::Waiting => subprogram_number(line).is_some(),
+            // No number belongs into an open condition.
+            _ => flow.frames.is_empty() && subprogram_number(line).is_some(),
+        };
+        let belongs = belongs && matches!(self.place, ProgramPlace::End | ProgramPlace::Subprogram);
+        if belongs {
+            self.place = ProgramPlace::Subprogram;
+        }
+        belongs
+    }
+
+    /// Holds a line of the program that comes after the call of an unknown subprogram.
+    #[inline(never)]
+    fn hold_line(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
+        let flow = &mut self.computed.flow;
+        let has_ended = flow.after_end;
+        if has_ended && let Some(label) = subprogram_number(line) {
+            return self.define(label);
+        }
+        let keyword = order.map(|order| order.keyword);
+        let is_next = has_ended && !line.is_empty() && !order.is_some_and(|order| order.may_follow_end());
+        if is_next || has_program_number(line) || keyword == Some(Keyword::Back) {
+            return Err(self.refuse_rest());
+        }
+        if let Err(error) = flow.hold_order(line, remark, order) {
+            self.refuse_rest();
+            return Err(error);
+        }
+        if !line.is_empty() {
+            flow.after_end = order.is_none() && ends_program(line);
+        }
+        Ok(Direction::LeftOut)
+    }
+
+    /// Begins the definition of a subprogram.
+    #[inline(never)]
+    fn define(&mut self, label: &[u8]) -> Result<Direction, Error> {
+        self.place = ProgramPlace::Subprogram;
+        let flow = &mut self.computed.flow;
+        let from = flow.text.len() as u16;
+        // A second definition would leave it open which one a call means.
+        let held = match flow.find_own(label).is_some() {
+            true => Err(Error::OutOfPlace),
+            false => flow.hold(&line_of(label, PROGRAM), &[], SPARE),
+        };
+        if flow.waiting.is_none() {
+            flow.recorded_from = flow.line;
+            flow.missing = 0;
+        }
+        if let Err(error) = held {
+            self.refuse_rest();
+            return Err(error);
+        }
+        flow.within = 0;
+        flow.state = FlowState::Recording(from, None);
+        Ok(Direction::LeftOut)
+    }
+
+    /// Records a line of a subprogram. M99 ends it, unless it is within a condition or loop. Then the program that
+    /// waits for it goes on; if none does, the subprogram is forgotten, because no later program may call it.
+    #[inline(never)]
+    fn record_subprogram(
+        &mut self,
+        line: &[u8],
+        remark: &[u8],
+        order: Option<OWord>,
+        from: u16,
+    ) -> Result<Direction, Error> {
+        let flow = &mut self.computed.flow;
+        if has_program_number(line) || order.is_none() && ends_program(line) {
+            return Err(self.refuse_rest());
+        }
+        let ends = order.is_some_and(|order| order.keyword == Keyword::Back) && flow.within == 0;
+        let held = match order {
+            Some(order) if order.keyword == Keyword::Back && !order.arguments.is_empty() => Err(Error::NotSupported),
+            _ if ends => {
+                let label = flow.line(from).and_then(OWord::of).map(|opening| opening.label);
+                let end = line_of(label.unwrap_or_default(), b"ENDSUB");
+                flow.hold(&end, remark, 0)
+            }
+            order => {
+                flow.count_blocks(from, order);
+                flow.hold_order(line, remark, order)
+            }
+        };
+        if let Err(error) = held {
+            self.refuse_rest();
+            return Err(error);
+        }
+        if !ends {
+            return Ok(Direction::LeftOut);
+        }
+        if flow.go_on() {
+            return Ok(Direction::Run);
+        }
+        flow.text.truncate(usize::from(from));
+        flow.state = FlowState::Streaming;
+        Ok(Direction::LeftOut)
+    }
+
+    /// Executes M98 or G65 in the held line at `at`. Returns `false` if the program now waits for the subprogram.
+    #[inline(never)]
+    pub(super) fn call_from_text(&mut self, order: &OWord, at: u16) -> Result<bool, Error> {
+        let call = self.read_call(order)?;
+        let flow = &mut self.computed.flow;
+        let back = flow.next;
+        match flow.find_own(&call.label) {
+            Some((_, begin)) => {
+                self.call(FrameKind::Program(call.passes), &call.label, back, &call.arguments)?;
+                self.computed.flow.go_back(begin)?;
+                Ok(true)
+            }
+            None => {
+                flow.missing = call.number;
+                if !flow.of_host {
+                    return Err(Error::OutOfPlace);
+                }
+                flow.wait(at, self.place == ProgramPlace::Subprogram);
+                Ok(false)
+            }
+        }
+    }
+
+    /// Reads the words of M98 or G65.
+    #[inline(never)]
+    fn read_call(&self, order: &OWord) -> Result<Call, Error> {
+        let is_macro = order.keyword == Keyword::CallMacro;
+        let (mut number, mut repeats) = (None, None);
+        let mut arguments = heapless::Vec::<(u8, Real), { LETTERS.len() }>::new();
+        let mut rest = order.arguments;
+        while let Some((letter, text)) = rest.split_first() {
+            if !letter.is_ascii_uppercase() {
+                return Err(Error::ExpectedLetter);
+            }
+            let is_number = matches!(text.first(), Some(b'0'..=b'9' | b'.' | b'-' | b'+'));
+            if !is_number && !expression::begins(text) {
+                return Err(Error::BadNumber);
+            }
+            let (value, behind) = self.value(text)?;
+            rest = behind;
+            let chosen = match letter {
+                b'P' => &mut number,
+                b'L' => &mut repeats,
+                _ => {
+                    let index = LETTERS.iter().position(|of| of == letter).filter(|_| is_macro);
+                    let argument = index.ok_or(Error::UnusedWords)? as u8 + 1;
+                    if arguments.iter().any(|(of, _)| *of == argument) {
+                        return Err(Error::WordRepeated);
+                    }
+                    let _ = arguments.push((argument, value));
+                    continue;
+                }
+            };
+            if chosen.is_some() {
+                return Err(Error::WordRepeated);
+            }
+            *chosen = Some(value.whole().ok_or(Error::IntegerRequired)?);
+        }
+        let number = number.ok_or(Error::ValueWordMissing)?;
+        let repeats = repeats.unwrap_or(1);
+        if number < 0 {
+            return Err(Error::NegativeValue);
+        }
+        if number > HIGHEST || !(1..=MOST_REPEATS).contains(&repeats) {
+            return Err(Error::ValueOutOfRange);
+        }
+        let mut label = ShortLine::new();
+        write!(label, "{number}").map_err(|_| Error::FlowSyntax)?;
+        let passes = Passes { left: repeats as u16, is_macro };
+        Ok(Call { number: number as u32, label, passes, arguments })
+    }
+}
+
+impl FlowControl {
+    /// Holds a line of a program or of a subprogram, unless its O word cannot stand there.
+    #[inline(never)]
+    fn hold_order(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<(), Error> {
+        match order {
+            Some(order) if !order.is_well_formed() => Err(Error::FlowSyntax),
+            Some(OWord { keyword: Keyword::Sub | Keyword::EndSub, .. }) => Err(Error::FlowSyntax),
+            None if is_jump(line) => Err(Error::NotSupported),
+            _ => self.hold(line, remark, SPARE),
+        }
+    }
+
+    /// Begins the next pass of the innermost call, which is that of a subprogram.
+    #[inline(never)]
+    pub(super) fn next_pass(&mut self) -> Result<(), Error> {
+        let label = self.last_label();
+        let (_, begin) = self.find_own(label).ok_or(Error::FlowSyntax)?;
+        if let Some(FrameKind::Program(passes)) = self.frames.last_mut().map(|frame| &mut frame.kind) {
+            passes.left = passes.left.saturating_sub(1);
+        }
+        self.skipping = false;
+        self.go_back(begin)
+    }
+
+    /// Counts the open conditions and loops of the subprogram that is recorded from `from` on.
+    #[inline(never)]
+    fn count_blocks(&mut self, from: u16, order: Option<OWord>) {
+        let Some(order) = order else { return };
+        let opens = match order.keyword {
+            Keyword::If | Keyword::Do | Keyword::Repeat => true,
+            Keyword::While => !self.closes_do(from, order.label),
+            Keyword::EndIf | Keyword::EndWhile | Keyword::EndRepeat => false,
+            _ => return,
+        };
+        self.within = if opens { self.within.saturating_add(1) } else { self.within.saturating_sub(1) };
+    }
+
+    /// Whether a `while` with this label, as the next line, ends a `do`.
+    fn closes_do(&self, from: u16, label: &[u8]) -> bool {
+        let is_loop = |order: &OWord| matches!(order.keyword, Keyword::Do | Keyword::While) && order.label == label;
+        let (mut at, mut closes) = (from, false);
+        while let Some((line, behind)) = self.find_from(at, is_loop) {
+            closes = self.line(line).and_then(OWord::of).is_some_and(|order| order.keyword == Keyword::Do);
+            at = behind;
+        }
+        closes
+    }
+}
+
+/// Returns the number of a subprogram, without leading zeros, if the line consists of it, and of a line number or none.
+#[inline(never)]
+fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
+    let Some((b'O' | b':', number)) = behind_line_number(line).split_first() else { return None };
+    let zeros = number.iter().take_while(|digit| **digit == b'0').count();
+    let number = number.get(zeros.min(number.len().saturating_sub(1))..)?;
+    ((1..=8).contains(&number.len()) && digits(number) == number.len()).then_some(number)
+}
+
+/// Whether a line begins with a word of Fanuc's macros that is known to be missing here: IF, WHILE, END, GOTO.
+pub(super) fn is_jump(line: &[u8]) -> bool {
+    let line = behind_line_number(line);
+    [b"IF".as_slice(), b"WHILE", b"END", b"GOTO"].iter().any(|word| line.starts_with(word))
+}
+
+/// Splits a line with M98 or M99 behind other words into these words, and the rest.
+#[inline(never)]
+pub(super) fn split_call(line: &[u8]) -> Option<(&[u8], &[u8])> {
+    line.split_at_checked(find_m_word(line, &[b"98", b"99"]).filter(|at| *at > 0)?)
+}
+
+/// Returns the line of an O word without values.
+#[inline(never)]
+fn line_of(label: &[u8], keyword: &[u8]) -> ShortLine {
+    let mut line = ShortLine::new();
+    for part in [b"O".as_slice(), label, keyword] {
+        let _ = line.extend_from_slice(part);
+    }
+    line
+}
