@@ -105,7 +105,10 @@ const ONCE: [(Key, &str); Key::COUNT] = [
         "How far the tool is slowly retracted from the work, with the spindle on, before it is parked.",
     ),
     (Key::ParkingPullOutRate, "Speed of the slow retract, and of the return into the work."),
-    (Key::ParkingTarget, "Position of the parking axis in machine coordinates. A tool already beyond it is not parked."),
+    (
+        Key::ParkingTarget,
+        "Position of the parking axis in machine coordinates. A tool already beyond it is not parked.",
+    ),
     (Key::ParkingFastRate, "Speed between the end of the slow retract and the parking position, both ways."),
     (
         Key::ToolSetterDepth,

@@ -98,6 +98,8 @@ impl Notice {
     pub const fn text(self) -> &'static str {
         match self {
             Notice::NoTools => "No tool is in the table: G43 has length 0. G10 L1 P5 Z0 enters tool 5",
+            // Only the full image knows the words of the other messages.
+            _ if !FULL_IMAGE => "",
             Notice::LookAhead => "Switches of the look-ahead (G5.1 Q, G8 P, G187) do nothing: G64 P sets a tolerance",
             Notice::RigidTapping => "M29 does nothing: there is no rigid tapping",
             Notice::NestedRemark => "Parentheses within a remark are part of it; Grbl ends it at the first one",

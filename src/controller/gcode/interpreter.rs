@@ -140,14 +140,6 @@ impl<const N: usize> Interpreter<N> {
         self.remember_motion(action);
     }
 
-    /// Applies the changes of a line that does not belong to the host's program, such as a startup line. If it ends a
-    /// program, that is not the host's program.
-    pub fn commit_apart(&mut self, action: &Action<N>) {
-        let place = self.place;
-        self.commit(action);
-        self.place = place;
-    }
-
     /// Applies the changes of a line to everything except modal state and position.
     #[inline(never)]
     fn commit_beside_motion(&mut self, action: &Action<N>) {

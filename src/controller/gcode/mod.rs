@@ -60,7 +60,7 @@ pub use offsets::{Offsets, StoredOffset};
 pub use remark::{AS_WRITTEN, WITH_VALUES, split_remark};
 pub use rotation::{Angle, Rotation};
 pub use scaling::Scaling;
-pub use state::Interpreter;
+pub use state::{Interpreter, ProgramPlace};
 pub use tools::{TOOLS, Tool, ToolTable, asks_for_tool};
 pub use word::{Group, group_of};
 

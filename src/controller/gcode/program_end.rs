@@ -15,10 +15,12 @@
 //! nor the `$X` that ends an alarm ends a refusal: the operator may have looked at the machine, and the sender goes on
 //! then. Nor does an M99: more lines of the same subprogram can follow it, which a GOTO reaches.
 
-use super::number::{self, Digits};
+use super::code::Code;
 use super::state::{Interpreter, ProgramPlace};
 use super::tools::may_have_m_word;
 use crate::error::Error;
+use crate::image::FULL_IMAGE;
+use crate::number::{self, Digits};
 
 impl<const N: usize> Interpreter<N> {
     /// Whether the next line of the host has to be examined by [`Interpreter::look_behind_end`], because a program has
@@ -26,6 +28,16 @@ impl<const N: usize> Interpreter<N> {
     #[inline]
     pub fn is_behind_end(&self) -> bool {
         self.place != ProgramPlace::Program || self.is_holding()
+    }
+
+    /// Returns where the next line of the host stands.
+    pub fn place(&self) -> ProgramPlace {
+        self.place
+    }
+
+    /// Returns to this place, because the lines since then were not those of the host's program.
+    pub fn return_to(&mut self, place: ProgramPlace) {
+        self.place = place;
     }
 
     /// Marks the next line as the start of a program. Drops a held program, and a subprogram that has not ended.
@@ -89,13 +101,14 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Takes note of a line that block delete (`/`) skips. Its M2 or M30 ends the program all the same. Its O number
-    /// after the end of a program begins a subprogram, whose lines are refused.
-    pub fn skipped_line(&mut self, line: &[u8]) {
-        if may_end_program(line) {
-            self.note_end();
-        } else if self.place == ProgramPlace::End && has_program_number(line) {
+    /// Takes note of a line that block delete (`/`) skips. Its O number (`has_number`) after the end of a program begins
+    /// a subprogram, whose lines are refused. Its M word can be an M2 or M30, which ends the program all the same.
+    pub fn skipped_line(&mut self, has_number: bool, has_m_word: bool) {
+        if self.place == ProgramPlace::End && has_number {
             self.refuse_rest();
+        }
+        if has_m_word {
+            self.note_end();
         }
     }
 
@@ -118,7 +131,7 @@ impl<const N: usize> Interpreter<N> {
     #[cold]
     #[inline(never)]
     pub fn refused_line(&mut self, line: Option<&[u8]>) {
-        if !self.is_recording() && line.is_some_and(has_return) {
+        if FULL_IMAGE && !self.is_recording() && line.is_some_and(has_return) {
             self.refuse_rest();
         }
         if self.place == ProgramPlace::Program && line.is_none_or(may_end_program) {
@@ -147,9 +160,14 @@ fn may_end_program(line: &[u8]) -> bool {
 
 /// Returns the part of a line behind its line number (N and digits), or the whole line if it has none.
 pub(super) fn behind_line_number(line: &[u8]) -> &[u8] {
-    let Some(number) = line.strip_prefix(b"N") else { return line };
-    let digits = number.iter().take_while(|byte| byte.is_ascii_digit()).count();
-    number.get(digits..).unwrap_or_default()
+    line.strip_prefix(b"N").map_or(line, behind_digits)
+}
+
+/// Returns the part of a text behind the digits with which it begins.
+#[inline(never)]
+pub(super) fn behind_digits(text: &[u8]) -> &[u8] {
+    let digits = text.iter().take_while(|byte| byte.is_ascii_digit()).count();
+    text.get(digits..).unwrap_or_default()
 }
 
 /// Whether a line begins with the number of a program or subprogram, after its line number (N) if it has one. Further words

@@ -57,7 +57,7 @@ pub struct Interpreter<const N: usize> {
 
 /// Position of a line relative to the end of a program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum ProgramPlace {
+pub enum ProgramPlace {
     /// In a program.
     Program,
     /// After the end of a program.

@@ -174,8 +174,11 @@ impl<const N: usize> Controller<N> {
         let (mut text, mut remark) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Remark::new());
         let _ = text.extend_from_slice(self.m.lines.text());
         self.read_remark(&mut remark);
-        if !self.m.lines.deleted().is_empty() && !self.has_rested() {
-            self.m.interpreter.skipped_line(self.m.lines.deleted());
+        if FULL_IMAGE
+            && let Some(deleted) = self.m.lines.deleted()
+            && !self.has_rested()
+        {
+            self.m.interpreter.skipped_line(deleted.has_number, deleted.has_m_word);
         }
         if FULL_IMAGE && self.m.lines.has_nested_remark() && self.dialect() == Dialect::Oxmill {
             self.tell_notice(Notice::NestedRemark);
@@ -272,6 +275,7 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Whether the host has sent no line for so long that the next line can be that of another program.
+    #[inline(never)]
     fn has_rested(&self) -> bool {
         self.m.now.checked_duration_since(self.m.last_line_at).is_some_and(|rest| rest >= REST)
     }

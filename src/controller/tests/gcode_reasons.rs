@@ -5,7 +5,7 @@
 
 use crate::program::Program;
 use oxmill_controller::error::Error;
-use oxmill_controller::gcode::{Action, Dialect, Direction, Reason};
+use oxmill_controller::gcode::{Action, Dialect, Direction, Held, HeldLine, Reason};
 use proptest::prelude::*;
 
 /// Lines that set the state (separated by ` | `), the refused line, the number of its error, and the sentence.
@@ -515,8 +515,9 @@ fn after(dialect: Dialect, setup: &str) -> Program {
         let directed = looked.and_then(|()| program.interpreter.direct(text.as_bytes(), &[], 1));
         if dialect == Dialect::Grbl || directed == Ok(Direction::Check) {
             program.run(&text);
-        } else {
-            directed.expect(line);
+        } else if directed.expect(line) == Direction::Run {
+            // The call of an unknown subprogram: the program waits.
+            assert_eq!(program.interpreter.next_held(&mut HeldLine::new()), Ok(Held::End), "{line}");
         }
     }
     program

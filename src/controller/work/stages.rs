@@ -353,10 +353,11 @@ impl<const N: usize> Controller<N> {
         let before = action.work_offset_changed.then(|| self.m.interpreter.work_zero(dialect));
         let held = self.m.interpreter.modal().overrides_held;
         let freed = action.removes_tool().and_then(|number| self.m.interpreter.tools().find(number));
-        if of_program {
-            self.m.interpreter.commit(action);
-        } else {
-            self.m.interpreter.commit_apart(action);
+        let place = self.m.interpreter.place();
+        self.m.interpreter.commit(action);
+        if !of_program {
+            // If the line ends a program, that is not the host's program.
+            self.m.interpreter.return_to(place);
         }
         if before.is_some_and(|before| self.m.interpreter.work_zero(dialect) != before) {
             self.m.replies.offset_changed();

@@ -173,7 +173,7 @@ impl Program {
         match direction {
             Direction::Check => self.carry_out(text),
             Direction::Run | Direction::Call => self.run_held(),
-            Direction::Done | Direction::LeftOut | Direction::Waits => Ok(false),
+            Direction::Done | Direction::LeftOut => Ok(false),
         }
     }
 

@@ -69,7 +69,7 @@ impl Mill {
         self.is_doubtful = false;
         match self.interpreter.direct(line.replace(' ', "").to_uppercase().as_bytes(), &[], 0)? {
             Direction::Check => self.carry_out(line).map(|(events, _)| events),
-            Direction::Done | Direction::LeftOut | Direction::Waits => Ok(Vec::new()),
+            Direction::Done | Direction::LeftOut => Ok(Vec::new()),
             Direction::Run | Direction::Call => {
                 let mut events = Vec::new();
                 let mut held = HeldLine::new();

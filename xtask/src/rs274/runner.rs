@@ -63,7 +63,7 @@ impl Runner {
         match self.mill.interpreter().direct(words, remark, self.lines).map_err(refused)? {
             Direction::Check => self.carry_out(words, remark, events),
             Direction::Run | Direction::Call => self.run_held(words, events),
-            Direction::Done | Direction::LeftOut | Direction::Waits => Ok(()),
+            Direction::Done | Direction::LeftOut => Ok(()),
         }
     }
 

@@ -4,7 +4,7 @@
 use crate::axes::PerAxis;
 use crate::error::Error;
 use crate::gcode::direction::{Direction, Held};
-use crate::gcode::program_end::behind_line_number;
+use crate::gcode::program_end::{behind_digits, behind_line_number};
 use crate::gcode::state::Interpreter;
 use crate::gcode::word::Word;
 use crate::units::Coordinate;
@@ -68,12 +68,6 @@ impl<const N: usize> Computed<N> {
 fn is_o_word(line: &[u8]) -> bool {
     let behind = behind_line_number(line).strip_prefix(b"O").map(behind_digits);
     matches!(behind, Some([b'A'..=b'Z', b'A'..=b'Z', ..] | [b'<' | b'#' | b'[', ..]))
-}
-
-#[inline(never)]
-fn behind_digits(text: &[u8]) -> &[u8] {
-    let digits = text.iter().take_while(|byte| byte.is_ascii_digit()).count();
-    text.get(digits..).unwrap_or_default()
 }
 
 /// A line of a subroutine, loop or macro, of which this build has none.

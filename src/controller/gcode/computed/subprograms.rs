@@ -19,9 +19,7 @@
 //! M98 and G65 do not call macros: a file that has a subprogram with the number of a macro would move otherwise.
 
 use super::expression;
-use super::flow::{
-    FlowControl, FlowState, FrameKind, Keyword, OWord, PROGRAM, Passes, SPARE, digits, ends_program,
-};
+use super::flow::{FlowControl, FlowState, FrameKind, Keyword, OWord, PROGRAM, Passes, SPARE, digits, ends_program};
 use super::m_words::find_m_word;
 use super::real::Real;
 use crate::error::Error;
@@ -97,16 +95,19 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Decides on a line of the host that the check has refused with `error`: M98 behind other words is a call that
-    /// follows them.
+    /// Decides on a line of the host that the check has refused with `error`. M98 behind other words is a call that
+    /// follows them. M99 behind other words has no call, either.
     #[cold]
     #[inline(never)]
     pub fn direct_refused(&mut self, line: &[u8], remark: &[u8], error: Error) -> Result<Direction, Error> {
-        match split_call(line) {
-            Some((words, call)) if error == Error::NotSupported && !ends_program(words) => match OWord::of(call) {
-                Some(order) if order.keyword == Keyword::CallProgram => self.run_call(words, call, remark, &order),
-                _ => Err(error),
-            },
+        let Some((words, call)) = split_call(line) else { return Err(error) };
+        match OWord::of(call) {
+            Some(order) if order.keyword == Keyword::Back => Err(self.refuse_rest()),
+            Some(order)
+                if order.keyword == Keyword::CallProgram && error == Error::NotSupported && !ends_program(words) =>
+            {
+                self.run_call(words, call, remark, &order)
+            }
             _ => Err(error),
         }
     }
