@@ -296,6 +296,8 @@ fn any_word() -> impl Strategy<Value = u32> {
 const OPENING: u32 = SIZE / 4 * (LONGEST_WORDS as u32 + 3) + 1000;
 
 proptest! {
+    #![proptest_config(some_cases())]
+
     /// Memory with any contents is opened with a limited number of reads, and works.
     #[test]
     fn any_memory_is_opened(

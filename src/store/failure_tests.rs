@@ -258,6 +258,8 @@ fn many_keys() -> impl Strategy<Value = Vec<Store>> {
 }
 
 proptest! {
+    #![proptest_config(some_cases())]
+
     #[test]
     fn a_log_of_many_keys_is_a_map(changes in many_keys()) {
         let mut log = with_sectors_of(8192);

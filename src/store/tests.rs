@@ -13,6 +13,12 @@ use std::vec::Vec;
 
 const SIZE: u32 = 512;
 
+/// Number of random cases of each property: 64, or `PROPTEST_CASES`.
+fn some_cases() -> ProptestConfig {
+    let cases = std::env::var("PROPTEST_CASES").map_or(64, |cases| cases.parse().expect("a number"));
+    ProptestConfig { cases, ..ProptestConfig::default() }
+}
+
 /// Flash in RAM whose power can be cut. After `power` more operations, each further operation is done in part and
 /// fails.
 #[derive(Clone, Debug)]
@@ -294,6 +300,8 @@ fn a_crc_that_fits_by_chance_is_no_damage() {
 }
 
 proptest! {
+    #![proptest_config(some_cases())]
+
     #[test]
     fn the_log_is_a_map(changes in changes()) {
         let mut log = Log::open(Mock::new()).unwrap();

@@ -69,26 +69,26 @@ const ROWS: [Row; 23] = [
     row("stop", "stop with a full ring, 96 events undone, with its report", Figure::Worst, None, (4_615, 5_985)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
     row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (585, 955)).beside("205 / 329", "196 / 313"),
-    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (1_755, 2_960))
+    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (1_750, 2_820))
         .beside("723 / 1210", "727 / 1200"),
     row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (36, 49))
         .beside("56 / 72", "41 / 55"),
     row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_060, 2_080)),
-    row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (2_330, 3_910)),
+    row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (2_320, 3_760)),
     row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (182, 250)),
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_445, 2_170))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (197, 297)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (5_850, 9_650))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (5_840, 9_480))
         .beside("2800 / 4400", "4100 / 6500"),
-    row("relief_line", "tight line: a relief of 0.1 mm at F2000", Figure::Mean, Some((5800, 9500)), (7_980, 13_100)),
-    row("spiral_line", "tight line: a spiral of 0.1 mm at F9000", Figure::Mean, Some((5800, 9500)), (9_150, 15_010)),
+    row("relief_line", "tight line: a relief of 0.1 mm at F2000", Figure::Mean, Some((5800, 9500)), (8_000, 12_980)),
+    row("spiral_line", "tight line: a spiral of 0.1 mm at F9000", Figure::Mean, Some((5800, 9500)), (9_200, 14_940)),
     row(
         "uneven_line",
         "tight line: a relief in uneven chords at F3000",
         Figure::Mean,
         Some((5800, 9500)),
-        (11_680, 19_420),
+        (11_740, 19_300),
     ),
     row("recorded_line", "recording, a line of 15 bytes", Figure::Mean, None, (320, 510)),
     row("recorded_block", "recording, per message to the step task", Figure::Mean, None, (35, 52)),

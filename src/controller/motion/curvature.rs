@@ -266,6 +266,9 @@ impl<const N: usize> Span<N> {
         {
             self.sure2 = attainable2;
         }
+        if is_noise(all2, old.noise + self.noise) {
+            return;
+        }
         let fast2 = greater(old.fast2, self.fast2);
         let length = 0.5 * (old.path + self.path);
         if LEAVES_OUT && rule.is_surely_faster(rule.least, length, all2, 1.0 - 0.25 * all2, NOTICEABLE * fast2) {
@@ -350,19 +353,35 @@ impl<const N: usize> Finder<'_, N> {
     }
 }
 
-/// The previous spans, the newest first.
+/// The previous spans, as a ring.
 #[derive(Clone, Copy, Debug)]
-struct History<const N: usize>([Span<N>; HISTORY]);
+struct History<const N: usize> {
+    spans: [Span<N>; HISTORY],
+    /// Index of the newest span.
+    newest: usize,
+}
 
 impl<const N: usize> History<N> {
-    const NONE: Self = Self([Span::NONE; HISTORY]);
+    const NONE: Self = Self { spans: [Span::NONE; HISTORY], newest: 0 };
+
+    /// Returns a previous span, counted back from the newest one, which is 0.
+    #[inline(always)]
+    fn back(&self, count: usize) -> &Span<N> {
+        self.spans.get(self.newest.wrapping_sub(count) % HISTORY).unwrap_or(&Span::NONE)
+    }
+
+    /// Returns the previous spans, the newest first.
+    #[inline(always)]
+    fn iter(&self) -> impl Iterator<Item = &Span<N>> {
+        (0..HISTORY).map(|count| self.back(count)).take_while(|span| span.blocks > 0)
+    }
 
     // Not inlined, because this function has several callers.
     /// Compares a new span with the previous ones, and adds it. `behind`: number of blocks after the span. Skips the
     /// corner between two single pieces, which [`Chain::corner2`] limits.
     #[inline(never)]
     fn take_span(&mut self, new: &mut Span<N>, behind: usize, finder: &mut Finder<'_, N>) {
-        let [first, second, ..] = &self.0;
+        let (first, second) = (self.back(0), self.back(1));
         new.note_turn(first, finder.rule);
         // Of three consecutive turns, a corner causes at most two, a bend all three.
         let bend = new.curve.middle(first.curve, second.curve);
@@ -379,12 +398,10 @@ impl<const N: usize> History<N> {
             let bend = Bend { speed2, once: None, curve: bend, nearest: behind + own, farthest };
             finder.limit(bend, behind, new.path + first.path);
         }
-        let [first, second, third, fourth] = &mut self.0;
-        // Moved one by one, because an array expression would be built in a temporary first.
-        *fourth = *third;
-        *third = *second;
-        *second = *first;
-        *first = *new;
+        self.newest = (self.newest + 1) % HISTORY;
+        if let Some(oldest) = self.spans.get_mut(self.newest) {
+            *oldest = *new;
+        }
     }
 
     /// Returns whether every turn to a new span surely allows the maximum speed, so that [`History::compare`] is not
@@ -396,7 +413,7 @@ impl<const N: usize> History<N> {
             return false;
         }
         let (mut sure2, mut fast2) = (new.sure2, new.attainable2);
-        for old in self.0.iter().take_while(|old| old.blocks > 0) {
+        for old in self.iter() {
             fast2 = greater(old.attainable2, fast2);
             if sure2 < fast2 {
                 return false;
@@ -407,13 +424,13 @@ impl<const N: usize> History<N> {
     }
 
     /// Compares a new span with the previous ones, and passes on each limit.
-    #[inline(never)]
+    #[inline(always)]
     fn compare(&self, new: &Span<N>, behind: usize, finder: &mut Finder<'_, N>) {
         let rule = finder.rule;
-        let [first, ..] = &self.0;
+        let first = self.back(0);
         let own = usize::from(new.blocks);
         let (mut between, mut blocks, mut fast2, mut turned2) = (0.0, 0, new.attainable2, new.turned2);
-        for (index, old) in self.0.iter().take_while(|old| old.blocks > 0).enumerate() {
+        for (index, old) in self.iter().enumerate() {
             fast2 = greater(fast2, old.attainable2);
             let corner = index == 0 && own == 1 && old.blocks == 1;
             if old.straight
@@ -580,7 +597,7 @@ impl<const N: usize> Chain<N> {
     /// Returns the maximum speed² at the corner before a single piece. Call [`Chain::extend`] afterwards.
     #[inline]
     pub(super) fn corner2(&self, piece: &Span<N>, rule: &TurnRule<N>) -> f32 {
-        let [before, ..] = &self.pieces.0;
+        let before = self.pieces.back(0);
         if before.blocks == 0 { UNLIMITED2 } else { piece.corner2(before, rule) }
     }
 
