@@ -21,8 +21,12 @@ use crate::protocol::reply_queue::Replies;
 use crate::settings::{Key, Settings};
 use crate::states::door::parking::Parking;
 use crate::states::stops::orders::Stops;
-use crate::units::Instant;
+use crate::units::{Duration, Instant};
 use crate::work::probe::phases::Probe;
+
+/// If a line arrives at least this long after the last answer, an O number in it begins the next program, and what is
+/// held for a subprogram is dropped. A sender that continues its file is faster.
+const REST: Duration = Duration::from_ticks(5_000_000);
 
 // Small fields come first, because one load or store instruction reaches only 4 KiB from the base.
 #[cfg_attr(feature = "alloc", derive(Clone))]
@@ -98,6 +102,13 @@ impl<const N: usize> Machine<N> {
     /// Whether M6 pauses for a tool change (`$918`).
     pub(crate) fn prompts_for_tools(&self) -> bool {
         self.settings.is_on(Key::ToolChange)
+    }
+
+    /// Whether the machine is at rest, and the host has sent no line for so long that the next line can be that of another
+    /// program.
+    #[inline(never)]
+    pub(crate) fn has_rested(&self) -> bool {
+        self.motion.is_idle() && self.now.checked_duration_since(self.last_line_at).is_some_and(|rest| rest >= REST)
     }
 
     pub(crate) fn switches(&self) -> AxisMask {

@@ -24,7 +24,7 @@ const INSTEAD: [(&[&str], &str); 14] = [
     (&["G51.1"], "Mirror with G51 and a negative I or J."),
     (
         &["G65", "M98", "M99"],
-        "Write the word at the beginning of a line, M99 without P: docs/gcode.md has more about subprograms. The Black Pill F401 has none.",
+        "Write the word as a plain number at the beginning of a line, M99 without P: docs/gcode.md has more about subprograms. The Black Pill F401 has none.",
     ),
     (&["G66"], "Write G65 with its arguments on each line that calls the subprogram."),
     (

@@ -148,7 +148,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
     (
         Key::TrustNeeded,
-        "With homing enabled, G53, G28 and G30 are rejected, and soft limits are inactive, until the machine has been homed. With 0 they use the position as it is.",
+        "With homing enabled, G53, G28 and G30 are rejected, and soft limits are inactive, until the machine position is known (home first). With 0 they use the position as it is.",
     ),
     (Key::DoorFitted, "Whether a safety door is connected. Set it to 0 on a machine without a door."),
     (Key::Kinematics, "How the motors move the axes. Choose CoreXY if two belts move X and Y together."),

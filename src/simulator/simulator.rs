@@ -27,7 +27,7 @@ use oxmill_controller::memory::Memory;
 use oxmill_controller::messages::{Realtime, Restart, Signals, SlowOutputs, Standing, Wiring};
 use oxmill_controller::pump;
 use oxmill_controller::recorder::{Page, Recorder};
-use oxmill_controller::settings::AxisKey;
+use oxmill_controller::settings::{AxisKey, Key};
 use oxmill_controller::units::Coordinate;
 use oxmill_controller::{Controller, Profile, StepRates};
 use std::time::Duration;
@@ -520,7 +520,9 @@ impl Simulator {
 
     /// Loads a job, whose lines the controller takes whenever it is ready.
     pub fn load_job(&mut self, mut job: JobText) {
-        job.begin(self.controller.lines_read(), self.board.has_all_words);
+        // Grbl's dialect (0) has none.
+        let has_tape_marks = self.controller.settings().whole(Key::Dialect) != 0;
+        job.begin(self.controller.lines_read(), self.board.has_all_words, has_tape_marks);
         self.job = Sole(Some(job));
         self.turn();
     }

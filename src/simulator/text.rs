@@ -51,6 +51,8 @@ pub struct JobText {
     unanswered: VecDeque<(u64, String, Option<Error>)>,
     /// Whether the board supports all words of the simulator.
     has_all_words: bool,
+    /// Whether the controller's dialect has tape marks.
+    has_tape_marks: bool,
     lines: u64,
     answers: u64,
     /// Line number of the oldest unanswered line when the first alarm was reported.
@@ -64,6 +66,10 @@ pub struct JobText {
     lines_before: u32,
     /// For each tape mark: the number of lines given to the controller before it.
     marks: Vec<u64>,
+    /// The line of the last tape mark, if words came before it and none since.
+    between: Option<u64>,
+    /// For each tape mark that was given to the controller: the number of lines given before it.
+    given_marks: Vec<u64>,
     /// Answered lines that may have opened a block of O words.
     openers: Vec<Opener>,
     /// Whether a line with words has been given to the controller.
@@ -119,6 +125,7 @@ impl JobText {
             failed: None,
             unanswered: VecDeque::new(),
             has_all_words: true,
+            has_tape_marks: true,
             lines: 0,
             answers: 0,
             alarmed_at: None,
@@ -128,6 +135,8 @@ impl JobText {
             said: Vec::new(),
             lines_before: 0,
             marks: Vec::new(),
+            between: None,
+            given_marks: Vec::new(),
             openers: Vec::new(),
             has_words: false,
             ended_at: None,
@@ -137,10 +146,12 @@ impl JobText {
     }
 
     /// Starts the job. `lines_before`: number of lines (wrapping) that the controller has read before. `has_all_words`:
-    /// if `false`, the errors are added that a board returns for words that it does not support.
-    pub fn begin(&mut self, lines_before: u32, has_all_words: bool) {
+    /// if `false`, the errors are added that a board returns for words that it does not support. `has_tape_marks`:
+    /// whether the controller's dialect has tape marks.
+    pub fn begin(&mut self, lines_before: u32, has_all_words: bool, has_tape_marks: bool) {
         self.lines_before = lines_before;
         self.has_all_words = has_all_words;
+        self.has_tape_marks = has_tape_marks;
     }
 
     /// Returns the line number in the file and the text of the line that the controller counts as `line`, if it may
@@ -156,7 +167,8 @@ impl JobText {
         if line == 0 || given == 0 || given > self.lines {
             return 0;
         }
-        given + self.marks.partition_point(|before| *before < given) as u64
+        let of_file = given - self.given_marks.partition_point(|before| *before < given) as u64;
+        of_file + self.marks.partition_point(|before| *before < of_file) as u64
     }
 
     /// Forgets the lines that may have opened a block. Call while no block is open.
@@ -169,8 +181,8 @@ impl JobText {
         self.lines
     }
 
-    /// Number of tape marks: lines with `%` and only comments, which mark the ends of a punched tape and are not passed
-    /// on.
+    /// Number of tape marks: lines with `%` and only comments, which mark the ends of a punched tape. Only those between
+    /// two programs are passed on.
     pub fn tape_marks(&self) -> u64 {
         self.marks.len() as u64
     }
@@ -291,12 +303,20 @@ impl JobText {
         let text = if self.lines == 1 { text.trim_start_matches('\u{FEFF}') } else { &text };
         if is_tape_mark(text) {
             self.marks.push(self.lines - 1 - self.tape_marks());
+            self.between = Some(self.lines).filter(|_| self.has_words && self.has_tape_marks);
             if self.has_words && self.ended_at.is_none() {
                 self.ended_at = Some(ProgramEnd { line: self.lines, is_tape_mark: true });
             }
             return;
         }
-        self.has_words |= !is_remark(text);
+        if !is_remark(text) {
+            self.has_words = true;
+            if let Some(line) = self.between.take() {
+                self.given_marks.push(self.lines - 1 - self.tape_marks() + self.given_marks.len() as u64);
+                self.bytes.extend(b"%\n");
+                self.unanswered.push_back((line, "%".into(), None));
+            }
+        }
         self.bytes.extend(text.chars().map(plain));
         self.bytes.push_back(b'\n');
         let left_out = if self.has_all_words { None } else { small_board::error_of(text) };
@@ -343,7 +363,8 @@ impl JobText {
             let (line, text, left_out) = self.unanswered.pop_front().unwrap_or_default();
             let is_behind = self.ended_at.is_some_and(|end| line > end.line);
             self.among_subprograms |= is_behind && code.is_none() && is_program_number(&text);
-            let is_carried_out = code.is_none() && !is_remark(&text) && !self.among_subprograms;
+            self.among_subprograms &= text != "%";
+            let is_carried_out = code.is_none() && !is_remark(&text) && text != "%" && !self.among_subprograms;
             self.behind_end += u64::from(is_carried_out && is_behind);
             let reason = self.message.take().filter(|_| code.is_some_and(|code| !OF_STATE.contains(&code)));
             if let Some(code) = code.or(left_out.map(Error::code)) {
@@ -464,6 +485,22 @@ mod tests {
         let mut job = JobText::new(text.as_bytes());
         assert_eq!(drain(&mut job), "G0 X1 (????? ! ~)\n G?\n");
         assert_eq!((job.lines(), job.tape_marks()), (4, 2));
+    }
+
+    /// A tape mark between two programs begins the next one, so the controller gets it.
+    #[test]
+    fn tape_marks_between_programs_are_passed_on() {
+        let text = "%\nG0 X1\nM30\n% (A)\n(B)\n%\nO2\nG0 X2\nbad\nM30\n%\n";
+        let mut job = JobText::new(text.as_bytes());
+        assert_eq!(drain(&mut job), "G0 X1\nM30\n(B)\n%\nO2\nG0 X2\nbad\nM30\n");
+        assert_eq!((job.lines(), job.tape_marks()), (11, 4));
+        job.answered(b"ok\r\n[MSG:Pgm End]\r\nok\r\nok\r\nok\r\nok\r\nok\r\nerror:20\r\nok\r\n");
+        assert!(job.is_used_up());
+        assert!(job.said().iter().any(|said| matches!(said, Said::Error { line: 9, .. })));
+        assert_eq!([1, 2, 3, 5, 6, 7, 8].map(|given| job.file_line(given)), [2, 3, 5, 7, 8, 9, 10]);
+        let mut job = JobText::new(text.as_bytes());
+        job.begin(0, true, false);
+        assert!(!drain(&mut job).contains('%'), "Grbl's dialect has none");
     }
 
     /// The lines after `$LC=ON` are not checked lines, so they are rejected.

@@ -94,7 +94,7 @@ impl Program {
                 }
             }
             Ok(Direction::Run | Direction::Call) => self.run_held(),
-            Ok(Direction::Done | Direction::LeftOut | Direction::Waits) | Err(_) => {}
+            Ok(Direction::Done | Direction::LeftOut) | Err(_) => {}
         }
     }
 

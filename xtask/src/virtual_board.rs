@@ -19,11 +19,10 @@ const BOARDS: [(&str, &[&str]); 5] = [
     ("nucleo_f401re", &[]),
 ];
 
-/// Long cases. Those of overrides and late starts exercise the controller, which is the same on all boards; UART lines
-/// are tried on a Nucleo.
+/// Long cases, which this board runs only if it is named, except that a Nucleo runs `uart lines`.
 const LEFT_OUT_ON_F411: &[&str] = &["-bursts of overrides", "-late starts", "-tight pulses", "-uart lines"];
 
-/// Long cases that the first board runs on the same timers and streams.
+/// Long cases that run only if this board is named. Most of them run on the first board, on the same timers and streams.
 const LEFT_OUT_ON_F446: &[&str] = &[
     "-bursts of overrides",
     "-late starts",
@@ -31,7 +30,6 @@ const LEFT_OUT_ON_F446: &[&str] = &[
     "-tight pulses",
     "-raster",
     "-uart flooded",
-    "-safe rate",
     "-safe rate, disturbed",
     "-miscounts",
     "-trips",

@@ -31,6 +31,7 @@ mod modal;
 mod offsets;
 mod parse;
 mod program_end;
+mod program_number;
 #[cfg(feature = "reasons")]
 mod refusal;
 #[cfg(not(feature = "reasons"))]

@@ -15,12 +15,11 @@
 //! nor the `$X` that ends an alarm ends a refusal: the operator may have looked at the machine, and the sender goes on
 //! then. Nor does an M99: more lines of the same subprogram can follow it, which a GOTO reaches.
 
-use super::code::Code;
+use super::program_number::{has_program_number, has_return, may_have_program_number};
 use super::state::{Interpreter, ProgramPlace};
 use super::tools::may_have_m_word;
 use crate::error::Error;
 use crate::image::FULL_IMAGE;
-use crate::number::{self, Digits};
 
 impl<const N: usize> Interpreter<N> {
     /// Whether the next line of the host has to be examined by [`Interpreter::look_behind_end`], because a program has
@@ -50,23 +49,14 @@ impl<const N: usize> Interpreter<N> {
 
     /// Executes `$X`: the next line begins a program. But if the host is in the middle of a held program or among
     /// subprograms, the rest of them is refused, up to another `$X`. `is_locked`: the `$X` ends an alarm, so it does
-    /// not end a refusal.
-    pub fn unlock(&mut self, is_locked: bool) {
+    /// not end a refusal. `rested`: no more subprograms are expected.
+    pub fn unlock(&mut self, is_locked: bool, rested: bool) {
         match self.place {
             _ if self.is_held() => self.abandon_program(),
-            ProgramPlace::Subprogram => self.place = ProgramPlace::Refused,
+            ProgramPlace::Subprogram if !rested => self.place = ProgramPlace::Refused,
             ProgramPlace::Refused if is_locked => {}
             _ => self.place = ProgramPlace::Program,
         }
-    }
-
-    /// Abandons the program and its subprograms, and refuses all lines that follow, up to the next program.
-    #[cold]
-    #[inline(never)]
-    pub(super) fn refuse_rest(&mut self) -> Error {
-        self.abandon_program();
-        self.place = ProgramPlace::Refused;
-        Error::OutOfPlace
     }
 
     /// Examines a line after the end of a program or of a held program. `rested`: the machine has been idle for a
@@ -101,14 +91,13 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Takes note of a line that block delete (`/`) skips. Its O number (`has_number`) after the end of a program begins
-    /// a subprogram, whose lines are refused. Its M word can be an M2 or M30, which ends the program all the same.
-    pub fn skipped_line(&mut self, has_number: bool, has_m_word: bool) {
-        if self.place == ProgramPlace::End && has_number {
-            self.refuse_rest();
-        }
-        if has_m_word {
+    /// Takes note of a line that block delete (`/`) skips. An M2 or M30 in it ends the program all the same. Its O number
+    /// after the end of a program begins a subprogram, whose lines are refused, unless the machine has `rested`.
+    pub fn skipped_line(&mut self, line: &[u8], rested: bool) {
+        if may_end_program(line) {
             self.note_end();
+        } else if self.place == ProgramPlace::End && !rested && has_program_number(line) {
+            self.refuse_rest();
         }
     }
 
@@ -124,9 +113,9 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Takes note of a refused line. Its text is unknown (`None`) if it was too long, damaged, or had an open remark.
-    /// If it has M2 or M30, also a computed one, or may have it, the program has ended all the same. After the end of a
-    /// program, an O number anywhere in it begins a subprogram whose lines are refused. M99 means that a subprogram has
+    /// Takes note of a refused line. An M2 or M30 in it, also a computed one, ends the program all the same. After the
+    /// end of a program the line begins a subprogram that is refused if it has an O number anywhere, or if its text is
+    /// unknown (`None`), because it was too long, damaged, or had an open remark. M99 means that a subprogram has
     /// been taken for the program, unless the line belongs to a subroutine or loop that is being recorded.
     #[cold]
     #[inline(never)]
@@ -134,20 +123,12 @@ impl<const N: usize> Interpreter<N> {
         if FULL_IMAGE && !self.is_recording() && line.is_some_and(has_return) {
             self.refuse_rest();
         }
-        if self.place == ProgramPlace::Program && line.is_none_or(may_end_program) {
+        if self.place == ProgramPlace::Program && line.is_some_and(may_end_program) {
             return self.note_end();
         }
-        let may_have_number = line.is_none_or(|line| {
-            let mut before = b' ';
-            line.first() == Some(&b'<')
-                || (0..line.len()).any(|at| {
-                    let rest = line.get(at..).unwrap_or_default();
-                    let begins_word = !before.is_ascii_uppercase();
-                    before = rest.first().copied().unwrap_or_default();
-                    begins_word && is_program_number(rest)
-                })
-        });
-        if matches!(self.place, ProgramPlace::End | ProgramPlace::Subprogram) && may_have_number {
+        if matches!(self.place, ProgramPlace::End | ProgramPlace::Subprogram)
+            && line.is_none_or(may_have_program_number)
+        {
             self.refuse_rest();
         }
     }
@@ -157,77 +138,6 @@ impl<const N: usize> Interpreter<N> {
 fn may_end_program(line: &[u8]) -> bool {
     may_have_m_word(line, &[2, 30])
 }
-
-/// Returns the part of a line behind its line number (N and digits), or the whole line if it has none.
-pub(super) fn behind_line_number(line: &[u8]) -> &[u8] {
-    line.strip_prefix(b"N").map_or(line, behind_digits)
-}
-
-/// Returns the part of a text behind the digits with which it begins.
-#[inline(never)]
-pub(super) fn behind_digits(text: &[u8]) -> &[u8] {
-    let digits = text.iter().take_while(|byte| byte.is_ascii_digit()).count();
-    text.get(digits..).unwrap_or_default()
-}
-
-/// Whether a line begins with the number of a program or subprogram, after its line number (N) if it has one. Further words
-/// may follow, and the numbers need not be valid ones.
-pub(super) fn has_program_number(line: &[u8]) -> bool {
-    is_program_number(line.strip_prefix(b"N").map_or(line, from_next_word))
-}
-
-/// Whether a text begins with O or a colon, and with no O word.
-fn is_program_number(text: &[u8]) -> bool {
-    let Some((b'O' | b':', number)) = text.split_first() else { return false };
-    let word = from_next_word(number);
-    let letters = word.iter().take_while(|byte| byte.is_ascii_uppercase()).count();
-    !word.get(..letters).is_some_and(|word| O_WORDS.contains(&word))
-}
-
-/// Whether a line has M99, outside of names and expressions.
-fn has_return(line: &[u8]) -> bool {
-    let mut rest = line;
-    while let Some((letter, number)) = from_next_word(rest).split_first() {
-        if *letter == b'M' && number::read(number, Digits::Exact).is_some_and(|read| Code::of(read.value).whole == 99) {
-            return true;
-        }
-        rest = number;
-    }
-    false
-}
-
-/// Returns the part of a line from its first letter or colon on that is not in brackets.
-fn from_next_word(line: &[u8]) -> &[u8] {
-    let mut depth = 0_usize;
-    let word = line.iter().position(|byte| {
-        match byte {
-            b'[' | b'<' => depth += 1,
-            b']' | b'>' => depth = depth.saturating_sub(1),
-            _ => {}
-        }
-        depth == 0 && (byte.is_ascii_uppercase() || *byte == b':')
-    });
-    word.and_then(|at| line.get(at..)).unwrap_or_default()
-}
-
-/// The keywords of O words, also in the image that has none.
-pub(super) const O_WORDS: [&[u8]; 15] = [
-    b"SUB",
-    b"ENDSUB",
-    b"CALL",
-    b"RETURN",
-    b"IF",
-    b"ELSEIF",
-    b"ELSE",
-    b"ENDIF",
-    b"WHILE",
-    b"ENDWHILE",
-    b"DO",
-    b"REPEAT",
-    b"ENDREPEAT",
-    b"BREAK",
-    b"CONTINUE",
-];
 
 #[cfg(test)]
 mod tests {
@@ -342,27 +252,5 @@ mod tests {
         assert_eq!(interpreter.look_behind_end(b"G0X1", true), Err(Error::OutOfPlace));
         interpreter.reset();
         assert!(!interpreter.is_behind_end());
-    }
-
-    #[test]
-    fn o_words_are_no_numbers() {
-        for (line, is) in [
-            ("O1", true),
-            ("N5O0100", true),
-            (":7", true),
-            ("O1X5", true),
-            ("O1SUB", false),
-            ("N5O1ENDWHILE", false),
-            ("O<A>CALL", false),
-            ("O[1+ABS[2]]CALL[3]", false),
-            ("O#1REPEAT[2]", false),
-            ("G0X1", false),
-            ("", false),
-        ] {
-            assert_eq!(has_program_number(line.as_bytes()), is, "{line}");
-        }
-        for word in O_WORDS {
-            assert!(!has_program_number(&[b"O1", word].concat()), "{word:?}");
-        }
     }
 }

@@ -83,6 +83,14 @@ impl<const N: usize> Controller<N> {
         }
     }
 
+    /// Tells for which subprogram the program waits, if it does.
+    #[inline(never)]
+    pub(crate) fn tell_awaited(&mut self) {
+        if let Some(number) = self.m.interpreter.awaited_subprogram() {
+            self.say(|out| reply_texts::message_number(out, "Program waits for subprogram O", number));
+        }
+    }
+
     /// Sends the error of a line that is not executed, or not completely.
     pub(crate) fn refuse(&mut self, error: Error) {
         // A startup line is not a checked line of the host, so its error must not make the host's later checked lines

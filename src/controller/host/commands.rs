@@ -284,7 +284,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn unlock(&mut self) -> Result<(), Error> {
-        self.m.interpreter.unlock(self.state.is_alarm());
+        self.m.interpreter.unlock(self.state.is_alarm(), self.m.has_rested());
         if let State::Alarm(_) = self.state {
             if self.m.inputs.signals().door {
                 return Err(Error::DoorOpen);

@@ -13,13 +13,9 @@ use crate::protocol::line_filter::{self, Pushed};
 use crate::protocol::reply_texts;
 use crate::settings::{Key, Settings};
 use crate::states::State;
-use crate::units::{Duration, Instant};
+use crate::units::Instant;
 use crate::view::dialect;
 use crate::work::task::{Answer, Caller, Task};
-
-/// If a line arrives at least this long after the last answer, an O number in it begins the next program, and what is
-/// held for a subprogram is dropped. A sender that continues its file is faster.
-const REST: Duration = Duration::from_ticks(5_000_000);
 
 /// Message of a line, after its mark: a byte that tells whether parameters in the message are replaced by their values.
 type Remark = heapless::Vec<u8, { line_filter::MESSAGE_LENGTH + 1 }>;
@@ -174,11 +170,9 @@ impl<const N: usize> Controller<N> {
         let (mut text, mut remark) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Remark::new());
         let _ = text.extend_from_slice(self.m.lines.text());
         self.read_remark(&mut remark);
-        if FULL_IMAGE
-            && let Some(deleted) = self.m.lines.deleted()
-            && !self.has_rested()
-        {
-            self.m.interpreter.skipped_line(deleted.has_number, deleted.has_m_word);
+        if FULL_IMAGE && !self.m.lines.deleted().is_empty() {
+            let rested = self.m.has_rested();
+            self.m.interpreter.skipped_line(self.m.lines.deleted(), rested);
         }
         if FULL_IMAGE && self.m.lines.has_nested_remark() && self.dialect() == Dialect::Oxmill {
             self.tell_notice(Notice::NestedRemark);
@@ -240,7 +234,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn dispatch(&mut self, line: &[u8], remark: &[u8]) {
-        let rested = self.has_rested();
+        let rested = self.m.has_rested();
         let result = match line.first() {
             None if remark.is_empty() || self.state.is_alarm() => {
                 self.say_ok();
@@ -263,7 +257,7 @@ impl<const N: usize> Controller<N> {
             Err(error) => self.refuse_host_line(error, known_text(line)),
         }
         let goes_on = match line.first() {
-            // A sender may send requests such as `$G` all the time, so they do not end the pause that [`REST`] measures.
+            // A sender may send requests such as `$G` all the time, so they do not end the pause that `has_rested` measures.
             Some(b'$') => true,
             // The next program can begin with remarks.
             None => rested,
@@ -272,12 +266,6 @@ impl<const N: usize> Controller<N> {
         if !goes_on {
             self.m.last_line_at = self.m.now;
         }
-    }
-
-    /// Whether the host has sent no line for so long that the next line can be that of another program.
-    #[inline(never)]
-    fn has_rested(&self) -> bool {
-        self.m.now.checked_duration_since(self.m.last_line_at).is_some_and(|rest| rest >= REST)
     }
 
     /// Refuses a line of the host that is not a `$` command. `text`: its words, if they are known.
@@ -328,7 +316,7 @@ impl<const N: usize> Controller<N> {
         let direction = match self.dialect() {
             Dialect::Grbl => Direction::Check,
             _ => {
-                let rested = self.has_rested();
+                let rested = self.m.has_rested();
                 if rested && !line.is_empty() {
                     self.tell_awaited();
                 }
@@ -366,16 +354,6 @@ impl<const N: usize> Controller<N> {
                 self.task = Task::Held(Caller::Host);
             }
             Direction::Run => self.task = Task::Held(Caller::Host),
-        }
-    }
-}
-
-impl<const N: usize> Controller<N> {
-    /// Tells for which subprogram the program waits, if it does.
-    #[inline(never)]
-    pub(crate) fn tell_awaited(&mut self) {
-        if let Some(number) = self.m.interpreter.awaited_subprogram() {
-            self.say(|out| reply_texts::message_number(out, "Program waits for subprogram O", number));
         }
     }
 }

@@ -62,6 +62,7 @@ fn scales_within(length: f32) -> usize {
 const LEAVES_OUT: bool = FULL_IMAGE;
 /// Number of previous spans that a new one is compared with.
 const HISTORY: usize = 4;
+const _: () = assert!(HISTORY.is_power_of_two(), "the indices of a ring wrap");
 /// Sideways error of a span's two ends together, in digits. Half a digit on each of two axes shifts a point by 0.71
 /// digits, on each of three axes by 0.87; 1.5 lies between the sums for two points, 1.41 and 1.73.
 pub(super) const DIGITS_ASIDE: f32 = 1.5;

@@ -14,7 +14,7 @@
 
 use super::heartbeat::Heartbeat;
 use super::line_checksum::{LineChecksum, Verdict};
-use super::line_filter::{Deleted, Line, LineRules, Pushed};
+use super::line_filter::{Line, LineRules, Pushed};
 use super::text::Text;
 use crate::error::Error;
 use crate::messages::{HOST_CHANGED, LineByte};
@@ -279,8 +279,8 @@ impl LineIntake {
         self.line.lengths()
     }
 
-    /// Returns what the line has if block delete skips it.
-    pub fn deleted(&self) -> Option<Deleted> {
+    /// Returns the first words of a line that block delete skips; empty for any other line, and in the small image.
+    pub fn deleted(&self) -> &[u8] {
         self.line.deleted()
     }
 

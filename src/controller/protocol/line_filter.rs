@@ -2,15 +2,19 @@
 //! line at CR or LF. Keeps the line's last remark in parentheses, which can be a message: `(MSG, ...)`. Marks a line
 //! that is too long.
 
+use crate::image::FULL_IMAGE;
+
 /// Replaces the whole text of a line in which a nested remark has not ended, because the text is unknown.
 pub const OPEN_REMARK: u8 = b')';
 /// Maximum length of a line in Grbl's dialect, in bytes, without blanks and remarks.
 pub const GRBL_LENGTH: usize = 79;
 /// Maximum length of a line in Oxmill's dialects, in bytes, without blanks and remarks.
 pub const LENGTH: usize = 256;
-
 /// Maximum number of bytes kept of a remark in parentheses, including its keyword (`MSG,`). Excess bytes are cut off.
 pub const MESSAGE_LENGTH: usize = 80;
+
+/// Maximum number of bytes kept of a line that block delete skips: enough for line number and O number.
+const DELETED_LENGTH: u8 = 40;
 
 /// Whether this build reports by how much a line is too long.
 const COUNTS_EXCESS: bool = cfg!(feature = "reasons");
@@ -76,18 +80,8 @@ enum Comment {
     Semicolon,
     /// After a dropped slash. The number of the block-delete switch, 1 to 9, is dropped too if it follows.
     Slash,
-    /// In a line that block delete skips.
-    Deleted(Deleted),
-}
-
-/// What a line that block delete skips has in front of its remarks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Deleted {
-    /// The letter O or a colon: it can be the number of a program or subprogram.
-    pub has_number: bool,
-    /// The letter M: it can be the end of a program.
-    pub has_m_word: bool,
-    in_remark: bool,
+    /// A line that is skipped. Its first bytes, this many, are kept in place of the text.
+    Deleted(u8),
 }
 
 impl Default for Line {
@@ -133,11 +127,13 @@ impl Line {
         self.text.get(..self.len).unwrap_or_default()
     }
 
-    /// Returns what the line has if block delete skips it.
-    pub fn deleted(&self) -> Option<Deleted> {
-        match self.comment {
-            Comment::Deleted(deleted) => Some(deleted),
-            _ => None,
+    /// Returns the first words of a line that block delete skips; empty for any other line, and in the small image.
+    pub fn deleted(&self) -> &[u8] {
+        let Comment::Deleted(kept) = self.comment else { return &[] };
+        match self.text.get(..usize::from(kept)).unwrap_or_default() {
+            // The number of the block-delete switch.
+            [b'1'..=b'9', words @ ..] => words,
+            words => words,
         }
     }
 
@@ -310,7 +306,7 @@ impl Line {
         };
         if begins && rules.block_delete {
             self.len = 0;
-            self.comment = Comment::Deleted(Deleted::default());
+            self.comment = if FULL_IMAGE { Comment::Deleted(0) } else { Comment::Semicolon };
         } else if begins && rules.expressions {
             self.comment = Comment::Slash;
         }
@@ -330,13 +326,13 @@ impl Line {
 
     /// Takes a byte within a remark. A remark with more than 255 open parentheses ends too soon.
     fn remark(&mut self, byte: u8, rules: LineRules) {
-        if let Comment::Deleted(deleted) = &mut self.comment {
-            match byte {
-                _ if deleted.in_remark => {}
-                b'(' | b';' => deleted.in_remark = true,
-                b'O' | b'o' | b':' => deleted.has_number = true,
-                b'M' | b'm' => deleted.has_m_word = true,
-                _ => {}
+        if FULL_IMAGE && let Comment::Deleted(kept) = &mut self.comment {
+            if byte > b' '
+                && *kept < DELETED_LENGTH
+                && let Some(place) = self.text.get_mut(usize::from(*kept))
+            {
+                *place = byte.to_ascii_uppercase();
+                *kept += 1;
             }
             return;
         }
@@ -459,27 +455,28 @@ mod tests {
         assert_eq!(lines(b"/2G0\nN5/2X1\n", GRBL), ["2G0", "N52X1"]);
     }
 
+    #[cfg(feature = "full")]
     #[test]
-    fn words_of_deleted_lines_are_noticed() {
+    fn the_first_words_of_a_deleted_line_are_kept() {
         let deleted = |text: &[u8]| {
             let mut line = Line::new();
             for byte in text {
                 line.push(*byte, || LineRules { block_delete: true, ..OXMILL });
             }
-            line.deleted().map(|deleted| (deleted.has_number, deleted.has_m_word))
+            assert!(line.text().is_empty() || line.deleted().is_empty());
+            String::from_utf8(line.deleted().to_vec()).unwrap()
         };
-        for (text, has) in [
-            (&b"/o1001 (M A)"[..], Some((true, false))),
-            (b"/2 N5 O1 M2", Some((true, true))),
-            (b"N5 / :7", Some((true, false))),
-            (b"/m30 (PROGRAM; NO)", Some((false, true))),
-            (b"/G0 X5 ; MOVE", Some((false, false))),
-            (b"/", Some((false, false))),
-            (b"O1001", None),
-            (b"; /O1001", None),
+        for (text, words) in [
+            (&b"/o1001 (A)"[..], "O1001(A)"),
+            (b"/2 N5 O1", "N5O1"),
+            (b"N5 / :7", ":7"),
+            (b"/", ""),
+            (b"O1001", ""),
+            (b"; /O1001", ""),
         ] {
-            assert_eq!(deleted(text), has, "{text:?}");
+            assert_eq!(deleted(text), words);
         }
+        assert_eq!(deleted(&[b'/'; 300]).len(), usize::from(DELETED_LENGTH));
     }
 
     #[test]

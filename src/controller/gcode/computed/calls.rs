@@ -1,7 +1,7 @@
 //! Begins calls of subroutines and subprograms, and gives up what runs or is open.
 
 use super::Computed;
-use super::flow::{FrameKind, STREAM};
+use super::flow::{FlowState, FrameKind, Keyword, OWord, STREAM};
 use super::real::Real;
 use crate::error::Error;
 use crate::gcode::state::{Interpreter, ProgramPlace};
@@ -34,10 +34,10 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Abandons the program, because its rest will not run or another host has taken over. Forgets open conditions and
-    /// loops, and all recorded lines except macros. Ends G68 and G51, because no other program expects them. If lines
-    /// were held, those that follow are refused up to the next program.
+    /// loops, and all recorded lines except macros. Ends G68 and G51, because no other program expects them. In the
+    /// middle of a held program and among subprograms, the lines that follow are refused up to the next program.
     pub fn abandon_program(&mut self) {
-        if self.is_held() {
+        if self.is_held() || self.place == ProgramPlace::Subprogram {
             self.place = ProgramPlace::Refused;
         }
         self.rotation = None;
@@ -45,5 +45,26 @@ impl<const N: usize> Interpreter<N> {
         self.computed.flow.reset();
         self.computed.parameters.leave_calls();
         self.saved.abandon(0);
+    }
+
+    /// Abandons the program and its subprograms, and refuses all lines that follow, up to the next program.
+    #[cold]
+    #[inline(never)]
+    pub(in crate::gcode) fn refuse_rest(&mut self) -> Error {
+        self.abandon_program();
+        self.place = ProgramPlace::Refused;
+        Error::OutOfPlace
+    }
+
+    /// Whether a program is held, or a subprogram recorded.
+    pub fn is_held(&self) -> bool {
+        let flow = &self.computed.flow;
+        match flow.state {
+            FlowState::Holding | FlowState::Waiting => true,
+            FlowState::Recording(from, _) => {
+                flow.line(from).and_then(OWord::of).is_some_and(|opening| opening.keyword == Keyword::Program)
+            }
+            FlowState::Streaming | FlowState::Running(_) => false,
+        }
     }
 }

@@ -8,7 +8,7 @@ use super::m_words::has_m_word;
 use super::subprograms::{is_jump, split_call};
 use crate::error::Error;
 use crate::gcode::Reason;
-use crate::gcode::program_end::has_program_number;
+use crate::gcode::program_number::has_program_number;
 use crate::gcode::refusal::say;
 use crate::gcode::state::{Interpreter, ProgramPlace};
 use crate::number::{Digits, read};

@@ -21,7 +21,7 @@
 
 use super::m_words::has_m_word;
 use crate::error::Error;
-use crate::gcode::program_end::behind_line_number;
+use crate::gcode::program_number::behind_line_number;
 use crate::gcode::remark::split_remark;
 use crate::lent::Lent;
 

@@ -4,8 +4,8 @@
 use crate::axes::PerAxis;
 use crate::error::Error;
 use crate::gcode::direction::{Direction, Held};
-use crate::gcode::program_end::{behind_digits, behind_line_number};
-use crate::gcode::state::Interpreter;
+use crate::gcode::program_number::{behind_digits, behind_line_number};
+use crate::gcode::state::{Interpreter, ProgramPlace};
 use crate::gcode::word::Word;
 use crate::units::Coordinate;
 
@@ -96,6 +96,15 @@ impl<const N: usize> Interpreter<N> {
     pub fn tape_mark(&mut self) -> Result<(), Error> {
         self.begin_program();
         Ok(())
+    }
+
+    /// Abandons the program and its subprograms, and refuses all lines that follow, up to the next program.
+    #[cold]
+    #[inline(never)]
+    pub(in crate::gcode) fn refuse_rest(&mut self) -> Error {
+        self.abandon_program();
+        self.place = ProgramPlace::Refused;
+        Error::OutOfPlace
     }
 
     /// Returns the error: there are no calls.

@@ -10,7 +10,7 @@ use super::real::Real;
 use super::subprograms::{is_jump, split_call};
 use crate::error::Error;
 use crate::gcode::direction::{Direction, Held};
-use crate::gcode::program_end::has_program_number;
+use crate::gcode::program_number::has_program_number;
 use crate::gcode::state::Interpreter;
 use core::fmt::Write;
 

@@ -24,7 +24,7 @@ use super::m_words::find_m_word;
 use super::real::Real;
 use crate::error::Error;
 use crate::gcode::direction::Direction;
-use crate::gcode::program_end::{behind_line_number, has_program_number};
+use crate::gcode::program_number::{behind_line_number, has_program_number};
 use crate::gcode::state::{Interpreter, ProgramPlace};
 use core::fmt::Write;
 
@@ -47,18 +47,6 @@ struct Call {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// Whether a program is held, or a subprogram recorded.
-    pub fn is_held(&self) -> bool {
-        let flow = &self.computed.flow;
-        match flow.state {
-            FlowState::Holding | FlowState::Waiting => true,
-            FlowState::Recording(from, _) => {
-                flow.line(from).and_then(OWord::of).is_some_and(|opening| opening.keyword == Keyword::Program)
-            }
-            FlowState::Streaming | FlowState::Running(_) => false,
-        }
-    }
-
     /// Whether the lines of a program are held.
     #[inline]
     pub(in crate::gcode) fn is_holding(&self) -> bool {

@@ -382,7 +382,7 @@ fn too_great_a_result() {
 /// The words that a line after the end of a program can have are those that are carried out.
 #[test]
 fn keywords_are_the_o_words() {
-    assert_eq!(KEYWORDS.map(|(name, _)| name), crate::gcode::program_end::O_WORDS);
+    assert_eq!(KEYWORDS.map(|(name, _)| name), crate::gcode::program_number::O_WORDS);
 }
 
 proptest! {

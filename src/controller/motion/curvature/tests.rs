@@ -86,7 +86,7 @@ impl Random {
 /// Returns the limits between a new span and the previous ones by the complete rule.
 fn limits<const N: usize>(history: &History<N>, new: &Span<N>, rule: &TurnRule<N>) -> Vec<f32> {
     let (mut between, mut fast2, mut speeds2) = (0.0, new.attainable2, Vec::new());
-    for (index, old) in history.0.iter().enumerate() {
+    for (index, old) in history.iter().enumerate() {
         fast2 = greater(fast2, old.attainable2);
         let both_single = new.blocks == 1 && old.blocks == 1;
         if new.straight && old.straight && !(index == 0 && both_single) {
@@ -123,7 +123,7 @@ fn ask<const N: usize>(random: &mut Random, count: u32) -> (u32, u32) {
             random.span(direction, path, turn)
         });
         let [fourth, third, second, first, new] = spans;
-        let speeds2 = limits(&History([first, second, third, fourth]), &new, &rule);
+        let speeds2 = limits(&History { spans: [fourth, third, second, first], newest: HISTORY - 1 }, &new, &rule);
         if speeds2.is_empty() {
             continue;
         }

@@ -13,6 +13,8 @@ import { workZero } from "./engine";
 const POLL = 200;
 /** After this time without output, the machine counts as not responding, ms. */
 const SILENT = 2000;
+/** Number of the setting for the dialect; its value 0 is Grbl's. */
+const DIALECT = 900;
 /** After this time without output, the connection counts as lost, ms. */
 const GONE = 6000;
 
@@ -249,6 +251,7 @@ export class Machine {
     if (answer !== "ok" || this.sender !== sender) return false;
     this.settings = parseSettings(said.join("\n"));
     sender.unit = this.settings[13] === 1 ? 25.4 : 1;
+    sender.hasTapeMarks = (this.settings[DIALECT] ?? 0) !== 0;
     this.changed();
     return true;
   }

@@ -64,7 +64,12 @@ export class Sender {
   room = SMALLEST_BUFFER;
   /** Millimetres per unit in which the controller reports positions (`$13`). */
   unit = 1;
+  /** Whether the machine knows tape marks (`%`), which Grbl's dialect does not have. */
+  hasTapeMarks = false;
   private next = 0;
+  /** Indices of the first and the last line with words. */
+  private firstWords = 0;
+  private lastWords = 0;
   private stopped = false;
   private resetting = false;
   private silence?: ReturnType<typeof setTimeout>;
@@ -124,6 +129,8 @@ export class Sender {
       if (why) throw new Error(`line ${index + 1}: ${why}`);
     }
     this.lines = lines;
+    const hasWords = (line: string) => !TAPE_MARK.test(line) && !/^\s*([(;]|$)/.test(line);
+    [this.firstWords, this.lastWords] = [lines.findIndex(hasWords), lines.findLastIndex(hasWords)];
     [this.next, this.done, this.stopped] = [0, 0, false];
     this.pump();
   }
@@ -192,8 +199,8 @@ export class Sender {
       const command = this.commands[0];
       const text = command?.text ?? this.lines[this.next];
       if (text === undefined) return;
-      if (!command && TAPE_MARK.test(text)) {
-        // Do not send a tape mark. It counts as answered.
+      if (!command && TAPE_MARK.test(text) && !this.isBetweenPrograms(this.next)) {
+        // Do not send this tape mark. It counts as answered.
         this.next++;
         this.done++;
         continue;
@@ -204,6 +211,11 @@ export class Sender {
       this.flight.push({ length: bytes.length, line: command ? undefined : ++this.next, command, said: [] });
       this.link.write(bytes);
     }
+  }
+
+  /** Whether a tape mark at this index begins the next program of the file, so that the machine must get it. */
+  private isBetweenPrograms(index: number): boolean {
+    return this.hasTapeMarks && this.firstWords < index && index < this.lastWords;
   }
 
   private hear(text: string): void {

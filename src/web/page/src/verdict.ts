@@ -42,7 +42,7 @@ export function showVerdict(summary: Summary, path: Path, context: Context): voi
   } else {
     const { text, line } = hindered;
     parts.push(el("span", { className: "say" }, icon("cross"), "Do not run yet"), el("span", { className: "head", textContent: capital(text) }),
-      el("p", { textContent: [line ? `The machine would stop at line ${line.toLocaleString("en")}.` : "", summary.forecast_s > 0 ? `The rest of the job takes ${clock(summary.forecast_s)}.` : ""].filter(Boolean).join(" ") }));
+      el("p", { textContent: [line ? `The machine would stop at line ${line.toLocaleString("en")}.` : "", summary.forecast_s > 0 ? `Without the rejected lines the job takes ${clock(summary.forecast_s)}.` : ""].filter(Boolean).join(" ") }));
   }
   $("verdict-card").className = `verdict ${tone}`;
   $("verdict").replaceChildren(...parts);

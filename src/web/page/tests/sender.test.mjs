@@ -32,6 +32,17 @@ export async function a_line_is_sent_as_it_is_or_not_at_all() {
   assert.deepEqual(link.lines, ["G1 X1 2 (     ) Y2 ;", "%G1 X5"]);
 }
 
+export async function a_tape_mark_between_two_programs_is_sent() {
+  for (const [hasTapeMarks, marks] of [[true, ["%"]], [false, []]]) {
+    const { sender, link, say } = connected();
+    sender.hasTapeMarks = hasTapeMarks;
+    sender.stream("%\nO1\nM30\n%\n(next)\nO2\nM30\n% (end)\n(no more)\n");
+    assert.deepEqual(link.lines, ["O1", "M30", ...marks, "(next)", "O2", "M30", "(no more)"]);
+    for (const _ of link.lines) say("ok");
+    assert.deepEqual([sender.busy, sender.done], [false, 9]);
+  }
+}
+
 export async function a_second_job_is_refused_until_the_first_is_answered() {
   const { sender, link, say } = connected();
   sender.stream("G91\nG0 X1\n");
