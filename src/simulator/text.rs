@@ -542,7 +542,7 @@ mod tests {
     #[test]
     fn lines_of_the_controller_are_lines_of_the_file() {
         let mut job = JobText::new(&b"%\nG0\nG1\n%\n\nG2\n"[..]);
-        job.begin(40, true);
+        job.begin(40, true, true);
         drain(&mut job);
         assert_eq!([0, 40, 41, 42, 43, 44].map(|line| job.file_line(line)), [0, 0, 2, 3, 5, 6]);
         assert_eq!((job.file_line(41_000), job.file_line(7)), (0, 0));

@@ -181,7 +181,8 @@ fn an_alarm_has_the_line_that_raised_it() {
 fn a_block_without_an_end_is_an_error_of_the_line_that_began_it() {
     for (name, program, line) in [
         ("open_if.nc", "%\nG1 X1 F600\n\no1 if [0]\nG1 X2\nM2\n%\n", 4),
-        ("open_sub.nc", "o<pocket> sub\n%\nG1 X2 F600\nM30\n", 1),
+        // The tape mark drops the block, and the next program is run.
+        ("open_sub.nc", "o<pocket> sub\n%\nG1 X2 F600\nM30\n", 2),
         ("open_loop.nc", "G1 X1 F600\no1 repeat [2]\no1 endrepeat\n o2 while [1] (so)\nX5", 4),
         ("open_at_end.nc", "o5 if [1]\nG1 X1 F600\nM2\n", 1),
     ] {

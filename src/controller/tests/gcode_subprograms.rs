@@ -255,15 +255,15 @@ fn a_macro_does_not_take_the_place_of_a_subprogram() {
 /// Definitions end with their file, whether or not its program has called them.
 #[test]
 fn definitions_end_with_their_file() {
-    let unlock = |sender: &mut Sender| sender.interpreter.unlock(false, false);
-    let ends: [(&str, &dyn Fn(&mut Sender)); 4] = [
-        ("a tape mark", &|sender| sender.send("%")),
-        ("$X", &|sender| {
-            unlock(sender);
-            unlock(sender);
+    type Way = (&'static str, fn(&mut Sender));
+    let ends: [Way; 4] = [
+        ("a tape mark", |sender| sender.send("%")),
+        ("$X", |sender| {
+            sender.interpreter.unlock(false, false);
+            sender.interpreter.unlock(false, false);
         }),
-        ("a rest", &|sender| sender.rested = true),
-        ("another host", &|sender| {
+        ("a rest", |sender| sender.rested = true),
+        ("another host", |sender| {
             sender.interpreter.abandon_program();
             sender.interpreter.begin_program();
         }),
@@ -362,10 +362,11 @@ fn a_rest_drops_a_held_program() {
 /// `$X`, a stop and an alarm drop what is held, and refuse the rest of it, which the host can still send.
 #[test]
 fn what_is_dropped_does_not_go_on_as_a_program() {
-    let ways: [(&str, &dyn Fn(&mut Interpreter<3>)); 3] = [
-        ("$X", &|interpreter| interpreter.unlock(false, false)),
-        ("a stop", &|interpreter| interpreter.abandon_program()),
-        ("an alarm", &|interpreter| {
+    type Way = (&'static str, fn(&mut Interpreter<3>));
+    let ways: [Way; 3] = [
+        ("$X", |interpreter| interpreter.unlock(false, false)),
+        ("a stop", |interpreter| interpreter.abandon_program()),
+        ("an alarm", |interpreter| {
             interpreter.abandon_program();
             interpreter.unlock(true, false);
         }),
