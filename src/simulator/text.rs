@@ -472,11 +472,11 @@ mod tests {
             job.answered(said);
             job.behind_end().map(|(end, behind)| (end.line, end.is_tape_mark, behind))
         };
-        assert_eq!(end("(a)\n%\nG0 X1\n%\nG0 X2\n\nX3\n%\nX4\n", &b"ok\r\n".repeat(6)), Some((4, true, 3)));
+        assert_eq!(end("(a)\n%\nG0 X1\n%\nG0 X2\n\nX3\n%\nX4\n", &b"ok\r\n".repeat(8)), Some((4, true, 3)));
         assert_eq!(end("%\nG0 X1\n%\n(a)\n", &b"ok\r\n".repeat(2)), None);
         // A program with two ends has ended at the first one.
-        assert_eq!(end("%\nM30\n%\nX4\n", b"[MSG:Pgm End]\r\nok\r\nok\r\n"), Some((2, false, 1)));
-        assert_eq!(end("X1\n%\nM30\nX4\n", b"ok\r\n[MSG:Pgm End]\r\nok\r\nok\r\n"), Some((2, true, 2)));
+        assert_eq!(end("%\nM30\n%\nX4\n", b"[MSG:Pgm End]\r\nok\r\nok\r\nok\r\n"), Some((2, false, 1)));
+        assert_eq!(end("X1\n%\nM30\nX4\n", b"ok\r\nok\r\n[MSG:Pgm End]\r\nok\r\nok\r\n"), Some((2, true, 2)));
     }
 
     #[test]
@@ -544,7 +544,7 @@ mod tests {
         let mut job = JobText::new(&b"%\nG0\nG1\n%\n\nG2\n"[..]);
         job.begin(40, true, true);
         drain(&mut job);
-        assert_eq!([0, 40, 41, 42, 43, 44].map(|line| job.file_line(line)), [0, 0, 2, 3, 5, 6]);
+        assert_eq!([0, 40, 41, 42, 43, 45].map(|line| job.file_line(line)), [0, 0, 2, 3, 5, 6]);
         assert_eq!((job.file_line(41_000), job.file_line(7)), (0, 0));
     }
 

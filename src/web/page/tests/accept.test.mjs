@@ -478,16 +478,17 @@ export async function the_scrubber_is_wide_enough_and_the_console_is_seen(browse
 export async function the_legend_names_what_is_drawn(browser) {
   const { page } = await open(browser, file);
   await openJob(page, "kinds.nc", "G21 G91\nG0 X5\nG1 Z-1 F600\nG1 X5\nG2 X5 Y5 J5\n");
-  const marks = () => page.locator("#legend-marks li").allInnerTexts();
-  assert.deepEqual(await marks(), ["rapid", "work zero"]);
+  // The legend follows the picture, which is drawn a moment later.
+  const shows = marks => page.waitForFunction(marks => [...document.querySelectorAll("#legend-marks li")].map(mark => mark.innerText).join() === marks, marks.join());
+  await shows(["rapid", "work zero"]);
   await page.uncheck("#show-rapids");
   await page.waitForFunction(() => !document.getElementById("legend-marks").textContent.includes("rapid"));
   await page.evaluate(() => oxmill.app.player.seek(1));
   await page.check("#limits");
   await page.waitForFunction(() => document.getElementById("legend-marks").textContent.includes("travel"));
-  assert.deepEqual(await marks(), ["time", "work zero", "travel"]);
+  await shows(["time", "work zero", "travel"]);
   await openJob(page, "bad.nc", BAD);
-  assert.deepEqual(await marks(), ["work zero", "refused line", "travel"]);
+  await shows(["work zero", "refused line", "travel"]);
   await page.selectOption("#coloring", "power");
   assert.equal(await page.textContent("#legend-caption"), "Spindle or laser power, S");
 }
