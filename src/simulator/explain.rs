@@ -118,7 +118,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     (Key::ToolSetterSeek, "Speed of the first touch of the tool setter, all the way down from the height of G30."),
     (
         Key::SquaringShare,
-        "How far one motor may move alone when homing squares a gantry, in percent of the axis's travel. More is ALARM:10.",
+        "How far one motor may move alone when homing squares an axis, in percent of the axis's travel. More is ALARM:10.",
     ),
     (Key::SquaringLeast, "Minimum of this distance, for an axis where the percentage ($347) gives less."),
     (Key::SquaringMost, "Maximum of this distance, for an axis where the percentage ($347) gives more."),

@@ -445,7 +445,7 @@ export async function settings_of_a_machine_are_pasted(browser) {
   const found = page.locator("#settings-table tr.row:visible");
   assert.match(await found.innerText(), /^Axis with two motors\s*\$905/);
   await found.click();
-  assert.match(await page.locator("#inspect .explanation").innerText(), /second motor with pins of its own moves, such as both sides of a gantry\./);
+  assert.match(await page.locator("#inspect .explanation").innerText(), /second motor with its own pins, such as a gantry with a motor on each side\./);
   await page.fill("#find", "");
   const book = readFileSync(join(root, "docs/settings.md"), "utf8");
   for (const row of await page.locator("#settings-table tr.row").all()) {
