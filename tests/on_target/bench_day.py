@@ -5,7 +5,10 @@
     python3 tests/on_target/bench_day.py PORT edges HZ PULSE
     python3 tests/on_target/bench_day.py PORT jogs MINUTES
     python3 tests/on_target/bench_day.py PORT stops N [--hz HZ] [--pulse PULSE] [--no-analyser]
-    python3 tests/on_target/bench_day.py PORT settings N
+    python3 tests/on_target/bench_day.py PORT settings N [--disturbed]
+    python3 tests/on_target/bench_day.py PORT beam
+    python3 tests/on_target/bench_day.py PORT lines N
+    python3 tests/on_target/bench_day.py PORT reopen N
 
 PORT is a serial port, such as /dev/ttyACM0 or COM5, or an address such as socket://127.0.0.1:2399. So the program can
 be tried without a board: `oxmill serve --tcp 2399 --board nucleo_f446re`.
@@ -16,7 +19,11 @@ be tried without a board: `oxmill serve --tcp 2399 --board nucleo_f446re`.
  * `stops`: stops a jog N times (0x85, `!`, 0x18) at random moments, and compares the edges at step X with `MPos`. The
    edges come from a logic analyser with sigrok's driver fx2lafw at 12 MS/s, read by sigrok-cli: D0 at step X, D1 at
    direction X, ground at ground. With `--no-analyser` it stops in the same way, but compares nothing.
- * `settings`: changes `$100` N times, with a `?` every 20 ms.
+ * `settings`: changes `$100` N times, with a `?` every 20 ms. With `--disturbed`, changes that are refused or not
+   answered are counted and sent again: somebody disturbs the line.
+ * `beam`: moves X in laser mode, with S1000 and S0 in turn every millimetre, until Ctrl-C. For the oscilloscope.
+ * `lines`: sends N lines at once during a move of 12 s, more than the board can take, and counts the answers.
+ * `reopen`: closes the port N times in the middle of an answer, and opens it again.
 
 The program changes settings of the board; `$RST=*` restores the defaults. The exit status is 0 if no fault was found.
 """
@@ -49,18 +56,24 @@ CANCEL, HOLD, RESET = b"\x85", b"!", b"\x18"
 TAKE = "sigrok-cli -d fx2lafw -c samplerate=12m -C D0,D1 --continuous -O binary".split()
 
 
+def opened(name):
+    """Opens a port."""
+    try:
+        import serial
+    except ImportError:
+        sys.exit("pyserial is missing: pip install pyserial")
+    try:
+        return serial.serial_for_url(name, BAUD, timeout=0.01)
+    except serial.SerialException as error:
+        sys.exit(f"{name} cannot be opened: {error}")
+
+
 class Board:
     """A board at a port."""
 
     def __init__(self, name):
-        try:
-            import serial
-        except ImportError:
-            sys.exit("pyserial is missing: pip install pyserial")
-        try:
-            self.port = serial.serial_for_url(name, BAUD, timeout=0.01)
-        except serial.SerialException as error:
-            sys.exit(f"{name} cannot be opened: {error}")
+        self.name = name
+        self.port = opened(name)
         self.begun = b""
         self.lines = collections.deque()
         # The board's last messages, for error reports.
@@ -265,11 +278,60 @@ def stops(board, number, hz, pulse, compares):
         sys.exit(1)
 
 
-def settings(board, number):
-    asked = told = 0
+def beam(board):
+    for line in ("$30=1000", "$32=1", "$33=100000", "$0=1", "$110=5000", "$120=2000", "G91 G21 G1 F2400 M3 S0"):
+        board.send(line)
+        print(line)
+    print("X1 S1000 and X1 S0 in turn, to and fro; Ctrl-C ends it")
+    try:
+        while True:
+            for way in [1] * 50 + [-1] * 50:
+                board.send(f"X{way} S1000")
+                board.send(f"X{way} S0")
+    except KeyboardInterrupt:
+        board.reset()
+        board.send("$32=0")
+        print("\nended, $32=0")
+
+
+def lines(board, number):
+    board.set_up(250, 500, 10, 10)
+    board.at_rest()
+    board.send("G91 G21 G1 X20 F100")
+    board.port.write(b"G4 P0.001\n" * number)
+    for k in range(number):
+        answer = board.wait(r"ok$|error:\d+", 60).group()
+        if answer != "ok":
+            sys.exit(f"line {k + 1} of {number}: {answer}")
+    board.hear(0.5)
+    print(f"{number} lines, each answered with ok; MPos {board.at_rest():.3f}")
+
+
+def reopen(board, number):
+    for k in range(number):
+        board.port.write(b"$$\n")
+        board.port.read(random.randrange(1, 400))
+        board.port.close()
+        time.sleep(random.uniform(0.02, 0.3))
+        board.port, board.begun = opened(board.name), b""
+        board.lines.clear()
+        end = time.monotonic() + 0.3
+        while time.monotonic() < end:
+            board.read()
+        # The first line can have lost its beginning on the host's side.
+        if old := [line for line in list(board.lines)[1:] if line.startswith("$")]:
+            sys.exit(f"opening {k + 1}: the old answer goes on: {old[:3]}")
+        board.lines.clear()
+        board.send("G4 P0")
+    print(f"{number} times closed and opened, the old answer gone each time")
+
+
+def settings(board, number, is_disturbed):
+    asked = told = refused = 0
     pause, heard = 0.0, time.monotonic()
     value = ""
-    for k in range(number):
+    k = 0
+    while k < number:
         value = f"{250 + k % 1000 / 1000:.3f}"
         board.port.write(f"$100={value}\n".encode())
         begin, answer = time.monotonic(), None
@@ -285,11 +347,21 @@ def settings(board, number):
             answer = next((line for line in board.lines if re.match(r"ok$|error:", line)), None)
             board.lines.clear()
             if answer not in ("ok", None) or time.monotonic() > begin + 5:
-                sys.exit(f"change {k + 1}, $100={value}: {answer or 'no answer within 5 s'}")
+                if not is_disturbed:
+                    sys.exit(f"change {k + 1}, $100={value}: {answer or 'no answer within 5 s'}")
+                # End what is left of a line.
+                board.port.write(b"\n")
+                board.hear(0.3)
+                refused += 1
+                break
+        else:
+            k += 1
     board.hear(0.5)
     board.port.write(b"$$\n")
     stored = float(board.wait(r"\$100=([\d.]+)")[1])
     print(f"{number} changes; {asked} `?`, {told} reports; longest pause {pause * 1000:.0f} ms")
+    if is_disturbed:
+        print(f"{refused} lines refused or not answered, and sent again")
     print(f"now power off and on: `$$` must list $100={value}")
     if stored != float(value):
         sys.exit(f"`$$` lists $100={stored}")
@@ -313,6 +385,12 @@ def arguments():
     task.add_argument("--no-analyser", action="store_true", help="stop, but compare nothing")
     task = tasks.add_parser("settings", help="changes of $100 under `?`")
     task.add_argument("number", metavar="N", type=int)
+    task.add_argument("--disturbed", action="store_true", help="send refused changes again, and count them")
+    tasks.add_parser("beam", help="laser mode, S1000 and S0 in turn, until Ctrl-C")
+    task = tasks.add_parser("lines", help="lines at once during a long move")
+    task.add_argument("number", metavar="N", type=int)
+    task = tasks.add_parser("reopen", help="the port closed in the middle of an answer, and opened again")
+    task.add_argument("number", metavar="N", type=int)
     return parser.parse_args()
 
 
@@ -325,8 +403,14 @@ def main():
         jogs(board, given.minutes)
     elif given.task == "stops":
         stops(board, given.number, given.hz, given.pulse, not given.no_analyser)
+    elif given.task == "settings":
+        settings(board, given.number, given.disturbed)
+    elif given.task == "beam":
+        beam(board)
+    elif given.task == "lines":
+        lines(board, given.number)
     else:
-        settings(board, given.number)
+        reopen(board, given.number)
 
 
 if __name__ == "__main__":
