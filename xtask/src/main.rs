@@ -42,6 +42,8 @@ const QEMU_BOARD: &str = "qemu_mps2";
 
 const USAGE: &str = "\
 usage:
+  cargo xtask quick [NAME]   after a change: format, lints and unit tests of the controller, the store and the simulator; with NAME
+                             only tests whose names contain it
   cargo fw BOARD             release build; prints the ELF file and its sizes, checks the image, and writes .hex and .dfu
   cargo flash-board BOARD    flash and log through a probe (needs cargo-embed, part of probe-rs-tools)
   cargo qemu [--job FILE]    the firmware on QEMU, serial on a TCP port that it prints; or one job from RAM
@@ -84,6 +86,7 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let done = match words[..] {
+        ["quick", ref names @ ..] => quick(names),
         ["fw", board] => known(board).and_then(|board| image::build(board).map(|image| println!("{image}"))),
         ["flash-board", board] => known(board).and_then(flash),
         ["qemu"] => qemu::serve(),
@@ -131,6 +134,15 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Checks a change within a minute, if the rest has been built: the format, and the lints and unit tests of the rooms
+/// that change most. `names`: if there is one, only tests whose names contain it.
+fn quick(names: &[&str]) -> Result<(), Failure> {
+    let rooms = ["--package=oxmill-controller", "--package=oxmill-store", "--package=oxmill-simulator"];
+    run(cargo().args(["fmt", "--all", "--check"]))?;
+    run(cargo().args(["clippy", "--quiet", "--lib"]).args(rooms).args(["--", "-D", "warnings"]))?;
+    run(cargo().args(["test", "--quiet", "--lib"]).args(rooms).args(names))
 }
 
 /// Runs all tests that need QEMU.
