@@ -150,6 +150,9 @@ fn make_page(folder: &Path, compiler: &Compiler) -> Result<(), Failure> {
     for name in [PAGE, "oxmill.wasm"] {
         write(&folder.join(name), &read(&root().join("target/web").join(name))?)?;
     }
+    let name = format!("oxmill-{VERSION}-site");
+    let site = archive::tree(&root().join("target/web/site"))?;
+    write(&folder.join(format!("{name}.tar.gz")), &archive::packed(&name, site)?)?;
     Sbom::of_page().write(compiler, &folder.join("oxmill-page.cdx.json"))
 }
 
