@@ -5,7 +5,7 @@ from random import Random
 from ..board import Failure
 from ..models import timer
 from ..scope import Scope
-from .bench import BEAM_STOP_S, BYTE_STOP_S, RUN_CYCLES, TRIP_S, US, duty, fast, stand_once, step_clock, us
+from .bench import BEAM_STOP_S, RUN_CYCLES, TRIP_S, US, byte_stop_s, duty, fast, stand_once, step_clock, us
 from .failures import tell
 from .stops import StopWatch
 
@@ -240,7 +240,7 @@ def raster_stops(bench):
     )
     if not are_near():
         raise Failure("no stop came right before a change, or right behind one: this proves nothing")
-    if worst["0x18"] > BEAM_STOP_S.get(bench.wiring.name, BYTE_STOP_S) or worst["emergency stop"] > TRIP_S + RUN_CYCLES / hz:
+    if worst["0x18"] > BEAM_STOP_S.get(bench.wiring.name, byte_stop_s(bench)) or worst["emergency stop"] > TRIP_S + RUN_CYCLES / hz:
         raise Failure("the beam is off too late")
     if behind > BEHIND_CYCLES:
         raise Failure("the beam burns where the tool is about to stand while undone events are counted")

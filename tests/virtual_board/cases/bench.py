@@ -21,16 +21,12 @@ SAMPLE_S, FILTER_SAMPLES = 50 * US, 8
 STOP_S = 20 * US
 """Maximum time from the detection of a stop to the last rising edge."""
 
-BYTE_STOP_S = 75 * US
-"""Maximum time from the last bit of a byte that stops the machine to the last rising edge: up to one period of the
-input samples, which read received bytes, and a run of the step task."""
+RUN_CYCLES = 4450
+"""Longest run of the step task (`run_cycles` in profiles.rs)."""
 
 BEAM_STOP_S = {"blackpill_f401": 130 * US}
 """Maximum time from the last bit of a byte that stops the machine until the laser is off, for boards whose image is
-built for size: these take longer than `BYTE_STOP_S` (docs/limits.md)."""
-
-RUN_CYCLES = 4450
-"""Longest run of the step task (`run_cycles` in profiles.rs)."""
+built for size: these take longer than `byte_stop_s` (docs/limits.md)."""
 
 HOLD_S = 25e-3
 """Maximum time from `!` to the beginning of the ramp."""
@@ -153,6 +149,12 @@ class Bench:
         cycles, where = state.masked_longest, self.image.place(state.slowest_to)
         state.masked_longest = 0
         return cycles / self.board.clocks[-1][2], where
+
+
+def byte_stop_s(bench):
+    """Returns the maximum time from the last bit of a byte that stops the machine to the last rising edge: one period
+    of the input samples, which read received bytes, the longest run of the step task, and 2 us."""
+    return SAMPLE_S + RUN_CYCLES / bench.wiring.core_hz + 2 * US
 
 
 def us(seconds):

@@ -9,7 +9,7 @@ from ..models import timer
 from ..models.dma import NDTR
 from ..models.timer import EGR, SMCR
 from ..scope import Scope
-from .bench import BYTE_STOP_S, HOLD_S, TRIP_S, US, fast, moving, us
+from .bench import HOLD_S, TRIP_S, US, byte_stop_s, fast, moving, us
 from .stepping import at_full_rate
 
 CALL_CYCLES = 140
@@ -67,7 +67,7 @@ def stops(bench):
     bench.settings(s21=1)
     board, hz = bench.board, bench.wiring.core_hz
     worst = {"0x18": 0.0, "limit": 0.0}
-    allowed = {"0x18": BYTE_STOP_S, "limit": TRIP_S}
+    allowed = {"0x18": byte_stop_s(bench), "limit": TRIP_S}
     for feed, phase in ((3000, 0.0), (3000, 7.3e-6), (3000, 31e-6), (60, 123.4e-6), (6000, 49.9e-6)):
         for what in ("0x18", "limit"):
             bench.ask("$X")
@@ -180,7 +180,7 @@ def ring_stops(bench):
         raise Failure("too few places: this proves little")
     if cycles > CALL_CYCLES:
         raise Failure(f"a stop takes {cycles} cycles from the call")
-    if worst > BYTE_STOP_S:
+    if worst > byte_stop_s(bench):
         raise Failure("pulses after the stop")
     yield from stops_with_backlash(bench, random, rate, most // 2)
 
