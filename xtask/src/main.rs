@@ -49,7 +49,7 @@ usage:
   cargo qemu [--job FILE]    the firmware on QEMU, serial on a TCP port that it prints; or one job from RAM
   cargo test-target [BOARD]  suites and firmware tests on QEMU; with a board, the suites on it through a probe;
                              with `--no-run` at the end the suites are only built
-  cargo xtask bench-board BOARD  the suites on a board, then its pulses, measured over wires: docs/bench.md
+  cargo xtask bench-board BOARD  the suites on a board, then its pulses, measured over wires: docs/bench.md; also called `loopback`
   cargo xtask recordings [N..]  the recorded conversations on QEMU alone; or only some groups
   cargo xtask jobs           whole jobs through the firmware on QEMU alone, compared with the simulator
   cargo xtask converse       the conversations with the firmware on QEMU alone
@@ -96,7 +96,7 @@ fn main() -> ExitCode {
         ["test-target", "--no-run"] => suites::build(QEMU_BOARD),
         ["test-target", board, "--no-run"] => known(board).and_then(suites::build),
         ["test-target", board] => known(board).and_then(suites::on_board),
-        ["bench-board", board] => known(board).and_then(suites::bench),
+        ["bench-board" | "loopback", board] => known(board).and_then(suites::bench),
         ["recordings", ref groups @ ..] => recordings::replay_all(groups),
         ["converse"] => live::all(),
         ["jobs"] => jobs::compare_all(),
