@@ -161,7 +161,7 @@ pub fn for_error(error: Error) -> &'static str {
         Error::InvalidLineNumber => "Write N with 10,000,000 at most, or leave it out.",
         Error::ValueWordMissing => "Add the missing word; docs/gcode.md has those of each command.",
         Error::UnsupportedCoordinateSystem => {
-            "Use G54 to G59.3 (P1 to P9 of G10; G54.1 P1 to P3 are G59.1 to G59.3), in the dialect of Grbl G54 to G59."
+            "Use one of G54 to G59.3, which are P1 to P9 in G10; G54.1 P1 to P3 are G59.1 to G59.3. Grbl's dialect has only G54 to G59."
         }
         Error::G53NeedsMotion => "Put G0 or G1 in the line with G53.",
         Error::AxisWordsUnused => "Take the axis words out, or choose a motion mode instead of G80.",
@@ -172,7 +172,7 @@ pub fn for_error(error: Error) -> &'static str {
             "An arc ends as far from its centre as it starts (after a refused line it starts elsewhere), one by R not where it starts; a probing move leads away from the place of the tool; nothing lies beyond 50 m."
         }
         Error::ImpossibleRadius => "Give a radius of at least half the distance from start to end, or use I and J.",
-        Error::UnusedWords => "Take the words out that the commands of this line do not use.",
+        Error::UnusedWords => "Remove the words that no command of this line uses.",
         Error::ToolLengthAxis => "Give the tool length offset in Z.",
         Error::ToolNumberTooHigh | Error::ValueOutOfRange => "Use a value within the range that docs/gcode.md gives.",
         Error::SpindleNotTurning => "Start the spindle with M3 or M4 and an S word before the cycle.",

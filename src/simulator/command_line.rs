@@ -123,7 +123,7 @@ pub struct Serve {
     /// Resets the controller at each new connection, as DTR does on an Arduino.
     #[arg(long)]
     pub reset_on_connect: bool,
-    /// The page for `--web`; the default is `oxmill.html` beside the program, or in `target/web`.
+    /// The file of the page that `--web` serves; the default is `oxmill.html` beside this program, or in `target/web`.
     // `requires = "web"` would not work: with another link, `--web` is a conflict, and clap does not require an option
     // that conflicts.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["tcp", "stdio"])]
@@ -285,7 +285,7 @@ impl std::str::FromStr for WorkZero {
 pub enum Speed {
     /// Virtual seconds per second.
     Times(f64),
-    /// As fast as possible while the machine is busy.
+    /// Runs as fast as possible while the machine is busy.
     Max,
 }
 

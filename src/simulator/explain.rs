@@ -78,7 +78,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
     (
         Key::DirectionSetup,
-        "Minimum time between a change of direction and the next step pulse. Use the value in the driver's data sheet; 2 us are always kept.",
+        "Minimum time between a change of direction and the next step pulse. Use the value in the driver's data sheet; it is never shorter than 2 us.",
     ),
     (Key::SpindleMaximum, "Speed of the spindle at full output. Measure it without a cutter."),
     (Key::SpindleMinimum, "Speed of the spindle at minimum output. Between the two, the output is proportional to S."),
@@ -114,7 +114,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
         Key::ToolSetterDepth,
         "How far to search for the tool setter, down from the height of G30 ($918=2). If the tool touches nothing, ALARM:5.",
     ),
-    (Key::ToolSetterLocate, "Speed of the second, measuring touch of the tool setter."),
+    (Key::ToolSetterLocate, "Speed of the second touch of the tool setter, which measures the tool."),
     (Key::ToolSetterSeek, "Speed of the first touch of the tool setter, all the way down from the height of G30."),
     (
         Key::SquaringShare,
@@ -219,7 +219,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     (Key::SpindleReaction, "How the machine stops if the spindle loses its speed."),
     (
         Key::HostReaction,
-        "Reaction to a connection that ends ($914) or a host that is silent ($922) during a job. 4 holds with the spindle on, and ~ resumes.",
+        "Reaction to a connection that ends ($914) or a host that is silent ($922) during a job. With 4 the machine holds with the spindle on, and ~ resumes.",
     ),
     (
         Key::SpeedLoss,

@@ -62,7 +62,7 @@ impl<const N: usize> Interpreter<N> {
                 let keep = text.code(b'M', &[700, 710, 720, 730]).unwrap_or_default();
                 say(out, "% has to be alone in its line", &[keep]);
             }
-            Error::G53NeedsMotion => say(out, "G53 needs G0 or G1: % is in force", &[line.motion()]),
+            Error::G53NeedsMotion => say(out, "G53 needs G0 or G1: % is active", &[line.motion()]),
             Error::AxisWordsUnused => line.axis_unused(out),
             Error::NoPlaneAxisForArc => {
                 let [first, second] = line.plane_letters();
@@ -91,7 +91,7 @@ impl<const N: usize> Interpreter<N> {
                 let axis = line.modal.plane.axes().linear.letter();
                 say(out, "% lies below %, the bottom of the hole", &[line.word(b'R'), line.word(axis)]);
             }
-            Error::CycleNeedsPerMinute => say(out, "% needs G94: G93 is in force", &[line.motion()]),
+            Error::CycleNeedsPerMinute => say(out, "% needs G94: G93 is active", &[line.motion()]),
             Error::NothingSaved => say(out, "M72 has nothing to restore: M70 or M73 keeps a state before it", &[]),
             Error::TooDeep => {
                 let keep = text.code(b'M', &[700, 730]).unwrap_or_default();
@@ -387,7 +387,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             let axis = self.axes().find(|axis| axis.index() > 2).map_or(axis, Axis::letter);
             say(out, "% does not go with %: turn the part in a line before it", &[self.word(axis), self.motion()]);
         } else {
-            say(out, "% has no motion: G80 is in force, write G0 or G1", &[word]);
+            say(out, "% has no motion: G80 is active, write G0 or G1", &[word]);
         }
     }
 
@@ -398,7 +398,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         letters.sort_unstable();
         let [first, second] = letters;
         if self.parsed.values.has(first) || self.parsed.values.has(second) {
-            say(out, "% and % are both needed in %: G90.1 is in force", &[&[first], &[second], self.motion()]);
+            say(out, "% and % are both needed in %: G90.1 is active", &[&[first], &[second], self.motion()]);
         } else {
             say(out, "% and % are missing in %, or R: the plane is ", &[&[first], &[second], self.motion()]);
             name(out, self.modal.plane.word().as_bytes());
@@ -512,10 +512,10 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
                 say(out, "% is used by nothing in this line: take it out", &[word]);
             }
             (Some(b'I' | b'J' | b'K'), _) => {
-                say(out, "% belongs to an arc, and % is in force: write G2 or G3", &[word, motion]);
+                say(out, "% belongs to an arc, but % is active: write G2 or G3", &[word, motion]);
             }
             (Some(b'R'), _) if !is_arc => {
-                say(out, "% belongs to an arc or a cycle, and % is in force", &[word, motion]);
+                say(out, "% belongs to an arc or a cycle, but % is active", &[word, motion]);
             }
             (Some(b'E'), _) => say(out, "% is used by nothing: an extruder of a 3-D printer, or an exponent", &[word]),
             (Some(b'H'), _) => say(out, "% is used by nothing: G43 is missing", &[word]),

@@ -126,7 +126,7 @@ const INSTEAD_OF_G: [(&[u16], &str); 13] = [
     (&[380], "% lacks its digit: G38.2 to G38.5 are probing moves"),
 ];
 const INSTEAD_OF_M: [(&[u16], &str); 4] = [
-    (&[980, 990], "% has to be a plain number in a program: M98 P1001, or M99"),
+    (&[980, 990], "% must be written as a plain number: M98 P1001, M99"),
     (&[970], "% is not supported: write O1000 .. M99 behind M30, and call it with M98 P1000"),
     (&[190], "% is not supported: the spindle cannot be turned to an angle"),
     (
