@@ -137,7 +137,11 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
         ),
         inputs,
         slow_pins,
-        settings_flash: SettingsFlash::new(device.FLASH, usart_interrupt::receive_by_dma),
+        settings_flash: SettingsFlash::new(
+            device.FLASH,
+            usart_interrupt::receive_by_dma,
+            usart_interrupt::end_of_stall,
+        ),
         watchdog: stm32f4::Watchdog::new(device.IWDG, &device.DBGMCU),
     }
 }

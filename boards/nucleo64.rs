@@ -96,7 +96,7 @@ pub fn setup(device: pac::Peripherals, core_hz: u32, low_voltage: fn() -> !) -> 
         inputs,
         slow_pins,
         // Nothing to prepare before a flash operation: DMA receives while the processor is stalled.
-        settings_flash: SettingsFlash::new(device.FLASH, || {}),
+        settings_flash: SettingsFlash::new(device.FLASH, || {}, || {}),
         watchdog: stm32f4::Watchdog::new(device.IWDG, &device.DBGMCU),
     }
 }

@@ -52,6 +52,7 @@ pub enum FlashError {
 pub struct SettingsFlash {
     flash: pac::FLASH,
     before_stall: fn(),
+    after_stall: fn(),
 }
 
 unsafe extern "C" {
@@ -60,10 +61,11 @@ unsafe extern "C" {
 }
 
 impl SettingsFlash {
-    /// Takes the sectors that the linker script reserves. `before_stall` is called, with interrupts off, before each
-    /// operation that stalls the processor. It must prepare whatever cannot wait for the end of the operation.
-    pub fn new(flash: pac::FLASH, before_stall: fn()) -> SettingsFlash {
-        SettingsFlash { flash, before_stall }
+    /// Takes the sectors that the linker script reserves. `before_stall` and `after_stall` are called, with interrupts
+    /// off, before and after each operation that stalls the processor. The first one must prepare whatever cannot wait
+    /// for the end of the operation.
+    pub fn new(flash: pac::FLASH, before_stall: fn(), after_stall: fn()) -> SettingsFlash {
+        SettingsFlash { flash, before_stall, after_stall }
     }
 
     fn address(sector: Sector) -> u32 {
@@ -89,6 +91,7 @@ impl SettingsFlash {
             while flash.sr().read().bits() & BUSY != 0 {}
             let errors = flash.sr().read().bits() & ERRORS;
             flash.cr().write(|w| raw!(w, LOCK));
+            (self.after_stall)();
             errors
         });
         if errors == 0 { Ok(()) } else { Err(FlashError::Refused(errors)) }

@@ -76,7 +76,7 @@ pub fn by_dma((tx, rx): (Tx<pac::USART2>, Rx<pac::USART2>), rcc: &mut Rcc) -> (I
         singleton!(: Channel<ReceivedBytes, MESSAGES> = Channel::new()),
         singleton!(: Signal<u32> = Signal::new()),
     ) else {
-        unreachable!("set up twice")
+        unreachable!()
     };
     let source = ByDma { _rx: rx, buffer, clock: pac::USART2::clock(&rcc.clocks).raw() };
     let output = Halves { _tx: tx, halves, half: 0, filled: 0, sends: false };

@@ -40,7 +40,8 @@ const SEND_FREE: u32 = 1 << 7;
 // CR1
 const CALL_WHEN_COME: u32 = 1 << 5;
 const CALL_WHEN_FREE: u32 = 1 << 7;
-// CR3
+// CR3, which has no other bits set
+const CALL_AT_ERROR: u32 = 1 << 0;
 const DMA_RECEIVES: u32 = 1 << 6;
 
 /// The receiving stream (reference manuals, "DMA2 request mapping"): channel 4, half-words, not circular.
@@ -82,7 +83,7 @@ pub fn by_interrupt((tx, rx): (Tx<pac::USART1>, Rx<pac::USART1>), rcc: &mut Rcc)
         singleton!(: Channel<ReceivedBytes, MESSAGES> = Channel::new()),
         singleton!(: Signal<u32> = Signal::new()),
     ) else {
-        unreachable!("set up twice")
+        unreachable!()
     };
     let (bytes, sent) = queue.split();
     let clock = pac::USART1::clock(&rcc.clocks).raw();
@@ -104,12 +105,13 @@ impl Input {
     /// the processor was stalled and DMA received.
     #[inline]
     pub fn on_interrupt(&mut self) {
-        let stood = read(USART + CR_3) & DMA_RECEIVES != 0;
+        let control = read(USART + CR_3);
+        let stood = control & DMA_RECEIVES != 0;
         if stood {
             self.receiver.source().end_of_dma();
         }
         let mut status = read(USART + SR);
-        if stood && status & DAMAGED != 0 {
+        if stood && (control & CALL_AT_ERROR != 0 || status & DAMAGED != 0) {
             // It is unknown which of the bytes that DMA fetched is damaged. So the next look refuses all of them,
             // including the byte that is in the data register now.
             self.receiver.source().is_damaged = true;
@@ -161,7 +163,8 @@ impl ByInterrupt {
 
     /// Ends receiving by DMA and continues after the bytes that it fetched.
     fn end_of_dma(&mut self) {
-        write(USART + CR_3, read(USART + CR_3) & !DMA_RECEIVES);
+        write(USART + CR_3, 0);
+        write(USART + CR_1, read(USART + CR_1) | CALL_WHEN_COME | CALL_WHEN_FREE);
         let at = stream(DMA, STREAM);
         write(at + CR, RECEIVES);
         // DMA finishes the byte in progress.
@@ -226,14 +229,30 @@ impl ByteSource for ByInterrupt {
     }
 }
 
-/// Lets DMA receive during a flash operation, which stalls the processor. This function pends the UART's interrupt,
-/// which ends receiving by DMA after the operation. Interrupts must be off and the machine at rest.
+/// Lets DMA receive during a flash operation, which stalls the processor. Until [`end_of_stall`], only a damaged byte
+/// makes the UART's interrupt pending, because its flags can be gone when the processor goes on: the manuals do not say
+/// whether a read by DMA clears them. Interrupts must be off and the machine at rest.
 pub fn receive_by_dma() {
+    write(USART + CR_1, read(USART + CR_1) & !(CALL_WHEN_COME | CALL_WHEN_FREE));
+    let in_doubt = read(USART + CR_3) & CALL_AT_ERROR != 0;
+    if in_doubt || read(USART + SR) & DAMAGED != 0 {
+        NVIC::pend(VECTOR);
+    } else {
+        NVIC::unpend(VECTOR);
+    }
     let at = stream(DMA, STREAM);
     if read(at + NDTR) != 0 {
         write(at + CR, RECEIVES | EN);
     }
-    write(USART + CR_3, read(USART + CR_3) | DMA_RECEIVES);
+    write(USART + CR_3, DMA_RECEIVES | CALL_AT_ERROR);
+}
+
+/// Notes whether a byte was damaged while the processor was stalled: then [`CALL_AT_ERROR`] stays set. Pends the UART's
+/// interrupt, which ends receiving by DMA.
+pub fn end_of_stall() {
+    if !NVIC::is_pending(VECTOR) {
+        write(USART + CR_3, DMA_RECEIVES);
+    }
     NVIC::pend(VECTOR);
 }
 

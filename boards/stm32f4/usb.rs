@@ -222,10 +222,10 @@ impl UsbPort {
         let (Some(buffers), Some(number)) =
             (singleton!(: [u32; BUFFERS] = [0; BUFFERS]), singleton!(: [u8; SERIAL_NUMBER] = serial_number()))
         else {
-            unreachable!("set up twice")
+            unreachable!()
         };
         let Some(bus) = singleton!(: usb_device::bus::UsbBusAllocator<UsbBusType> = UsbBus::new(usb, buffers)) else {
-            unreachable!("set up twice")
+            unreachable!()
         };
         let class = CdcAcmClass::new(bus, PACKET as u16);
         let strings = StringDescriptors::default()

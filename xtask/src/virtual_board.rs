@@ -61,12 +61,13 @@ const LOOPBACK: [&str; 3] = ["blackpill_f411", "nucleo_f446re", "blackpill_f401"
 
 /// Alternative readings of facts that the manuals leave open (`tests/virtual_board/models/readings.py`), each with a
 /// board and the cases that depend on the fact. `.ci/nightly` runs all cases of two boards under each reading.
-const READINGS: [(&str, &str, &[&str]); 5] = [
+const READINGS: [(&str, &str, &[&str]); 6] = [
     ("counted-at-fetch", "blackpill_f411", &["hold", "turns"]),
     ("compare-on-count", "nucleo_f446re", &["probe"]),
     ("quick-trigger", "blackpill_f411", &["pulses"]),
     ("slow-trigger", "nucleo_f446re", &["turns"]),
     ("flags-by-dma", "nucleo_f446re", &["disturbed line"]),
+    ("flags-by-dma", "blackpill_f411", &["disturbed line"]),
 ];
 
 /// Runs the cases of one board or of all boards, two processes at a time; also some cases under alternative readings,

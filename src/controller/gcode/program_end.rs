@@ -50,9 +50,11 @@ impl<const N: usize> Interpreter<N> {
     /// Executes `$X`: the next line begins a program. But if the host is in the middle of a held program or among
     /// subprograms, the rest of them is refused, up to another `$X`. `is_locked`: the `$X` ends an alarm, so it does
     /// not end a refusal. `rested`: no more subprograms are expected.
+    #[cfg_attr(not(feature = "full"), allow(unused_variables, reason = "there are no subprograms"))]
     pub fn unlock(&mut self, is_locked: bool, rested: bool) {
         match self.place {
             _ if self.is_held() => self.abandon_program(),
+            #[cfg(feature = "full")]
             ProgramPlace::Subprogram if !rested => self.place = ProgramPlace::Refused,
             ProgramPlace::Refused if is_locked => {}
             _ => self.place = ProgramPlace::Program,
@@ -73,6 +75,7 @@ impl<const N: usize> Interpreter<N> {
             ProgramPlace::Program => return Ok(()),
             ProgramPlace::End if !has_program_number(line) => return Ok(()),
             ProgramPlace::End => rested,
+            #[cfg(feature = "full")]
             ProgramPlace::Subprogram => rested && !has_program_number(line),
             ProgramPlace::Refused => false,
         };
@@ -103,6 +106,7 @@ impl<const N: usize> Interpreter<N> {
 
     /// Takes note that a line of the running text was refused, and with it the line of the host that runs the text. If
     /// the text is a held program, that program is over, and what follows it is refused.
+    #[cfg(feature = "full")]
     #[cold]
     #[inline(never)]
     pub fn refused_in_run(&mut self, line: &[u8]) {
@@ -126,7 +130,7 @@ impl<const N: usize> Interpreter<N> {
         if self.place == ProgramPlace::Program && line.is_some_and(may_end_program) {
             return self.note_end();
         }
-        if matches!(self.place, ProgramPlace::End | ProgramPlace::Subprogram)
+        if !matches!(self.place, ProgramPlace::Program | ProgramPlace::Refused)
             && line.is_none_or(may_have_program_number)
         {
             self.refuse_rest();

@@ -63,7 +63,7 @@ pub enum ProgramPlace {
     /// After the end of a program.
     End,
     /// After the end of a program, among subprograms. A build without subprograms refuses them instead.
-    #[cfg_attr(not(feature = "full"), allow(dead_code, reason = "there are no subprograms"))]
+    #[cfg(feature = "full")]
     Subprogram,
     /// Where all lines are refused up to the next program.
     Refused,

@@ -32,7 +32,7 @@ pub fn settings_flash() -> SettingsFlash {
         // SAFETY: unsafe because the peripherals are taken without asking their owner; safe because the tests use the
         // flash interface only through the value returned here, and only one such value exists at a time.
         let device = unsafe { oxmill_boards::pac::Peripherals::steal() };
-        SettingsFlash::new(device.FLASH, || {})
+        SettingsFlash::new(device.FLASH, || {}, || {})
     }
 }
 

@@ -130,6 +130,9 @@ impl<const N: usize> Interpreter<N> {
         false
     }
 
+    /// Does nothing: there are no lines in the running text.
+    pub fn refused_in_run(&mut self, _: &[u8]) {}
+
     /// Returns `None`: no program waits.
     pub fn awaited_subprogram(&self) -> Option<u32> {
         None
