@@ -247,8 +247,8 @@ pub fn receive_by_dma() {
     write(USART + CR_3, DMA_RECEIVES | CALL_AT_ERROR);
 }
 
-/// Notes whether a byte was damaged while the processor was stalled: then [`CALL_AT_ERROR`] stays set. Pends the UART's
-/// interrupt, which ends receiving by DMA.
+/// Notes whether a byte was damaged while the processor was stalled: then the interrupt at errors stays enabled. Pends
+/// the UART's interrupt, which ends receiving by DMA.
 pub fn end_of_stall() {
     if !NVIC::is_pending(VECTOR) {
         write(USART + CR_3, DMA_RECEIVES);
