@@ -177,7 +177,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
         Key::HoldWithoutHost,
         "A connection that ends during a job is a fault; $928 sets the reaction. With 0 the lines already received are finished.",
     ),
-    (Key::AtSpeed, "An input signals that the spindle has reached its speed, and with which level. Cuts wait for it."),
+    (Key::AtSpeed, "Which level of an input signals that the spindle has reached its speed. Cuts wait for it."),
     (
         Key::AtSpeedWithin,
         "How long the spindle may take to reach its speed, if there is an at-speed input ($915). After that, ALARM:14.",

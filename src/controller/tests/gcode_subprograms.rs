@@ -414,6 +414,12 @@ fn an_alarm_in_a_subprogram_refuses_the_next_ones() {
         sender.send("G0 X9");
         assert_eq!(sender.went, [1, 9]);
     }
+    // A stop, after which nothing needs to be unlocked.
+    let mut sender = Sender::new();
+    sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
+    sender.interpreter.abandon_program();
+    sender.send_all("O2\nG0 X-3\nM99\nX-4");
+    assert_eq!((sender.errors.as_slice(), sender.went.as_slice()), (&[203; 4][..], &[1][..]));
 }
 
 /// M99 without a call means that a subprogram has run as the program, wherever the M99 is.

@@ -524,20 +524,18 @@ impl FlowControl {
         self.passes = 0;
     }
 
-    /// Holds the program from the call at `at` on, whose subprogram is not known yet. `is_complete`: the program has
+    /// Holds the program from the call at `at` in the running text on, whose subprogram is not known yet. `is_complete`: the program has
     /// been held up to its end, so only subprograms can follow.
     pub(super) fn wait(&mut self, at: u16, is_complete: bool) {
         let end = self.text.len() as u16;
-        self.held_from = match self.state {
-            FlowState::Running(Some(from)) => from,
-            FlowState::Running(None) => {
-                // The call from the stream returns to the lines that are held from here on.
-                if let Some(call) = self.frames.get_mut(usize::from(self.below)) {
-                    call.at = end;
-                }
-                end
+        self.held_from = if let FlowState::Running(Some(from)) = self.state {
+            from
+        } else {
+            // The call from the stream returns to the lines that are held from here on.
+            if let Some(call) = self.frames.get_mut(usize::from(self.below)) {
+                call.at = end;
             }
-            _ => at,
+            end
         };
         self.state = if is_complete { FlowState::Waiting } else { FlowState::Holding };
         if !is_complete {
