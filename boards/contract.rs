@@ -12,7 +12,9 @@
 //! |---|---|
 //! | `pac` | the device crate: registers and interrupt numbers, for RTIC |
 //! | `vectors!(app)` | calls the macro `app` with the names of the interrupt vectors of the tasks; if there is a vector `uart`, `serial` is the vector of an unused peripheral |
-//! | `PROFILE`, `AXES`, `BLOCKS` | the board's entry of [`profiles`](crate::profiles), and its two numbers that are const generics |
+//! | `PROFILE`, `AXES`, `BLOCKS` | the image's entry of [`profiles`](crate::profiles), and its two numbers that are const generics |
+//! | `profile()` | the profile of the board: `PROFILE` with the name and the pins of the [pin table](crate::pin_table) |
+//! | `PORTS` | number of GPIO ports that have pins in use |
 //! | `RECORDING_PAGES` | pages of 256 bytes for the recording of inputs and received bytes; 0 = no recording |
 //! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running 32-bit counter, the program's clock |
 //! | `CORE_HZ`, `SAMPLE_HZ` | clock of SysTick, and the rate at which SysTick samples the inputs |
@@ -312,6 +314,7 @@ mod held {
     use oxmill_store::Flash;
 
     const _: &Profile = &board::PROFILE;
+    const _: fn() -> Profile = board::profile;
     const _: [usize; 3] = [board::AXES, board::BLOCKS, board::RECORDING_PAGES];
     const _: [u32; 4] = [board::CLOCK_TICKS_PER_US, board::CORE_HZ, board::SAMPLE_HZ, board::RUN_CYCLES];
     const _: bool = board::WATCHES_CLOCK;
@@ -338,6 +341,7 @@ mod held {
             (&parts.uart_input, &parts.serial, &parts.usb);
         let _: (&board::InputPins, &board::SlowPins) = (&parts.inputs, &parts.slow_pins);
         let _: (&board::SettingsFlash, &board::Watchdog) = (&parts.settings_flash, &parts.watchdog);
+        let _: &Option<&'static str> = &parts.fault;
     };
 
     const _: fn(&mut board::InputPins) -> u32 = board::InputPins::read;

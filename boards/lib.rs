@@ -5,7 +5,10 @@
 //! simulator, and the parts without registers.
 #![no_std]
 
+use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
+
 pub mod calls;
+pub mod pin_table;
 pub mod profiles;
 // Compiled without a board, too, so that host tests can use it.
 pub mod uart_receiver;
@@ -19,36 +22,107 @@ pub mod stack;
 #[cfg(feature = "board")]
 pub mod stm32f4;
 
-#[cfg(any(feature = "blackpill_f411", feature = "blackpill_f401"))]
-mod blackpill;
-#[cfg(any(feature = "nucleo_f446re", feature = "nucleo_f411re", feature = "nucleo_f401re"))]
-mod nucleo64;
+/// Returns the CRC-32 (ISO-HDLC) of some bytes, computed bit by bit, without a table of 1 KiB.
+#[inline(never)]
+pub fn checksum(bytes: &[u8]) -> u32 {
+    const SUM: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
+    let mut digest = SUM.digest();
+    // Byte by byte: the loop over a slice would be unrolled to 700 bytes of code.
+    for byte in bytes {
+        digest.update(core::slice::from_ref(byte));
+    }
+    digest.finalize()
+}
 
-#[cfg(feature = "blackpill_f401")]
-mod blackpill_f401;
-#[cfg(feature = "blackpill_f411")]
-mod blackpill_f411;
-#[cfg(feature = "nucleo_f401re")]
-mod nucleo_f401re;
-#[cfg(feature = "nucleo_f411re")]
-mod nucleo_f411re;
-#[cfg(feature = "nucleo_f446re")]
-mod nucleo_f446re;
 #[cfg(feature = "qemu_mps2")]
 mod qemu_mps2;
-
-#[cfg(feature = "blackpill_f401")]
-pub use blackpill_f401::*;
-#[cfg(feature = "blackpill_f411")]
-pub use blackpill_f411::*;
-#[cfg(feature = "nucleo_f401re")]
-pub use nucleo_f401re::*;
-#[cfg(feature = "nucleo_f411re")]
-pub use nucleo_f411re::*;
-#[cfg(feature = "nucleo_f446re")]
-pub use nucleo_f446re::*;
 #[cfg(feature = "qemu_mps2")]
 pub use qemu_mps2::*;
+
+/// The image that the feature chooses, for boards with hardware.
+#[cfg(feature = "blackpill_f401")]
+const IMAGE: profiles::Board = profiles::BLACKPILL_F401;
+#[cfg(feature = "blackpill_f411")]
+const IMAGE: profiles::Board = profiles::BLACKPILL_F411;
+#[cfg(feature = "nucleo_f401re")]
+const IMAGE: profiles::Board = profiles::NUCLEO_F401RE;
+#[cfg(feature = "nucleo_f411re")]
+const IMAGE: profiles::Board = profiles::NUCLEO_F411RE;
+#[cfg(feature = "nucleo_f446re")]
+const IMAGE: profiles::Board = profiles::NUCLEO_F446RE;
+#[cfg(feature = "control_f446")]
+const IMAGE: profiles::Board = profiles::CONTROL_F446;
+
+#[cfg(feature = "stm32f4")]
+mod chosen {
+    use super::*;
+    pub use crate::stm32f4::setup::{Parts, SerialPort, StepPins, UartInput, UsbPort, call_serial, setup};
+    pub use crate::stm32f4::{
+        CLOCK_TICKS_PER_US, InputPins, SAMPLE_HZ, SettingsFlash, SlowPins, USUAL_BAUD, WATCHES_CLOCK, Watchdog,
+        call_step, clock_ticks, idle, job_done, preloaded_job, reset_cause, restart, safe_state,
+    };
+    pub use stm32f4xx_hal::pac;
+
+    /// The profile of a board with every pin that this image supports.
+    pub const PROFILE: Profile = crate::profile_of(&IMAGE, true);
+    /// Axes that the image supports.
+    pub const AXES: usize = IMAGE.axes;
+    /// Depth of the look-ahead, in blocks.
+    pub const BLOCKS: usize = IMAGE.blocks;
+    /// Pages of 256 bytes for the recording of inputs and received bytes.
+    pub const RECORDING_PAGES: usize = IMAGE.recording_pages;
+    /// Maximum duration, in CPU cycles, of a run of the step task that generates events.
+    pub const RUN_CYCLES: u32 = IMAGE.run_cycles;
+    /// Clock of the processor and of SysTick.
+    pub const CORE_HZ: u32 = IMAGE.core_hz;
+    /// Ports that may have step and direction pins.
+    pub const STEP_PORTS: usize = IMAGE.step_ports;
+    /// Number of ports that have pins in use, from A on.
+    pub const PORTS: usize = IMAGE.ports;
+
+    /// The table without pins.
+    const NONE: PinTable = PinTable::none(IMAGE.image);
+
+    unsafe extern "C" {
+        /// The pin table in flash, from the linker script. The program on the board provides it.
+        static _pin_table: PinTable;
+    }
+
+    /// Returns the pin table of this image. If it is damaged, it has no pins.
+    pub fn pin_table() -> &'static PinTable {
+        // SAFETY: unsafe because the linker takes the name on trust; safe because the linker script reserves as many
+        // bytes of flash as a table has, any bytes are a table, and nothing writes there.
+        let table = unsafe { &_pin_table };
+        if table.is_intact() && table.image() == IMAGE.image { table } else { &NONE }
+    }
+
+    /// Returns the profile of the board: the image's numbers, with what the pin table has.
+    #[inline(never)]
+    pub fn profile() -> Profile {
+        let table = pin_table();
+        let has = |role| table.pin(role).is_some();
+        let count = |first, second| u8::from(has(first)) + u8::from(has(second));
+        let motors = if has(Role::StepFourth) { 4 } else { 3 };
+        Profile {
+            name: if table.is_intact() { table.name() } else { "no pin table" },
+            axes: AXES.min(motors),
+            has_second_motor: motors > 3,
+            has_at_speed: has(Role::AtSpeed),
+            program_pins: [
+                count(Role::ProgramOutput, Role::SecondProgramOutput),
+                count(Role::ProgramInput, Role::SecondProgramInput),
+            ],
+            ..PROFILE
+        }
+    }
+}
+#[cfg(feature = "stm32f4")]
+pub use chosen::*;
+#[cfg(feature = "stm32f4")]
+use {
+    oxmill_controller::Profile,
+    pin_table::{PinTable, Role},
+};
 
 #[cfg(feature = "board")]
 pub use contract::{
@@ -60,7 +134,7 @@ compile_error!("choose a board: `cargo fw BOARD`, or one of the features of this
 
 /// Converts a board's table of numbers to the profile that the controller uses.
 #[cfg(feature = "board")]
-const fn profile(board: &profiles::Board, has_second_motor: bool) -> oxmill_controller::Profile {
+const fn profile_of(board: &profiles::Board, has_second_motor: bool) -> oxmill_controller::Profile {
     oxmill_controller::Profile {
         name: board.name,
         step_clock_hz: board.step_clock_hz,

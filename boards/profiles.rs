@@ -41,6 +41,14 @@ pub struct Board {
     pub has_at_speed: bool,
     /// Pages of 256 bytes of RAM for the recording of inputs and received bytes; 0 = no recording.
     pub recording_pages: usize,
+    /// Number of the firmware's image, which a pin table is made for. Several boards may share an image.
+    pub image: u8,
+    /// Whether there is USB; the UART to the host is then `USART1`, otherwise `USART2`.
+    pub has_usb: bool,
+    /// Number of GPIO ports, from A on, that may have pins in use.
+    pub ports: usize,
+    /// Maximum number of ports that have step or direction pins.
+    pub step_ports: usize,
     /// Whether the G-code dialect has expressions, parameters, O words, rotations, scaling, splines and rounded
     /// corners, for which a small flash has no space.
     pub has_all_words: bool,
@@ -61,6 +69,10 @@ pub const DESK: Board = Board {
     program_pins: [4, 2],
     has_at_speed: true,
     recording_pages: 64,
+    image: 0,
+    has_usb: false,
+    ports: 3,
+    step_ports: 2,
     has_all_words: true,
 };
 
@@ -75,7 +87,7 @@ const NUCLEO: Board = Board { program_pins: [2, 2], has_at_speed: true, ..HARDWA
 
 /// The Black Pills have USB. Their UART interrupt has a lower priority than the step task, so one byte must take longer
 /// to arrive than the longest run of that task.
-const BLACKPILL: Board = Board { most_baud: 115_200, ..HARDWARE };
+const BLACKPILL: Board = Board { most_baud: 115_200, has_usb: true, step_ports: 1, ..HARDWARE };
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz instead of 100, because USB needs 48 MHz from the same PLL (RM0383, 6.3.2:
 /// PLLQ divides the same oscillator as PLLP). The maximum step rate, tested in emulation, results from the shortest
@@ -86,6 +98,7 @@ pub const BLACKPILL_F411: Board = Board {
     step_clock_hz: 96_000_000,
     core_hz: 96_000_000,
     safe_step_hz: 490_000,
+    image: 1,
     ..BLACKPILL
 };
 
@@ -96,6 +109,7 @@ pub const BLACKPILL_F401: Board = Board {
     step_clock_hz: 84_000_000,
     core_hz: 84_000_000,
     safe_step_hz: 490_000,
+    image: 2,
     blocks: 256,
     recording_pages: 0,
     has_all_words: false,
@@ -109,6 +123,7 @@ pub const NUCLEO_F446RE: Board = Board {
     name: "nucleo_f446re",
     step_clock_hz: 90_000_000,
     core_hz: 180_000_000,
+    image: 3,
     run_cycles: 5_200,
     axes: AXES,
     safe_step_hz: 1_000_000,
@@ -117,7 +132,7 @@ pub const NUCLEO_F446RE: Board = Board {
 };
 
 /// ST Nucleo-64 with STM32F411RE: 100 MHz core and step clock.
-pub const NUCLEO_F411RE: Board = Board { name: "nucleo_f411re", safe_step_hz: 490_000, ..NUCLEO };
+pub const NUCLEO_F411RE: Board = Board { name: "nucleo_f411re", image: 4, safe_step_hz: 490_000, ..NUCLEO };
 
 /// ST Nucleo-64 with STM32F401RE: 84 MHz core and step clock.
 pub const NUCLEO_F401RE: Board = Board {
@@ -125,14 +140,55 @@ pub const NUCLEO_F401RE: Board = Board {
     step_clock_hz: 84_000_000,
     core_hz: 84_000_000,
     safe_step_hz: 490_000,
+    image: 5,
     recording_pages: 6,
     ..NUCLEO
 };
+
+/// Control boards with STM32F446 and USB: 168 MHz instead of 180, because USB needs 48 MHz from the same PLL. The step
+/// timer is on the 84 MHz bus clock. The boards are [`OCTOPUS_F446`] and its neighbours.
+pub const CONTROL_F446: Board = Board {
+    name: "control_f446",
+    step_clock_hz: 84_000_000,
+    core_hz: 168_000_000,
+    image: 6,
+    has_usb: true,
+    ports: 7,
+    most_baud: 115_200,
+    has_at_speed: false,
+    program_pins: [0, 0],
+    ..NUCLEO_F446RE
+};
+
+/// BTT Octopus.
+pub const OCTOPUS_F446: Board =
+    Board { name: "octopus_f446", has_at_speed: true, program_pins: [2, 2], ..CONTROL_F446 };
+/// BTT Octopus Pro.
+pub const OCTOPUS_PRO_F446: Board = Board { name: "octopus_pro_f446", ..OCTOPUS_F446 };
+/// Fysetc Spider.
+pub const SPIDER_F446: Board = Board { name: "spider_f446", ..OCTOPUS_F446 };
+/// WeAct Black Pill, STM32F411CE, with the pins of grblHAL.
+pub const BLACKPILL_F411_GRBLHAL: Board = Board { name: "blackpill_f411_grblhal", ..BLACKPILL_F411 };
 
 /// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.
 pub const QEMU_MPS2: Board =
     Board { name: "qemu_mps2", step_clock_hz: 25_000_000, core_hz: 25_000_000, safe_step_hz: 100_000, ..HARDWARE };
 
+/// The images of the firmware for boards with hardware. Their numbers stand in pin tables, so they never change.
+pub const IMAGES: [Board; 6] =
+    [BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE, CONTROL_F446];
+
 /// All boards.
-pub const ALL: [Board; 7] =
-    [DESK, BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE, QEMU_MPS2];
+pub const ALL: [Board; 11] = [
+    DESK,
+    BLACKPILL_F411,
+    BLACKPILL_F401,
+    NUCLEO_F446RE,
+    NUCLEO_F411RE,
+    NUCLEO_F401RE,
+    QEMU_MPS2,
+    OCTOPUS_F446,
+    OCTOPUS_PRO_F446,
+    SPIDER_F446,
+    BLACKPILL_F411_GRBLHAL,
+];

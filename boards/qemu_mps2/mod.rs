@@ -48,7 +48,14 @@ mod script;
 pub use flash::SettingsFlash;
 
 /// The profile of this board.
-pub const PROFILE: Profile = crate::profile(&profiles::QEMU_MPS2, false);
+pub const PROFILE: Profile = crate::profile_of(&profiles::QEMU_MPS2, false);
+/// Returns the profile of this board.
+pub fn profile() -> Profile {
+    PROFILE
+}
+
+/// The step output of `cargo xtask count`, which works on memory, has one port.
+pub const PORTS: usize = 3;
 /// Axes whose steps are counted.
 pub const AXES: usize = profiles::QEMU_MPS2.axes;
 /// Depth of the look-ahead, in blocks.
@@ -85,6 +92,8 @@ pub struct Parts {
     pub settings_flash: SettingsFlash,
     /// For `inputs`.
     pub watchdog: Watchdog,
+    /// None: nothing of this board can be missing.
+    pub fault: Option<&'static str>,
 }
 
 /// The interrupt vectors of the tasks. They are literals, because the macro of RTIC runs before constants and `cfg` are
@@ -147,6 +156,7 @@ pub fn setup(mut device: pac::Peripherals, _low_voltage: fn() -> !) -> Parts {
         slow_pins: SlowPins,
         settings_flash: SettingsFlash::new(),
         watchdog: Watchdog(device.WATCHDOG),
+        fault: None,
     }
 }
 

@@ -75,7 +75,7 @@ const BEAM_CHANNEL: u32 = 6 << 25;
 const EDGES_CHANNEL: u32 = 6 << 25;
 
 /// Streams of DMA2 for a port, `on` for the edge and `off` for the end of the pulse, and the DMA request bits of TIM1's
-/// compare channels that trigger them. With one port, stream 2 stays free: it is the UART receiver's on a Black Pill.
+/// compare channels that trigger them. Stream 5 stays free: it receives from `USART1` while flash is written.
 struct Streams {
     on: usize,
     off: usize,

@@ -1,13 +1,12 @@
 //! Set-up of the chip, shared by the STM32F4 boards: step pins and their timers, the microsecond clock, input pins,
 //! slow outputs, the watchdog, monitoring of the oscillator, the cause of a reset, and the safe state of the outputs.
 //!
-//! Set-up goes through the HAL, whose types ensure that no pin is used twice. The part that the step interrupt uses is
-//! in `step.rs` and `chain.rs`.
+//! Which pins there are says the pin table of the image. The part that the step interrupt uses is in `step.rs` and
+//! `chain.rs`.
 
 use core::sync::atomic::Ordering;
 use oxmill_controller::ResetCause;
 use stm32f4xx_hal::{
-    gpio::{ErasedPin, Input, Output, PinExt, PinState},
     pac,
     prelude::*,
     rcc::{BusTimerClock, Enable, LPEnable, Rcc, Reset},
@@ -17,8 +16,10 @@ use stm32f4xx_hal::{
 
 use super::SettingsFlash;
 use super::chain::{self, COMPARE_PULSE};
+use super::pins;
 use super::registers::{Chip, Map, read_idr, timer, write, write_bsrr};
-use super::step::{self, Clocks, Place, SAFE, note_safe_level};
+use super::step::{self, Clocks, PORTS, Place, SAFE, bsrr, note_safe_level};
+use crate::pin_table::{PinTable, Role};
 use crate::{Due, Port, SlowLevels};
 
 /// Writes a whole register as a number.
@@ -49,14 +50,11 @@ pub fn safe_state() {
     }
 }
 
-impl<MODE> From<&ErasedPin<MODE>> for Place {
-    fn from(pin: &ErasedPin<MODE>) -> Self {
-        Place::new(usize::from(pin.port_id()), u32::from(pin.pin_id()))
-    }
-}
-
 /// Step and direction outputs on `P` ports, with the timers that they need.
-pub type StepPins<const P: usize> = step::StepPins<Chip, P, (pac::TIM1, pac::TIM5, pac::TIM3, [ErasedPin<Output>; 8])>;
+pub type StepPins<const P: usize> = step::StepPins<Chip, P, Timers>;
+
+/// The timers of the step output: pulse, step clock, PWM.
+pub type Timers = (pac::TIM1, pac::TIM5, pac::TIM3);
 
 /// Calls the step task, from any task. The call is a pending flag of the step task's timer until `take` clears it.
 #[inline]
@@ -64,24 +62,11 @@ pub fn call_step() {
     write(<Chip as Map>::TIM5 + timer::EGR, Due::CALLED.0);
 }
 
-/// Converts pins of several ports alike: `each!([a.pa1, b.pb2].into_pull_up_input())`.
-macro_rules! each {
-    ([$($pin:expr),+].$turn:ident $how:tt) => {
-        [$($pin.$turn $how.erase()),+]
-    };
-    ([$($pin:expr),+].$turn:ident $how:tt.$then:ident $so:tt) => {
-        [$($pin.$turn $how.$then $so.erase()),+]
-    };
-}
-pub(crate) use each;
-
-/// Sets up the step output: starts TIM5, and sets up TIM1, the DMA controllers and, for the PWM, TIM3. The pin of the
-/// PWM must already be in its alternate function. Sets all step and direction pins to their levels at rest.
+/// Sets up the step output: starts TIM5, and sets up TIM1, the DMA controllers and, for the PWM, TIM3. Sets all step and
+/// direction pins to their levels at rest.
 pub fn step_pins<const P: usize>(
-    step: [ErasedPin<Output>; 4],
-    direction: [ErasedPin<Output>; 4],
-    probe: &InputPins,
-    (pulse, clock, pwm): (pac::TIM1, pac::TIM5, pac::TIM3),
+    table: &PinTable,
+    (pulse, clock, pwm): Timers,
     rings: Option<&'static mut step::Rings<P>>,
     rcc: &mut Rcc,
 ) -> StepPins<P> {
@@ -111,14 +96,19 @@ pub fn step_pins<const P: usize>(
         pulse_mhz: pac::TIM1::timer_clock(&rcc.clocks).raw() / 1_000_000,
         pwm_hz: pac::TIM3::timer_clock(&rcc.clocks).raw(),
     };
-    let (at, turn_at) = (step.each_ref().map(Place::from), direction.each_ref().map(Place::from));
-    let [a, b, c, d] = step;
-    let [e, f, g, h] = direction;
+    use Role::{DirectionFourth, DirectionX, DirectionY, DirectionZ, StepFourth, StepX, StepY, StepZ};
+    let step = pins::places(table, &[StepX, StepY, StepZ, StepFourth]);
+    let direction = pins::places(table, &[DirectionX, DirectionY, DirectionZ, DirectionFourth]);
+    step.into_iter().flatten().for_each(pins::step_output);
+    direction.into_iter().flatten().for_each(|place| pins::output(place, false));
+    if let Some(place) = pins::place(table, Role::SpindlePwm) {
+        pins::pwm(place);
+    }
     let Some(rings) = rings else {
         // Not reached: `setup` takes the peripherals, so it runs only once, and the memory of the rings is still free.
         unreachable!()
     };
-    StepPins::at(at, turn_at, probe.probe(), clocks, rings, (pulse, clock, pwm, [a, b, c, d, e, f, g, h]))
+    StepPins::at(step, direction, pins::place(table, Role::Probe), clocks, rings, (pulse, clock, pwm))
 }
 
 /// Ticks of [`clock_ticks`] in a microsecond.
@@ -170,153 +160,183 @@ pub fn clock_ticks() -> u32 {
 /// Default baud rate of the link: the one that Grbl's senders expect.
 pub const USUAL_BAUD: u32 = 115_200;
 
-/// Maximum number of inputs.
-const MOST_INPUTS: usize = crate::PROFILE.program_pins[1] as usize + if crate::AXES > 3 { 12 } else { 11 };
+/// The functions of inputs.
+const INPUTS: [Role; 13] = [
+    Role::LimitX,
+    Role::LimitY,
+    Role::LimitZ,
+    Role::LimitFourth,
+    Role::Probe,
+    Role::Door,
+    Role::Hold,
+    Role::Start,
+    Role::Reset,
+    Role::DriverFault,
+    Role::AtSpeed,
+    Role::ProgramInput,
+    Role::SecondProgramInput,
+];
+/// The bit of each of [`INPUTS`] in the word of [`InputPins::read`].
+const BITS: [u8; INPUTS.len()] = {
+    use crate::input_bits::*;
+    let bits = [
+        LIMITS,
+        LIMITS + 1,
+        LIMITS + 2,
+        SECOND_LIMIT,
+        PROBE,
+        DOOR,
+        HOLD,
+        START,
+        RESET,
+        DRIVER_FAULT,
+        AT_SPEED,
+        PROGRAM,
+        SECOND_PROGRAM,
+    ];
+    let (mut short, mut at) = ([0; INPUTS.len()], 0);
+    while at < INPUTS.len() {
+        short[at] = bits[at] as u8;
+        at += 1;
+    }
+    short
+};
 
 /// Input pins; with pull-ups, unless settings choose otherwise.
 pub struct InputPins {
-    /// The pins and their [`input_bits`](crate::input_bits).
-    places: [(Place, u32); MOST_INPUTS],
-    /// The number of entries in use.
-    count: usize,
-    probe: Place,
-    /// Masks of the pins that are inputs, of ports A, B and C.
-    used: [u16; 3],
+    /// For each function of [`INPUTS`]: its pin, if the board has one.
+    places: [Option<Place>; INPUTS.len()],
+    /// Masks of the pins that are inputs, for each port.
+    used: [u16; PORTS],
     /// Masks of the input pins that were high at the last reading. `word` is computed again only if these masks change,
     /// which is rare.
-    high: [u16; 3],
+    high: [u16; PORTS],
     /// The result of the last reading.
     word: u32,
-    _pins: [Option<ErasedPin<Input>>; MOST_INPUTS],
 }
 
 impl InputPins {
-    /// Takes the pins in this order: limit X, Y, Z, probe, door, hold, start, reset.
-    pub fn new(pins: [ErasedPin<Input>; 8]) -> Self {
-        use crate::input_bits::{DOOR, HOLD, LIMITS, PROBE, RESET, START};
-        let nowhere = Place::new(0, 0);
-        let [_, _, _, probe, ..] = pins.each_ref().map(Place::from);
-        let inputs = InputPins {
-            places: [(nowhere, 0); MOST_INPUTS],
-            count: 0,
-            probe,
-            used: [0; 3],
-            high: [0; 3],
-            word: 0,
-            _pins: [const { None }; MOST_INPUTS],
-        };
-        let bits = [LIMITS, LIMITS + 1, LIMITS + 2, PROBE, DOOR, HOLD, START, RESET];
-        pins.into_iter().zip(bits).fold(inputs, |inputs, (pin, bit)| inputs.with(bit, pin))
-    }
-
-    /// Adds an input pin and its bit, one of [`input_bits`](crate::input_bits).
-    pub fn with(mut self, bit: u32, pin: ErasedPin<Input>) -> Self {
-        self._pins[self.count] = Some(pin);
-        let place = self._pins[self.count].as_ref().map(Place::from);
-        self.note(bit, place)
-    }
-
-    /// Assigns a second of the [`input_bits`](crate::input_bits) to the pin added last; settings choose which of the
-    /// two is used.
-    pub fn also(self, bit: u32) -> Self {
-        let place = self.places.get(self.count.wrapping_sub(1)).map(|(place, _)| *place);
-        self.note(bit, place)
-    }
-
-    fn note(mut self, bit: u32, place: Option<Place>) -> Self {
-        if let (Some(slot), Some(place)) = (self.places.get_mut(self.count), place) {
-            *slot = (place, bit);
-            self.count += 1;
-            if let Some(used) = self.used.get_mut(place.port) {
+    /// Makes the pins of the table inputs.
+    pub fn new(table: &PinTable) -> Self {
+        let places = pins::places(table, &INPUTS);
+        let mut used = [0; PORTS];
+        for place in places.into_iter().flatten() {
+            pins::input(place);
+            if let Some(used) = used.get_mut(place.port) {
                 *used |= 1 << place.pin;
             }
-            self.word = self.word_of_pins();
         }
-        self
-    }
-
-    fn probe(&self) -> Place {
-        self.probe
+        let high = [0; PORTS];
+        InputPins { places, used, high, word: low_of(&places, &high) }
     }
 
     /// Reads the pins. Returns which are low, as `input_bits`.
     #[inline]
     pub fn read(&mut self) -> u32 {
-        let [a, b, c] = self.used;
-        let high = [read_idr::<Chip>(0) as u16 & a, read_idr::<Chip>(1) as u16 & b, read_idr::<Chip>(2) as u16 & c];
+        let mut high = [0; PORTS];
+        for (port, (high, used)) in high.iter_mut().zip(self.used).enumerate() {
+            *high = read_idr::<Chip>(port) as u16 & used;
+        }
         if high != self.high {
             self.high = high;
-            self.word = self.word_of_pins();
+            self.word = low_of(&self.places, &high);
         }
         self.word
     }
 
-    /// Computes the `input_bits` of the low pins from `high`.
-    #[inline(never)]
-    fn word_of_pins(&self) -> u32 {
-        self.places.iter().take(self.count).fold(0, |word, (place, bit)| {
-            let high = self.high.get(place.port).copied().unwrap_or(u16::MAX) >> place.pin & 1;
-            word | u32::from(high ^ 1) << bit
-        })
-    }
-
     /// Returns which pins exist, as `input_bits`.
     pub fn fitted(&self) -> u32 {
-        self.places.iter().take(self.count).fold(0, |word, (_, bit)| word | 1 << bit)
+        low_of(&self.places, &[0; PORTS])
     }
 
     /// Sets the pull resistors: none for the inputs in `none`, pull-downs for those in `down`, pull-ups for all others.
     pub fn set_pulls(&mut self, none: u32, down: u32) {
-        let places = self.places.get(..self.count).unwrap_or_default();
-        for (place, _) in places {
-            // A pin can have two bits (see `also`): a setting for either bit counts.
-            let bits = places.iter().filter(|(other, _)| other == place).fold(0, |bits, (_, bit)| bits | 1 << bit);
+        for (place, bit) in self.places.iter().zip(&BITS) {
+            let Some(place) = place else { continue };
+            let bits = bits_of(*bit);
             // PUPDR: 1 pulls up, 2 down.
             let pull = match (down & bits != 0, none & bits != 0) {
                 (true, _) => 2,
                 (_, true) => 0,
                 _ => 1,
             };
-            set_pull(*place, pull);
+            pins::set_pull(*place, pull);
         }
     }
 }
 
-/// Sets the pull resistor of an input (PUPDR). The HAL supports this only for pins whose number is part of their type.
-fn set_pull(place: Place, pull: u32) {
-    const PORT_SIZE: usize = 0x400;
-    const PUPDR: usize = 0x0C;
-    let register = (<Chip as Map>::GPIO + PORT_SIZE * place.port + PUPDR) as *mut u32;
-    // SAFETY: unsafe because the register is reached by its address and shared by the pins of a port; safe because the
-    // port is one that has been set up, and after the set-up nothing else writes it.
-    unsafe {
-        let others = register.read_volatile() & !(0b11 << (2 * place.pin));
-        register.write_volatile(others | pull << (2 * place.pin));
-    }
+/// Returns the `input_bits` of the pins that are low, from the levels of all ports.
+#[inline(never)]
+fn low_of(places: &[Option<Place>], high: &[u16]) -> u32 {
+    let low = places.iter().zip(&BITS).filter(|(place, _)| place.is_some_and(|place| is_low(place, high)));
+    low.fold(0, |word, (_, bit)| word | bits_of(*bit))
 }
 
-/// Number of slow outputs, including those for programs.
-const SLOW_OUTPUTS: usize = 5 + crate::PROFILE.program_pins[0] as usize;
+#[inline(never)]
+fn is_low(place: Place, high: &[u16]) -> bool {
+    high.get(place.port).copied().unwrap_or(u16::MAX) >> place.pin & 1 == 0
+}
+
+/// Returns the `input_bits` of a pin with this bit: the limit switch of the fourth motor is also that of axis A, and
+/// settings choose which of the two is used.
+fn bits_of(bit: u8) -> u32 {
+    use crate::input_bits::{LIMITS, SECOND_LIMIT};
+    let is_of_fourth_axis = crate::AXES > 3 && u32::from(bit) == SECOND_LIMIT;
+    1 << bit | if is_of_fourth_axis { 1 << (LIMITS + 3) } else { 0 }
+}
+
+/// Number of enable outputs, the first of [`SLOW_OUTPUTS`]. They are high while the machine is safe; the others are low.
+const ENABLES: usize = 4;
+/// Slow outputs.
+const SLOW_OUTPUTS: [Role; 11] = [
+    Role::Enable,
+    Role::SecondEnable,
+    Role::ThirdEnable,
+    Role::FourthEnable,
+    Role::SpindleOn,
+    Role::SpindleDirection,
+    Role::Flood,
+    Role::Mist,
+    Role::ProgramOutput,
+    Role::SecondProgramOutput,
+    Role::Power,
+];
 
 /// Outputs that change slowly.
-pub struct SlowPins([ErasedPin<Output>; SLOW_OUTPUTS]);
+pub struct SlowPins([Option<Place>; SLOW_OUTPUTS.len()]);
 
 impl SlowPins {
-    /// Takes the pins in this order: driver enable, spindle on, spindle reversed, flood, mist, outputs for programs.
-    pub fn new(pins: [ErasedPin<Output>; SLOW_OUTPUTS]) -> Self {
-        for pin in pins.iter().skip(1) {
-            note_safe_level(Place::from(pin), false);
+    /// Makes the pins of the table outputs: the drivers are off, because their enable inputs are active low.
+    pub fn new(table: &PinTable) -> Self {
+        let places = pins::places(table, &SLOW_OUTPUTS);
+        let (enables, others) = places.split_at(ENABLES);
+        for place in enables.iter().flatten() {
+            pins::output(*place, true);
         }
-        SlowPins(pins)
+        for place in others.iter().flatten() {
+            pins::output(*place, false);
+            note_safe_level(*place, false);
+        }
+        SlowPins(places)
     }
 
     /// Writes all levels.
     pub fn write(&mut self, levels: SlowLevels) {
-        let program = (0..u8::BITS).map(|bit| levels.program >> bit & 1 != 0);
-        let levels = [levels.drivers, levels.spindle, levels.spindle_reversed, levels.flood, levels.mist];
-        for (pin, high) in self.0.iter_mut().zip(levels.into_iter().chain(program)) {
-            pin.set_state(PinState::from(high));
+        let SlowLevels { drivers, spindle, spindle_reversed, flood, mist, program } = levels;
+        let enables = if drivers { (1 << ENABLES) - 1 } else { 0 };
+        let others = [spindle, spindle_reversed, flood, mist, program & 1 != 0, program & 2 != 0, true];
+        let others = others.into_iter().rev().fold(0, |bits, high| bits << 1 | u32::from(high));
+        let levels = enables | others << ENABLES;
+        for (at, place) in self.0.iter().enumerate() {
+            write_level(*place, levels >> at & 1 != 0);
         }
+    }
+}
+
+#[inline(never)]
+fn write_level(place: Option<Place>, high: bool) {
+    if let Some(place) = place {
+        write_bsrr::<Chip>(place.port, bsrr(place.pin, high));
     }
 }
 
@@ -338,6 +358,8 @@ pub struct Parts<I, S: Port, L: Port, const P: usize> {
     pub settings_flash: SettingsFlash,
     /// For `inputs`.
     pub watchdog: Watchdog,
+    /// Why the machine must stay locked, found at the start.
+    pub fault: Option<&'static str>,
 }
 
 /// Returns `None`: no job is ever put into the RAM of this board.

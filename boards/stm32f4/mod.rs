@@ -1,5 +1,5 @@
 //! Modules shared by the STM32F4 boards: the part that the step interrupt uses ([`step`], `chain`, `dma`, `registers`)
-//! and the rest of the chip (`chip`, `flash`, `supply`, `usart`, `usb`).
+//! and the rest of the chip (`setup`, `clocks`, `pins`, `chip`, `flash`, `supply`, `usart`, `usb`).
 
 mod chain;
 mod dma;
@@ -9,7 +9,13 @@ pub mod step;
 #[cfg(feature = "stm32f4")]
 mod chip;
 #[cfg(feature = "stm32f4")]
+mod clocks;
+#[cfg(feature = "stm32f4")]
 mod flash;
+#[cfg(feature = "stm32f4")]
+mod pins;
+#[cfg(feature = "stm32f4")]
+pub mod setup;
 #[cfg(feature = "stm32f4")]
 mod supply;
 #[cfg(feature = "stm32f4")]

@@ -10,8 +10,8 @@ use crate::contract::{COMBINATIONS, Due, Free, SecondMotor, StepOutput, Undone};
 use core::marker::PhantomData;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-/// Number of ports that these boards bring out: A, B and C.
-pub const PORTS: usize = 3;
+/// Number of ports that have pins in use, from A on.
+pub const PORTS: usize = crate::PORTS;
 
 /// PWM frequency of spindle and laser before the settings are loaded: the default of `$33`.
 const DEFAULT_PWM_HZ: u32 = 5_000;
@@ -39,7 +39,7 @@ pub struct Place {
 }
 
 impl Place {
-    /// Creates the place of a pin: port 0 to 2 for A to C, pin 0 to 15. Panics otherwise.
+    /// Creates the place of a pin: port 0 for A, below [`PORTS`], pin 0 to 15. Panics otherwise.
     pub const fn new(port: usize, pin: u32) -> Place {
         assert!(port < PORTS && pin < 16, "there is no such pin");
         Place { port, pin }
@@ -60,10 +60,17 @@ const FOURTH_AXIS: u8 = ALL & 8;
 
 /// Computes the words of each port for all combinations. `driven`: for each pin, the bits of a combination that make it
 /// active. `invert`: a bit for each pin that is active low. If none of a pin's bits is set, the word makes the pin
-/// inactive with `both`, and leaves it unchanged otherwise.
-fn fill<const P: usize>(ports: [usize; P], places: [Place; 4], driven: [u8; 4], invert: u8, both: bool) -> Words<P> {
+/// inactive with `both`, and leaves it unchanged otherwise. A motor without a pin has no part in any word.
+fn fill<const P: usize>(
+    ports: [usize; P],
+    places: [Option<Place>; 4],
+    driven: [u8; 4],
+    invert: u8,
+    both: bool,
+) -> Words<P> {
     let mut tables = [[0; COMBINATIONS]; P];
     for (i, (place, driven)) in places.into_iter().zip(driven).enumerate() {
+        let Some(place) = place else { continue };
         let active_low = invert >> i & 1 != 0;
         let set = bsrr(place.pin, !active_low);
         let unset = if both { bsrr(place.pin, active_low) } else { 0 };
@@ -103,8 +110,8 @@ pub struct Clocks {
 pub struct StepPins<M, const P: usize, O> {
     chain: Chain<M, P>,
     ports: [usize; P],
-    step: [Place; 4],
-    direction: [Place; 4],
+    step: [Option<Place>; 4],
+    direction: [Option<Place>; 4],
     /// Words of each combination of steps, without directions.
     steps: Words<P>,
     /// Words of each combination of directions.
@@ -116,8 +123,8 @@ pub struct StepPins<M, const P: usize, O> {
     table: [u32; COMBINATIONS],
     clocks: Clocks,
     pwm_period: u32,
-    /// The touch probe's pin, which itself belongs to the inputs.
-    probe: Place,
+    /// The touch probe's pin, if there is one. The pin itself belongs to the inputs.
+    probe: Option<Place>,
     /// Peripherals and pins that no other code may use.
     _owned: O,
     map: PhantomData<M>,
@@ -127,14 +134,14 @@ impl<M: Map, const P: usize, O> StepPins<M, P, O> {
     /// Creates the outputs. The pins X, Y, Z and those of a second motor must be outputs already, the timers must run,
     /// and TIM1 and both DMA controllers must have their clocks.
     pub fn at(
-        step: [Place; 4],
-        direction: [Place; 4],
-        probe: Place,
+        step: [Option<Place>; 4],
+        direction: [Option<Place>; 4],
+        probe: Option<Place>,
         clocks: Clocks,
         rings: &'static mut Rings<P>,
         owned: O,
     ) -> Self {
-        let ports = ports_of(step.into_iter().chain(direction));
+        let ports = ports_of(step.into_iter().chain(direction).flatten());
         let none = [[0; COMBINATIONS]; P];
         let mut pins = StepPins {
             chain: Chain::new(ports, rings),
@@ -292,7 +299,9 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
         self.directions = fill(self.ports, self.direction, [1, 2, 4, axis], direction_invert, true);
         let off = fill(self.ports, self.step, [ALL; 4], !step_invert, false).map(|words| words[COMBINATIONS - 1]);
         for (i, place) in self.step.iter().enumerate() {
-            note_safe_level(*place, step_invert >> i & 1 != 0);
+            if let Some(place) = place {
+                note_safe_level(*place, step_invert >> i & 1 != 0);
+            }
         }
         self.chain.set_off(off);
         self.write_ports(off);
@@ -328,6 +337,6 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
 
     #[inline(always)]
     fn probe_low(&self) -> bool {
-        read_idr::<M>(self.probe.port) >> self.probe.pin & 1 == 0
+        self.probe.is_some_and(|probe| read_idr::<M>(probe.port) >> probe.pin & 1 == 0)
     }
 }

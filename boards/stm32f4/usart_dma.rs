@@ -68,7 +68,7 @@ pub type DmaPort = Usart<Halves, MESSAGES>;
 /// Takes the USART over from the HAL. It receives after [`Input::start`]. Not inlined into the set-up, because its
 /// stack frame would then include the initial values of the buffers created here.
 #[inline(never)]
-pub fn by_dma((tx, rx): (Tx<pac::USART2>, Rx<pac::USART2>), rcc: &mut Rcc) -> (Input, DmaPort) {
+pub fn start((tx, rx): (Tx<pac::USART2>, Rx<pac::USART2>), rcc: &mut Rcc) -> (Input, DmaPort) {
     pac::DMA1::enable(rcc);
     let (Some(buffer), Some(halves), Some(messages), Some(hurry)) = (
         singleton!(: Buffer = [const { AtomicU16::new(0) }; SLOTS]),
@@ -82,6 +82,12 @@ pub fn by_dma((tx, rx): (Tx<pac::USART2>, Rx<pac::USART2>), rcc: &mut Rcc) -> (I
     let output = Halves { _tx: tx, halves, half: 0, filled: 0, sends: false };
     join(UartReceiver::new(source, buffer), output, messages, hurry)
 }
+
+/// Nothing to prepare before a flash operation: DMA receives while the processor is stalled.
+pub fn before_stall() {}
+
+/// Nothing to do after a flash operation.
+pub fn after_stall() {}
 
 impl Input {
     /// Starts receiving at this baud rate.

@@ -44,9 +44,10 @@ const CALL_WHEN_FREE: u32 = 1 << 7;
 const CALL_AT_ERROR: u32 = 1 << 0;
 const DMA_RECEIVES: u32 = 1 << 6;
 
-/// The receiving stream (reference manuals, "DMA2 request mapping"): channel 4, half-words, not circular.
+/// The receiving stream (reference manuals, "DMA2 request mapping"): channel 4, half-words, not circular. The steps never
+/// use this stream.
 const DMA: usize = 0x4002_6400;
-const STREAM: usize = 2;
+const STREAM: usize = 5;
 const RECEIVES: u32 = 4 << 25 | MEMORY_COUNTS | 1 << 11 | 1 << 13;
 const USART: usize = 0x4001_1000;
 const VECTOR: pac::Interrupt = pac::Interrupt::USART1;
@@ -75,7 +76,7 @@ pub type InterruptPort = Usart<Queue, MESSAGES>;
 /// Takes the USART over from the HAL. It receives after [`Input::start`]. Not inlined into the set-up, because its
 /// stack frame would then include the initial values of the buffers created here.
 #[inline(never)]
-pub fn by_interrupt((tx, rx): (Tx<pac::USART1>, Rx<pac::USART1>), rcc: &mut Rcc) -> (Input, InterruptPort) {
+pub fn start((tx, rx): (Tx<pac::USART1>, Rx<pac::USART1>), rcc: &mut Rcc) -> (Input, InterruptPort) {
     pac::DMA2::enable(rcc);
     let (Some(buffer), Some(queue), Some(messages), Some(hurry)) = (
         singleton!(: Buffer = [const { AtomicU16::new(0) }; SLOTS]),
@@ -229,10 +230,10 @@ impl ByteSource for ByInterrupt {
     }
 }
 
-/// Lets DMA receive during a flash operation, which stalls the processor. Until [`end_of_stall`], only a damaged byte
+/// Lets DMA receive during a flash operation, which stalls the processor. Until [`after_stall`], only a damaged byte
 /// makes the UART's interrupt pending, because its flags can be gone when the processor goes on: the manuals do not say
 /// whether a read by DMA clears them. Interrupts must be off and the machine at rest.
-pub fn receive_by_dma() {
+pub fn before_stall() {
     write(USART + CR_1, read(USART + CR_1) & !(CALL_WHEN_COME | CALL_WHEN_FREE));
     let in_doubt = read(USART + CR_3) & CALL_AT_ERROR != 0;
     if in_doubt || read(USART + SR) & DAMAGED != 0 {
@@ -249,7 +250,7 @@ pub fn receive_by_dma() {
 
 /// Notes whether a byte was damaged while the processor was stalled: then the interrupt at errors stays enabled. Pends
 /// the UART's interrupt, which ends receiving by DMA.
-pub fn end_of_stall() {
+pub fn after_stall() {
     if !NVIC::is_pending(VECTOR) {
         write(USART + CR_3, DMA_RECEIVES);
     }

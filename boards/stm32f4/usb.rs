@@ -230,7 +230,7 @@ impl UsbPort {
         let class = CdcAcmClass::new(bus, PACKET as u16);
         let strings = StringDescriptors::default()
             .manufacturer("Oxmill")
-            .product(crate::PROFILE.name)
+            .product(crate::profile().name)
             .serial_number(core::str::from_utf8(number).unwrap_or_default());
         let device = UsbDeviceBuilder::new(bus, ID).device_class(USB_CLASS_CDC).strings(&[strings]);
         let device = device.and_then(|device| device.max_packet_size_0(PACKET as u8));

@@ -1,6 +1,35 @@
-//! Build script of the firmware: passes the board's linker options to the linker, with `oxmill_images::link`.
+//! Build script of the firmware: passes the image's linker options to the linker, with `oxmill_images::link`, and writes
+//! the pin table of a board for `pin_table.rs`: of the board that the variable `OXMILL_BOARD` names, or of the first
+//! board that has the image.
+
+use oxmill_tables::{BOARDS, Board, PinTable};
+use std::path::Path;
+use std::{env, fs};
+
+/// The variable with the name of the board.
+const BOARD: &str = "OXMILL_BOARD";
 
 fn main() {
     // 16 KiB of stack. The largest use in the QEMU sessions is 6.9 KiB (`cargo xtask converse`).
     oxmill_images::link(&["bins"], 16);
+    println!("cargo:rerun-if-env-changed={BOARD}");
+    let Some(image) = oxmill_images::chosen() else { return };
+    let folder = env::var_os("OUT_DIR").expect("cargo sets OUT_DIR");
+    let write = |table: PinTable| fs::write(Path::new(&folder).join("pin_table"), table.bytes());
+    write(table_for(image)).expect("cargo's OUT_DIR can be written");
+}
+
+/// Returns the pin table for an image. QEMU's board has no pins.
+fn table_for(image: &str) -> PinTable {
+    if image == "qemu_mps2" {
+        return PinTable::none(0);
+    }
+    let mut boards = BOARDS.iter().filter_map(|(name, _)| Board::named(name));
+    let board = match env::var(BOARD) {
+        Ok(name) => boards.find(|board| board.name == name),
+        Err(_) => boards.find(|board| board.image.name == image),
+    };
+    let board = board.unwrap_or_else(|| panic!("{BOARD} names no board of {image}"));
+    assert_eq!(board.image.name, image, "{} has another image", board.name);
+    board.table()
 }

@@ -296,7 +296,7 @@ impl Control {
     #[inline(never)]
     fn read_recording(&mut self, first: bool) {
         let Control { controller, recorder, settings, .. } = self;
-        let board = (boards::PROFILE.name, boards::PROFILE.step_clock_hz);
+        let board = (boards::profile().name, boards::PROFILE.step_clock_hz);
         recorder.read(first, board, |number| settings.record(number), |piece| controller.recorded(piece));
     }
 

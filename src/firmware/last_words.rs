@@ -18,13 +18,10 @@ use core::fmt::Write;
 use core::mem::MaybeUninit;
 use core::ptr::addr_of_mut;
 use core::sync::atomic::{AtomicBool, Ordering};
-use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 use critical_section::Mutex;
 use oxmill_controller::messages::{Crash, CrashKind};
 use oxmill_controller::recorder::Page;
 
-/// Computed bit by bit, without a table of 1 KiB.
-const CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
 const MARK: u32 = u32::from_le_bytes(*b"last");
 const TEXT: usize = 120;
 
@@ -77,11 +74,11 @@ type Words = [u32; size_of::<Kept>() / size_of::<u32>()];
 /// Returns the CRC-32 of all words except the last one, which holds the CRC. RAM after power-up does not pass this
 /// check by accident.
 fn sum(words: &Words) -> u32 {
-    let mut digest = CRC.digest();
-    for word in words.iter().take(words.len() - 1) {
-        digest.update(&word.to_le_bytes());
+    let mut bytes = [0; size_of::<Words>() - size_of::<u32>()];
+    for (to, word) in bytes.chunks_exact_mut(size_of::<u32>()).zip(words) {
+        to.copy_from_slice(&word.to_le_bytes());
     }
-    digest.finalize()
+    boards::checksum(&bytes)
 }
 
 /// Text of limited length. Characters other than printable ASCII become blanks, and square brackets become round ones,

@@ -24,6 +24,7 @@ pub mod failure;
 pub mod inputs;
 pub mod last_words;
 mod outputs;
+mod pin_table;
 pub mod serial;
 mod settings_store;
 pub mod stack;

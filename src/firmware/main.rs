@@ -84,7 +84,7 @@ macro_rules! firmware {
                 };
                 let tasks = startup::start(cx.device, cx.core.SYST, channels, local.controller, local.storage.lend(&boards::PROFILE));
                 let woken = local.wake.take_reader();
-                defmt::info!("{} is up", boards::PROFILE.name);
+                defmt::info!("{} is up", boards::profile().name);
                 // Spawning cannot fail, because the task has not been spawned before.
                 let _ = control::spawn();
                 let startup::Tasks { step, uart, serial, inputs, control } = tasks;

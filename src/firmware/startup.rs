@@ -19,8 +19,8 @@ use cortex_m::peripheral::{SYST, syst::SystClkSource};
 use oxmill_controller::Controller;
 use oxmill_controller::memory::Memory;
 use oxmill_controller::messages::{
-    Chunk, EVENTS_DEPTH, LINE_MESSAGES, LineBytes, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Restart, SEGMENTS_DEPTH,
-    SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring,
+    Chunk, Crash, CrashKind, EVENTS_DEPTH, LINE_MESSAGES, LineBytes, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Restart,
+    SEGMENTS_DEPTH, SIGNALS_DEPTH, Sensed, StepEvent, ToStep, Wiring,
 };
 use oxmill_controller::recorder::Recorder;
 use oxmill_controller::settings::Key;
@@ -66,6 +66,12 @@ fn baud(controller: &BoardController, low: u32) -> u32 {
     }
 }
 
+/// Returns the report of a fault that the board has found at its start: the machine stays locked.
+fn fault_of_board(why: &str) -> Crash {
+    let text = why.bytes().collect();
+    Crash { kind: CrashKind::Board, text, place: [0; 3], line: 0, moment: 0 }
+}
+
 /// Sets up the board and creates the tasks. Called once. Inlined, because a call would need one more copy of the tasks
 /// on the stack.
 #[inline(always)]
@@ -76,7 +82,7 @@ pub fn start(
     controller: &'static mut MaybeUninit<BoardController>,
     memory: Memory<AXES>,
 ) -> Tasks {
-    let controller = controller.write(Controller::new(boards::PROFILE, memory));
+    let controller = controller.write(Controller::new(boards::profile(), memory));
     let mut parts = boards::setup(device, failure::low_voltage);
     let (realtime_in, realtime) = channels.realtime.split();
     let (lines_in, lines) = channels.lines.split();
@@ -92,6 +98,9 @@ pub fn start(
 
     let ends = Ends { realtime, lines, events, signals, segments, replies, step_wiring, input_wiring };
     let mut restart = Restart { cause: boards::reset_cause(), crash: last_words::take(), is_recorded: false };
+    if restart.crash.is_none() {
+        restart.crash = parts.fault.map(fault_of_board);
+    }
     let recorder = Recorder::begin(last_words::pages(), &restart);
     restart.is_recorded = recorder.is_kept();
     controller.restarted(restart);

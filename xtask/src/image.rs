@@ -79,20 +79,27 @@ impl fmt::Display for Image {
 pub fn build(board: &str) -> Result<Image, Failure> {
     let profile = crate::boards::profile(board);
     let mut build = cargo_for_boards("build", profile)?;
-    run(build.args(["--locked", "--package", "oxmill-firmware", "--features", board]))?;
+    let image = crate::boards::image(board);
+    // All boards of an image share its build, which has the table of the first of them; the others get theirs below.
+    run(build.env_remove(crate::BOARD).args(["--locked", "--package", "oxmill-firmware", "--features", image]))?;
     let built = root().join("target").join(TARGET).join(profile).join("oxmill-firmware");
     // Every board links to the same file name; this copy survives the build for the next board.
     let folder = root().join("target/boards");
     let path = folder.join(format!("{board}.elf"));
-    let copy = fs::create_dir_all(&folder).and_then(|()| fs::copy(&built, &path));
-    copy.map_err(|error| format!("{}: {error}", built.display()))?;
-    let bytes = fs::read(&path).map_err(|error| format!("{}: {error}", path.display()))?;
-    let mut image = check(board, &bytes, path)?;
+    let bytes = fs::read(&built).map_err(|error| format!("{}: {error}", built.display()))?;
+    let bytes = if board == QEMU_BOARD {
+        bytes
+    } else {
+        oxmill_tables::image_file::write(&bytes, &crate::boards::described(board)?.table())?
+    };
+    let copy = fs::create_dir_all(&folder).and_then(|()| fs::write(&path, &bytes));
+    copy.map_err(|error| format!("{}: {error}", path.display()))?;
+    let mut checked = check(board, &bytes, path)?;
     if board != QEMU_BOARD {
-        image.files = write(board, &bytes, &folder)?;
+        checked.files = write(board, &bytes, &folder)?;
     }
-    image.remark = sizes::judge(board, image.flash.0, image.ram.0)?;
-    Ok(image)
+    checked.remark = sizes::judge(image, checked.flash.0, checked.ram.0)?;
+    Ok(checked)
 }
 
 /// Writes the files for flashing tools and reads them back.
@@ -189,7 +196,8 @@ struct Chip {
 
 impl Chip {
     fn read(board: &str) -> Result<Chip, Failure> {
-        let text = crate::boards::chip(board).ok_or_else(|| format!("there is no board `{board}`"))?;
+        let text =
+            oxmill_images::chip(crate::boards::image(board)).ok_or_else(|| format!("there is no board `{board}`"))?;
         let value = |name: &str| {
             text.lines()
                 .find_map(|line| line.strip_prefix(name)?.trim_start().strip_prefix('=')?.split(';').next())
@@ -246,7 +254,7 @@ mod tests {
 
     #[test]
     fn every_board_says_its_sizes() {
-        for board in crate::boards::BOARDS {
+        for board in crate::boards::names() {
             let chip = Chip::read(board).unwrap();
             assert!(chip.flash < chip.settings && chip.settings < chip.code, "{board}");
         }
@@ -254,7 +262,7 @@ mod tests {
 
     #[test]
     fn a_segment_in_the_settings_sectors_is_seen() {
-        for board in crate::boards::BOARDS {
+        for board in crate::boards::names() {
             let chip = Chip::read(board).unwrap();
             for (from, until, touches) in [
                 (chip.flash, chip.settings, false),

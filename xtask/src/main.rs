@@ -2,6 +2,7 @@
 //!
 //! The aliases `cargo fw`, `cargo flash-board`, `cargo qemu` and `cargo test-target` call this program.
 
+mod boards;
 mod count;
 mod dfuse;
 mod dist;
@@ -32,8 +33,6 @@ mod witness;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
-
-use oxmill_images as boards;
 
 /// Rust target of every board.
 const TARGET: &str = "thumbv7em-none-eabihf";
@@ -79,6 +78,9 @@ usage:
   cargo xtask count profile ROW  in which functions a row of it (`line`, `text`, ...) spends them
 boards: ";
 
+/// Environment variable with the name of the board whose pin table the build script of the firmware takes.
+const BOARD: &str = "OXMILL_BOARD";
+
 /// Error message for the user.
 type Failure = String;
 
@@ -123,7 +125,7 @@ fn main() -> ExitCode {
         ["count", "profile", row] => count::profile(row),
         ["bench", ref files @ ..] => bench(files),
         _ => {
-            eprintln!("{USAGE}{}", boards::BOARDS.join(", "));
+            eprintln!("{USAGE}{}", board_names());
             return ExitCode::from(2);
         }
     };
@@ -153,12 +155,16 @@ fn on_qemu() -> Result<(), Failure> {
     jobs::compare_all()
 }
 
+fn board_names() -> String {
+    boards::names().collect::<Vec<_>>().join(", ")
+}
+
 /// Returns the name if there is such a board.
 fn known(board: &str) -> Result<&str, Failure> {
-    if boards::BOARDS.contains(&board) {
+    if boards::names().any(|name| name == board) {
         Ok(board)
     } else {
-        Err(format!("there is no board `{board}`; there are {}", boards::BOARDS.join(", ")))
+        Err(format!("there is no board `{board}`; there are {}", board_names()))
     }
 }
 
@@ -222,7 +228,8 @@ fn flash(board: &str) -> Result<(), Failure> {
         return Err("cargo-embed is missing: `cargo install --locked probe-rs-tools`".into());
     }
     let mut embed = paths::cargo_for_boards("embed", boards::profile(board))?;
-    run(embed.args(["--package", "oxmill-firmware", "--features", board, board]))
+    embed.env(BOARD, board);
+    run(embed.args(["--package", "oxmill-firmware", "--features", boards::image(board), board]))
 }
 
 #[cfg(test)]

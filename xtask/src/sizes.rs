@@ -85,7 +85,7 @@ mod tests {
     #[test]
     fn every_board_has_a_row() {
         let text = fs::read_to_string(root().join("boards/sizes.txt")).unwrap();
-        for board in crate::boards::BOARDS {
+        for board in crate::boards::IMAGES {
             assert!(expected(&text, board).is_some(), "{board}");
         }
     }

@@ -32,17 +32,20 @@ pub enum CrashKind {
     Voltage,
     /// The external clock failed.
     Clock,
+    /// The board cannot be used as it is: found at the start, not by a failure of the program.
+    Board,
 }
 
 impl CrashKind {
     /// All kinds. A kind's index is its number in a recording and in the RAM that survives a reset.
-    pub const ALL: [CrashKind; 6] = [
+    pub const ALL: [CrashKind; 7] = [
         CrashKind::Panic,
         CrashKind::Fault,
         CrashKind::StackOverflow,
         CrashKind::Stuck,
         CrashKind::Voltage,
         CrashKind::Clock,
+        CrashKind::Board,
     ];
 }
 

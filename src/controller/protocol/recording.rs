@@ -199,5 +199,6 @@ const fn crash_name(kind: CrashKind) -> &'static [u8] {
         CrashKind::Stuck => b"stuck",
         CrashKind::Voltage => b"voltage",
         CrashKind::Clock => b"clock",
+        CrashKind::Board => b"board",
     }
 }

@@ -147,11 +147,18 @@ const fn crash_name(kind: CrashKind) -> &'static str {
         CrashKind::Stuck => "stuck task",
         CrashKind::Voltage => "low voltage",
         CrashKind::Clock => "clock failure",
+        CrashKind::Board => "board",
     }
 }
 
 /// Reports that a failure stopped the machine. `grbl`: omits `$REC`, which Grbl's dialect does not have.
 pub fn failure(out: &mut Text, restart: &Restart, grbl: bool) {
+    if let Some(crash) = restart.crash.as_ref().filter(|crash| crash.kind == CrashKind::Board) {
+        put(out, b"[MSG:Board: ");
+        put(out, &crash.text);
+        put(out, b"]\r\n");
+        return;
+    }
     put(out, b"[MSG:Restarted after a failure (");
     let name = restart.crash.as_ref().map_or(cause_name(restart.cause), |crash| crash_name(crash.kind));
     put(out, name.as_bytes());

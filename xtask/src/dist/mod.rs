@@ -6,7 +6,7 @@ mod reproducible;
 mod sbom;
 
 use crate::paths::{Compiler, cargo_without_paths};
-use crate::{Failure, QEMU_BOARD, boards, image, root, run, web};
+use crate::{Failure, boards, image, root, run, web};
 use archive::Entry;
 use sbom::Sbom;
 use sha2::{Digest, Sha256};
@@ -38,7 +38,7 @@ impl Part {
     /// Returns the parts of these names; all if there are none.
     fn named(names: &[&str]) -> Result<Vec<Part>, Failure> {
         // QEMU's machine cannot be flashed.
-        let boards = || boards::BOARDS.into_iter().filter(|board| *board != QEMU_BOARD).map(Part::Board);
+        let boards = || boards::with_hardware().map(Part::Board);
         let mut parts = Vec::new();
         for name in if names.is_empty() { &["boards", "program", "page", "book"] } else { names } {
             match *name {
@@ -197,9 +197,9 @@ mod tests {
     #[test]
     fn parts_have_names() {
         let all = Part::named(&[]).unwrap();
-        assert_eq!(all.len(), boards::BOARDS.len() - 1 + 3);
+        assert_eq!(all.len(), boards::with_hardware().count() + 3);
         assert_eq!(Part::named(&["book", "nucleo_f446re"]).unwrap(), [Part::Book, Part::Board("nucleo_f446re")]);
-        assert!(Part::named(&[QEMU_BOARD]).is_err());
+        assert!(Part::named(&[crate::QEMU_BOARD]).is_err());
         assert!(Part::named(&["rest"]).is_err());
     }
 

@@ -27,7 +27,7 @@ pub struct Sbom {
 impl Sbom {
     /// The image of a board.
     pub fn of_board(board: &str) -> Sbom {
-        let (package, features) = ("oxmill-firmware", Some(board.to_owned()));
+        let (package, features) = ("oxmill-firmware", Some(crate::boards::image(board).to_owned()));
         Sbom { name: board.into(), kind: "firmware", package, target: TARGET.into(), features, npm: false }
     }
 
@@ -330,7 +330,7 @@ mod tests {
 
     #[test]
     fn every_part_has_a_bill() {
-        let boards = crate::boards::BOARDS.into_iter().filter(|board| *board != crate::QEMU_BOARD).map(Sbom::of_board);
+        let boards = crate::boards::with_hardware().map(Sbom::of_board);
         let host = Compiler::found().unwrap().host;
         for sbom in boards.chain([Sbom::of_program(&host), Sbom::of_page()]) {
             let bill = sbom.bill("1.0.0").unwrap();

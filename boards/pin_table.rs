@@ -1,0 +1,218 @@
+//! The pin table of a board: which pin of the chip has which function, and which crystal the chip has. It lies at a
+//! fixed place in the image, with a checksum, so that a tool can replace it without a compiler. The firmware reads it at
+//! its start.
+//!
+//! The layout in the image, [`SIZE`] bytes:
+//!
+//! | offset | bytes | contents |
+//! |---|---|---|
+//! | 0 | 8 | [`MAGIC`] |
+//! | 8 | 24 | name of the board, ASCII, filled up with 0 |
+//! | 32 | 1 | frequency of the oscillator in MHz; 0 = measure it |
+//! | 33 | 1 | 1 if an external clock drives the oscillator's input, 0 if a crystal does |
+//! | 34 | 1 | number of the image that the table is for |
+//! | 35 | 1 | 0 |
+//! | 36 | 40 | a pin for each [`Role`], in its order: port * 16 + number, or [`NO_PIN`] |
+//! | 76 | 4 | CRC-32 (ISO-HDLC) of the bytes before it, little-endian |
+
+use crate::checksum;
+
+/// First bytes of a table. The last of them is the version of the layout.
+pub const MAGIC: [u8; 8] = *b"OXMPINS\x01";
+/// Bytes of a table.
+pub const SIZE: usize = 80;
+/// Maximum length of a board's name, bytes.
+pub const NAME_SIZE: usize = 24;
+/// Entry of a function that has no pin.
+pub const NO_PIN: u8 = 0xFF;
+
+const NAME_AT: usize = 8;
+const OSCILLATOR_AT: usize = 32;
+const IMAGE_AT: usize = 34;
+const PINS_AT: usize = 36;
+const CRC_AT: usize = 76;
+
+/// Functions of pins. The number of a function is its place in the table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+#[allow(missing_docs, reason = "the names say it")]
+pub enum Role {
+    StepX,
+    StepY,
+    StepZ,
+    /// Step of the fourth motor: the second motor of an axis, or axis A.
+    StepFourth,
+    DirectionX,
+    DirectionY,
+    DirectionZ,
+    DirectionFourth,
+    /// Enable input of the drivers. Boards whose drivers have an input each have up to four.
+    Enable,
+    SecondEnable,
+    ThirdEnable,
+    FourthEnable,
+    SpindleOn,
+    SpindleDirection,
+    SpindlePwm,
+    Flood,
+    Mist,
+    /// First output for programs (M64 P0).
+    ProgramOutput,
+    SecondProgramOutput,
+    LimitX,
+    LimitY,
+    LimitZ,
+    /// Limit switch of the fourth motor.
+    LimitFourth,
+    Probe,
+    Door,
+    Hold,
+    Start,
+    Reset,
+    DriverFault,
+    AtSpeed,
+    /// First input for programs (M66 P0).
+    ProgramInput,
+    SecondProgramInput,
+    /// A pin that is set high at the start and low in the safe state, such as the switch of a board's driver supply.
+    Power,
+}
+
+impl Role {
+    /// All functions, in the order of the table.
+    pub const ALL: [Role; 33] = [
+        Role::StepX,
+        Role::StepY,
+        Role::StepZ,
+        Role::StepFourth,
+        Role::DirectionX,
+        Role::DirectionY,
+        Role::DirectionZ,
+        Role::DirectionFourth,
+        Role::Enable,
+        Role::SecondEnable,
+        Role::ThirdEnable,
+        Role::FourthEnable,
+        Role::SpindleOn,
+        Role::SpindleDirection,
+        Role::SpindlePwm,
+        Role::Flood,
+        Role::Mist,
+        Role::ProgramOutput,
+        Role::SecondProgramOutput,
+        Role::LimitX,
+        Role::LimitY,
+        Role::LimitZ,
+        Role::LimitFourth,
+        Role::Probe,
+        Role::Door,
+        Role::Hold,
+        Role::Start,
+        Role::Reset,
+        Role::DriverFault,
+        Role::AtSpeed,
+        Role::ProgramInput,
+        Role::SecondProgramInput,
+        Role::Power,
+    ];
+}
+
+/// A pin of the chip.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Pin {
+    /// 0 for port A.
+    pub port: u8,
+    /// 0 to 15.
+    pub number: u8,
+}
+
+/// A pin table. Which pins a function may have is checked by the tool that makes the table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(transparent)]
+pub struct PinTable([u8; SIZE]);
+
+impl PinTable {
+    /// The table of an image that no tool has given a board yet: it has no pins, and is not intact.
+    pub const fn none(image: u8) -> PinTable {
+        let mut bytes = [NO_PIN; SIZE];
+        let mut at = 0;
+        while at < MAGIC.len() {
+            bytes[at] = MAGIC[at];
+            at += 1;
+        }
+        bytes[OSCILLATOR_AT] = 0;
+        bytes[IMAGE_AT] = image;
+        PinTable(bytes)
+    }
+
+    /// Makes a table for an image. `mhz` is the frequency of the oscillator, 0 to measure it. A name longer than
+    /// [`NAME_SIZE`] is cut.
+    pub fn new(image: u8, name: &str, mhz: u8, is_external: bool, pins: impl Fn(Role) -> Option<Pin>) -> PinTable {
+        let mut bytes = [0; SIZE];
+        bytes[..MAGIC.len()].copy_from_slice(&MAGIC);
+        for (to, from) in bytes[NAME_AT..OSCILLATOR_AT].iter_mut().zip(name.bytes()) {
+            *to = from;
+        }
+        bytes[OSCILLATOR_AT] = mhz;
+        bytes[OSCILLATOR_AT + 1] = u8::from(is_external);
+        bytes[IMAGE_AT] = image;
+        bytes[PINS_AT..CRC_AT].fill(NO_PIN);
+        for role in Role::ALL {
+            if let Some(pin) = pins(role) {
+                bytes[PINS_AT + role as usize] = pin.port << 4 | pin.number & 15;
+            }
+        }
+        let sum = checksum(&bytes[..CRC_AT]);
+        bytes[CRC_AT..].copy_from_slice(&sum.to_le_bytes());
+        PinTable(bytes)
+    }
+
+    /// Takes bytes of an image for a table. Whether it is one, [`PinTable::is_intact`] says.
+    pub const fn from_bytes(bytes: [u8; SIZE]) -> PinTable {
+        PinTable(bytes)
+    }
+
+    /// Returns the bytes for the image.
+    pub const fn bytes(&self) -> &[u8; SIZE] {
+        &self.0
+    }
+
+    /// Returns whether begin and checksum are right.
+    pub fn is_intact(&self) -> bool {
+        let (rest, sum) = self.0.split_at(CRC_AT);
+        rest.starts_with(&MAGIC) && checksum(rest).to_le_bytes() == sum
+    }
+
+    /// Returns the number of the image that the table is for.
+    pub const fn image(&self) -> u8 {
+        self.0[IMAGE_AT]
+    }
+
+    /// Returns the name of the board.
+    #[inline(never)]
+    pub fn name(&self) -> &str {
+        let name = self.0.get(NAME_AT..OSCILLATOR_AT).unwrap_or_default();
+        let length = name.iter().position(|byte| !byte.is_ascii_graphic()).unwrap_or(name.len());
+        let name = name.get(..length).unwrap_or_default();
+        // SAFETY: unsafe because a text must be UTF-8; safe because all bytes up to here are ASCII. `from_utf8` would be
+        // half a kilobyte.
+        unsafe { core::str::from_utf8_unchecked(name) }
+    }
+
+    /// Returns the frequency of the oscillator in MHz, or `None` if it has to be measured.
+    pub fn oscillator_mhz(&self) -> Option<u8> {
+        Some(self.0[OSCILLATOR_AT]).filter(|mhz| *mhz != 0)
+    }
+
+    /// Returns whether an external clock drives the oscillator's input.
+    pub fn is_external(&self) -> bool {
+        self.0[OSCILLATOR_AT + 1] == 1
+    }
+
+    /// Returns the pin of a function.
+    #[inline(never)]
+    pub fn pin(&self, role: Role) -> Option<Pin> {
+        let entry = *self.0.get(PINS_AT + role as usize)?;
+        (entry != NO_PIN).then_some(Pin { port: entry >> 4, number: entry & 15 })
+    }
+}

@@ -1,0 +1,113 @@
+//! Starts the clocks of the chip from its external oscillator. The same board is sold with different crystals, so the
+//! frequency is measured at the start, against the internal oscillator.
+//!
+//! ```text
+//!  HSE ──▶ / 31 (RTCPRE) ──▶ input of TIM11, channel 1: captures every eighth edge
+//!  HSI, 16 MHz ───────────▶ counts of TIM11
+//! ```
+//! Without an external oscillator, or with an unknown one, the chip runs on its internal oscillator, which is exact to a
+//! few percent: enough for a UART, but not for motion. The machine then stays locked, and the welcome line says why.
+
+use super::registers::{read, timer::*, write};
+use crate::pin_table::PinTable;
+use stm32f4xx_hal::pac;
+
+/// Frequencies of crystals that boards with an STM32F4 have, MHz. The PLL makes exact clocks from each of them.
+const KNOWN_MHZ: [u32; 4] = [8, 12, 16, 25];
+/// Clock of TIM11 during the measurement: the internal oscillator, MHz.
+const HSI_MHZ: u32 = 16;
+/// Divider between the oscillator and TIM11 (RCC_CFGR, RTCPRE).
+const DIVIDER: u32 = 31;
+/// Edges of the divided clock from one capture to the next (TIM11_CCMR1, IC1PSC).
+const EDGES: u32 = 8;
+/// Captures that the measurement takes.
+const CAPTURES: u32 = 16;
+/// Looks at a flag before the oscillator counts as missing: a tenth of a second at least. A crystal starts within a few
+/// milliseconds.
+const MOST_LOOKS: u32 = 400_000;
+
+/// Registers of TIM11, which only this measurement uses (RM0383, "TIM10/11 registers"; RM0368 and RM0390 have the same).
+/// Raw, because the HAL does not capture the divided oscillator.
+const TIM11: usize = 0x4001_4800;
+const CCMR1: usize = 0x18;
+const CCER: usize = 0x20;
+const OR: usize = 0x50;
+/// CCMR1: channel 1 captures its input, at every eighth edge.
+const CAPTURES_EIGHTH: u32 = 0b11 << 2 | 1;
+/// OR: the input of channel 1 is the divided oscillator (TI1_RMP).
+const IS_OSCILLATOR: u32 = 0b10;
+/// SR: a capture has come.
+const CAPTURED: u32 = 1 << 1;
+
+/// Switches the external oscillator on and measures it, unless the table has its frequency. Returns the frequency in MHz,
+/// or `None` if there is no oscillator, or an unknown one. The chip must run on its internal oscillator, as after a reset.
+#[inline(never)]
+pub fn find_oscillator(rcc: &pac::RCC, table: &PinTable) -> Option<u32> {
+    // The two bits must not be set together (reference manual, RCC_CR, HSEBYP).
+    rcc.cr().modify(|_, w| w.hsebyp().bit(table.is_external()));
+    rcc.cr().modify(|_, w| w.hseon().set_bit());
+    if !(0..MOST_LOOKS).any(|_| rcc.cr().read().hserdy().bit_is_set()) {
+        return None;
+    }
+    match table.oscillator_mhz() {
+        Some(mhz) => Some(mhz.into()),
+        None => known(measure(rcc)?),
+    }
+}
+
+/// Makes the external oscillator the source of the PLL, in place of the internal one, with the same output. The HAL has
+/// set up everything for the internal oscillator, whose frequency is known to the compiler: for a frequency that is
+/// known only at run time, it would need 3 KB of code that searches for dividers.
+#[inline(never)]
+pub fn change_source(rcc: &pac::rcc::RegisterBlock, mhz: u32) {
+    rcc.cfgr().modify(|_, w| w.sw().hsi());
+    while !rcc.cfgr().read().sws().is_hsi() {}
+    rcc.cr().modify(|_, w| w.pllon().clear_bit());
+    while rcc.cr().read().pllrdy().bit_is_set() {}
+    rcc.pllcfgr().modify(|r, w| {
+        // The frequency of the PLL's own oscillator, which is a whole and even number of MHz at all our clocks.
+        let vco_mhz = HSI_MHZ * u32::from(r.plln().bits()) / u32::from(r.pllm().bits());
+        // Its input is 2 MHz, as the reference manuals recommend (RCC_PLLCFGR, PLLM), or 1 MHz.
+        let input_mhz = if mhz.is_multiple_of(2) { 2 } else { 1 };
+        // SAFETY: unsafe because the device crate cannot know which dividers are valid; safe because they are: PLLM is 4
+        // to 25, and PLLN 96 to 384.
+        unsafe { w.pllm().bits((mhz / input_mhz) as u8).plln().bits((vco_mhz / input_mhz) as u16).pllsrc().hse() }
+    });
+    rcc.cr().modify(|_, w| w.pllon().set_bit());
+    while rcc.cr().read().pllrdy().bit_is_clear() {}
+    rcc.cfgr().modify(|_, w| w.sw().pll());
+    while !rcc.cfgr().read().sws().is_pll() {}
+}
+
+/// Measures the external oscillator. Returns its frequency in tenths of a MHz, or `None` if it gives no edges.
+fn measure(rcc: &pac::RCC) -> Option<u32> {
+    rcc.cfgr().modify(|_, w| w.rtcpre().set(DIVIDER as u8));
+    rcc.apb2enr().modify(|_, w| w.tim11en().set_bit());
+    // An enabled clock takes some cycles to arrive; reading back waits for them.
+    let _ = rcc.apb2enr().read();
+    for (register, value) in [(OR, IS_OSCILLATOR), (CCMR1, CAPTURES_EIGHTH), (CCER, 1), (ARR, 0xFFFF), (CR1, 1)] {
+        write(TIM11 + register, value);
+    }
+    let first = capture()?;
+    let mut last = first;
+    for _ in 0..CAPTURES {
+        last = capture()?;
+    }
+    rcc.apb2enr().modify(|_, w| w.tim11en().clear_bit());
+    let ticks = last.wrapping_sub(first) & 0xFFFF;
+    Some(10 * HSI_MHZ * DIVIDER * EDGES * CAPTURES / ticks.max(1))
+}
+
+/// Waits for the next capture of TIM11 and returns its time.
+#[inline(never)]
+fn capture() -> Option<u32> {
+    let has_come = (0..MOST_LOOKS).any(|_| read(TIM11 + SR) & CAPTURED != 0);
+    // Reading the capture clears its flag.
+    has_come.then(|| read(TIM11 + CCR1))
+}
+
+/// Returns the frequency in MHz of the known crystal that is within 3.5 % of the measured frequency, which is in tenths
+/// of a MHz.
+fn known(tenths: u32) -> Option<u32> {
+    KNOWN_MHZ.into_iter().find(|mhz| (10 * mhz).abs_diff(tenths) * 1000 <= 35 * 10 * mhz)
+}

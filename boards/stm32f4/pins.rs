@@ -1,0 +1,113 @@
+//! Pins by their numbers: sets up the pins that the pin table of the image names.
+//!
+//! Uses raw registers, because the HAL makes the number of a pin part of its type, so it cannot take pins from a table
+//! that is read at the start. The registers of a port are those of reference manual RM0383, "GPIO registers"; all
+//! STM32F4 have the same.
+
+use super::registers::{Chip, Map, read, write, write_bsrr};
+use super::step::{PORTS, Place, bsrr};
+use crate::pin_table::{Pin, PinTable, Role};
+use stm32f4xx_hal::rcc::Rcc;
+
+const PORT_SIZE: usize = 0x400;
+const MODER: usize = 0x00;
+const OTYPER: usize = 0x04;
+const OSPEEDR: usize = 0x08;
+const PUPDR: usize = 0x0C;
+/// Alternate functions of pins 0 to 7; those of pins 8 to 15 follow.
+const AFRL: usize = 0x20;
+// MODER
+const INPUT: u32 = 0;
+const OUTPUT: u32 = 1;
+const ALTERNATE: u32 = 2;
+// PUPDR
+const NO_PULL: u32 = 0;
+const PULL_UP: u32 = 1;
+/// OSPEEDR: edges of a few nanoseconds, for steps.
+const MEDIUM: u32 = 1;
+/// Alternate function of TIM3 on all its pins (data sheets, "Alternate function mapping").
+const TIM3: u32 = 2;
+
+impl Place {
+    /// Returns the place of a pin, or `None` if this image does not use the port.
+    fn of(pin: Pin) -> Option<Place> {
+        (usize::from(pin.port) < PORTS).then(|| Place::new(usize::from(pin.port), u32::from(pin.number)))
+    }
+}
+
+/// Returns the pin of a function; `None` if the board has none.
+#[inline(never)]
+pub(super) fn place(table: &PinTable, role: Role) -> Option<Place> {
+    table.pin(role).and_then(Place::of)
+}
+
+/// Returns the pins of some functions.
+pub(super) fn places<const N: usize>(table: &PinTable, roles: &[Role; N]) -> [Option<Place>; N] {
+    let mut places = [None; N];
+    find(table, roles, &mut places);
+    places
+}
+
+/// Takes slices, so that the compiler keeps the loop.
+#[inline(never)]
+fn find(table: &PinTable, roles: &[Role], places: &mut [Option<Place>]) {
+    for (place, role) in places.iter_mut().zip(roles) {
+        *place = self::place(table, *role);
+    }
+}
+
+// Not inlined, as the functions below: they are called for some thirty pins.
+/// Sets the `width` bits that belong to a pin in a register of its port.
+#[inline(never)]
+fn set(place: Place, register: usize, width: u32, value: u32) {
+    let address = <Chip as Map>::GPIO + PORT_SIZE * place.port + register;
+    let at = place.pin * width;
+    write(address, read(address) & !(((1 << width) - 1) << at) | value << at);
+}
+
+/// Makes a pin a push-pull output, with its level from the first moment on.
+#[inline(never)]
+pub(super) fn output(place: Place, high: bool) {
+    write_bsrr::<Chip>(place.port, bsrr(place.pin, high));
+    set(place, OTYPER, 1, 0);
+    set(place, PUPDR, 2, NO_PULL);
+    set(place, MODER, 2, OUTPUT);
+}
+
+/// Makes a pin a step output, whose edges are steep.
+pub(super) fn step_output(place: Place) {
+    output(place, false);
+    set(place, OSPEEDR, 2, MEDIUM);
+}
+
+/// Makes a pin an input with a pull-up.
+#[inline(never)]
+pub(super) fn input(place: Place) {
+    set(place, PUPDR, 2, PULL_UP);
+    set(place, MODER, 2, INPUT);
+}
+
+/// Makes a pin the PWM output of TIM3.
+pub(super) fn pwm(place: Place) {
+    set(place, PUPDR, 2, NO_PULL);
+    let register = AFRL + 4 * (place.pin / 8) as usize;
+    set(Place { pin: place.pin % 8, ..place }, register, 4, TIM3);
+    set(place, MODER, 2, ALTERNATE);
+}
+
+/// Sets the pull resistor of an input (PUPDR): 0 for none, 1 for a pull-up, 2 for a pull-down.
+pub(super) fn set_pull(place: Place, pull: u32) {
+    set(place, PUPDR, 2, pull);
+}
+
+/// Starts the clocks of all ports that this image uses. A port without a used pin has its clock, too, because
+/// `InputPins::read` and `safe_state` reach all of them.
+pub(super) fn clock_ports(rcc: &mut Rcc) {
+    rcc.ahb1enr().modify(|r, w| {
+        // SAFETY: unsafe because the device crate cannot know which numbers the register takes; safe because bit 0 is
+        // the clock of port A, and those of the other ports follow (RCC_AHB1ENR).
+        unsafe { w.bits(r.bits() | ((1 << PORTS) - 1)) }
+    });
+    // An enabled clock takes some cycles to arrive; reading back waits for them.
+    let _ = rcc.ahb1enr().read();
+}

@@ -1,0 +1,151 @@
+//! The pin tables of the boards. A board is one file here, `NAME.toml`: chip, crystal, and the pin of each function.
+//! [`Board::parse`] reads such a file, also that of a user, and checks it; [`image_file`] writes the table into an image
+//! of the firmware. So a board needs no code, and its pins can be changed without a compiler.
+//!
+//! ```toml
+//! name = "my_board"                # in `$I` and on USB; at most 24 of a to z, 0 to 9 and _
+//! title = "My board"               # for people
+//! image = "blackpill_f411"         # the firmware's image: chip family, links to the host
+//! chip = "STM32F411CE"             # which pins the package has
+//! oscillator = "measured"          # or "8 MHz", "12 MHz", ...; with ", external" if a clock drives the input
+//! remarks = ["..."]                # optional
+//! drawing = """..."""              # optional
+//! [pins]                           # functions without a pin are left out
+//! step_x = "A1"                    # port and number ...
+//! probe = "B15 J4-2"               # ... and, if there is one, the label on the board
+//! ```
+
+mod check;
+mod chips;
+pub mod image_file;
+#[cfg(test)]
+mod tests;
+
+pub use chips::{CHIPS, Chip};
+pub use oxmill_boards::pin_table::{Pin, PinTable, Role};
+use oxmill_boards::profiles;
+use std::collections::BTreeMap;
+
+/// The boards of this project: name and file.
+pub const BOARDS: [(&str, &str); 9] = [
+    ("blackpill_f411", include_str!("blackpill_f411.toml")),
+    ("blackpill_f401", include_str!("blackpill_f401.toml")),
+    ("nucleo_f446re", include_str!("nucleo_f446re.toml")),
+    ("nucleo_f411re", include_str!("nucleo_f411re.toml")),
+    ("nucleo_f401re", include_str!("nucleo_f401re.toml")),
+    ("octopus_f446", include_str!("octopus_f446.toml")),
+    ("octopus_pro_f446", include_str!("octopus_pro_f446.toml")),
+    ("spider_f446", include_str!("spider_f446.toml")),
+    ("blackpill_f411_grblhal", include_str!("blackpill_f411_grblhal.toml")),
+];
+
+/// A fault of a table, for the user.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Fault {
+    /// Line of the file, from 1; 0 if no line is at fault.
+    pub line: usize,
+    /// What is wrong, and what to write.
+    pub text: String,
+}
+
+/// The pin of a function.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Use {
+    /// The pin of the chip.
+    pub pin: Pin,
+    /// Its label on the board; empty if it has none.
+    pub label: String,
+    /// The line of the file.
+    line: usize,
+}
+
+/// A board, as its file describes it, checked.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Board {
+    /// Name on the command line and in `$I`.
+    pub name: String,
+    /// Name for people.
+    pub title: String,
+    /// The image that takes this table.
+    pub image: profiles::Board,
+    /// The chip.
+    pub chip: &'static Chip,
+    /// Frequency of the oscillator in MHz; `None` if it is measured at the start.
+    pub oscillator_mhz: Option<u8>,
+    /// A clock drives the oscillator's input.
+    pub is_external: bool,
+    /// Sentences for whoever wires the board.
+    pub remarks: Vec<String>,
+    /// A drawing in characters; empty if there is none.
+    pub drawing: String,
+    /// The pins, by function.
+    pub pins: BTreeMap<&'static str, Use>,
+}
+
+impl Board {
+    /// Returns the board of this project with this name.
+    pub fn named(name: &str) -> Option<Board> {
+        let (_, text) = BOARDS.iter().find(|(own, _)| *own == name)?;
+        Board::parse(text).ok()
+    }
+
+    /// Reads a board's file.
+    ///
+    /// # Errors
+    ///
+    /// All faults of the file, in the order of its lines: nothing of it may be used then.
+    pub fn parse(text: &str) -> Result<Board, Vec<Fault>> {
+        check::parse(text)
+    }
+
+    /// Returns the table for the image.
+    pub fn table(&self) -> PinTable {
+        let number = self.image.image;
+        let pin = |role| self.pins.get(name_of(role)).map(|found| found.pin);
+        PinTable::new(number, &self.name, self.oscillator_mhz.unwrap_or(0), self.is_external, pin)
+    }
+}
+
+/// Returns the name of a function in a file.
+pub fn name_of(role: Role) -> &'static str {
+    match role {
+        Role::StepX => "step_x",
+        Role::StepY => "step_y",
+        Role::StepZ => "step_z",
+        Role::StepFourth => "step_fourth",
+        Role::DirectionX => "direction_x",
+        Role::DirectionY => "direction_y",
+        Role::DirectionZ => "direction_z",
+        Role::DirectionFourth => "direction_fourth",
+        Role::Enable => "enable",
+        Role::SecondEnable => "second_enable",
+        Role::ThirdEnable => "third_enable",
+        Role::FourthEnable => "fourth_enable",
+        Role::SpindleOn => "spindle_on",
+        Role::SpindleDirection => "spindle_direction",
+        Role::SpindlePwm => "spindle_pwm",
+        Role::Flood => "flood",
+        Role::Mist => "mist",
+        Role::ProgramOutput => "program_output",
+        Role::SecondProgramOutput => "second_program_output",
+        Role::LimitX => "limit_x",
+        Role::LimitY => "limit_y",
+        Role::LimitZ => "limit_z",
+        Role::LimitFourth => "limit_fourth",
+        Role::Probe => "probe",
+        Role::Door => "door",
+        Role::Hold => "hold",
+        Role::Start => "start",
+        Role::Reset => "reset",
+        Role::DriverFault => "driver_fault",
+        Role::AtSpeed => "at_speed",
+        Role::ProgramInput => "program_input",
+        Role::SecondProgramInput => "second_program_input",
+        Role::Power => "power",
+    }
+}
+
+/// Returns a pin as people write it: `A0`.
+pub fn text_of(pin: Pin) -> String {
+    format!("{}{}", char::from(b'A' + pin.port), pin.number)
+}

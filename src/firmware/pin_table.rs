@@ -1,0 +1,10 @@
+//! The pin table of the board that the image was built for. A tool may replace it in the finished image.
+
+use crate::boards;
+
+/// The table, at the place that the linker script reserves for it; the board reads it from there.
+#[used]
+#[unsafe(link_section = ".pin_table")]
+// unsafe because the linker takes the section on trust; safe because it is read-only data in flash.
+static TABLE: boards::pin_table::PinTable =
+    boards::pin_table::PinTable::from_bytes(*include_bytes!(concat!(env!("OUT_DIR"), "/pin_table")));
