@@ -19,7 +19,7 @@ pub const IMAGES: [&str; 7] = [
 ];
 
 /// Images for a flash that is too small for one built for speed: they are built for size.
-pub const SMALL: [&str; 1] = ["blackpill_f401"];
+pub const SMALL: [&str; 2] = ["blackpill_f401", "control_f446"];
 
 /// The cargo profile that compiles for speed.
 pub const FAST: &str = "firmware";

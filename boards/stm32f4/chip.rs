@@ -222,8 +222,8 @@ impl InputPins {
         let mut used = [0; PORTS];
         for place in places.into_iter().flatten() {
             pins::input(place);
-            if let Some(used) = used.get_mut(place.port) {
-                *used |= 1 << place.pin;
+            if let Some(used) = used.get_mut(place.port()) {
+                *used |= 1 << place.pin();
             }
         }
         let high = [0; PORTS];
@@ -274,7 +274,7 @@ fn low_of(places: &[Option<Place>], high: &[u16]) -> u32 {
 
 #[inline(never)]
 fn is_low(place: Place, high: &[u16]) -> bool {
-    high.get(place.port).copied().unwrap_or(u16::MAX) >> place.pin & 1 == 0
+    high.get(place.port()).copied().unwrap_or(u16::MAX) >> place.pin() & 1 == 0
 }
 
 /// Returns the `input_bits` of a pin with this bit: the limit switch of the fourth motor is also that of axis A, and
@@ -336,7 +336,7 @@ impl SlowPins {
 #[inline(never)]
 fn write_level(place: Option<Place>, high: bool) {
     if let Some(place) = place {
-        write_bsrr::<Chip>(place.port, bsrr(place.pin, high));
+        write_bsrr::<Chip>(place.port(), bsrr(place.pin(), high));
     }
 }
 

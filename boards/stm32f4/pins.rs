@@ -60,15 +60,15 @@ fn find(table: &PinTable, roles: &[Role], places: &mut [Option<Place>]) {
 /// Sets the `width` bits that belong to a pin in a register of its port.
 #[inline(never)]
 fn set(place: Place, register: usize, width: u32, value: u32) {
-    let address = <Chip as Map>::GPIO + PORT_SIZE * place.port + register;
-    let at = place.pin * width;
+    let address = <Chip as Map>::GPIO + PORT_SIZE * place.port() + register;
+    let at = place.pin() * width;
     write(address, read(address) & !(((1 << width) - 1) << at) | value << at);
 }
 
 /// Makes a pin a push-pull output, with its level from the first moment on.
 #[inline(never)]
 pub(super) fn output(place: Place, high: bool) {
-    write_bsrr::<Chip>(place.port, bsrr(place.pin, high));
+    write_bsrr::<Chip>(place.port(), bsrr(place.pin(), high));
     set(place, OTYPER, 1, 0);
     set(place, PUPDR, 2, NO_PULL);
     set(place, MODER, 2, OUTPUT);
@@ -90,8 +90,8 @@ pub(super) fn input(place: Place) {
 /// Makes a pin the PWM output of TIM3.
 pub(super) fn pwm(place: Place) {
     set(place, PUPDR, 2, NO_PULL);
-    let register = AFRL + 4 * (place.pin / 8) as usize;
-    set(Place { pin: place.pin % 8, ..place }, register, 4, TIM3);
+    let register = AFRL + 4 * (place.pin() / 8) as usize;
+    set(Place::new(place.port(), place.pin() % 8), register, 4, TIM3);
     set(place, MODER, 2, ALTERNATE);
 }
 

@@ -22,10 +22,10 @@ pub static SAFE: [AtomicU32; PORTS] = [const { AtomicU32::new(0) }; PORTS];
 
 /// Records the level at which a pin is safe.
 pub fn note_safe_level(place: Place, high: bool) {
-    if let Some(safe) = SAFE.get(place.port) {
-        let both = 0x1_0001 << place.pin;
+    if let Some(safe) = SAFE.get(place.port()) {
+        let both = 0x1_0001 << place.pin();
         // Set-up and the step task are the only writers and never run at the same time.
-        safe.store(safe.load(Ordering::Relaxed) & !both | bsrr(place.pin, high), Ordering::Relaxed);
+        safe.store(safe.load(Ordering::Relaxed) & !both | bsrr(place.pin(), high), Ordering::Relaxed);
     }
 }
 
@@ -33,16 +33,28 @@ pub fn note_safe_level(place: Place, high: bool) {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Place {
     /// 0 for port A.
-    pub(super) port: usize,
+    port: u8,
     /// 0 to 15.
-    pub(super) pin: u32,
+    pin: u8,
 }
 
 impl Place {
     /// Creates the place of a pin: port 0 for A, below [`PORTS`], pin 0 to 15. Panics otherwise.
     pub const fn new(port: usize, pin: u32) -> Place {
         assert!(port < PORTS && pin < 16, "there is no such pin");
-        Place { port, pin }
+        Place { port: port as u8, pin: pin as u8 }
+    }
+
+    /// Returns the number of the port, 0 for A.
+    #[inline(always)]
+    pub(super) fn port(self) -> usize {
+        usize::from(self.port)
+    }
+
+    /// Returns the number of the pin in its port, 0 to 15.
+    #[inline(always)]
+    pub(super) fn pin(self) -> u32 {
+        u32::from(self.pin)
     }
 }
 
@@ -72,9 +84,9 @@ fn fill<const P: usize>(
     for (i, (place, driven)) in places.into_iter().zip(driven).enumerate() {
         let Some(place) = place else { continue };
         let active_low = invert >> i & 1 != 0;
-        let set = bsrr(place.pin, !active_low);
-        let unset = if both { bsrr(place.pin, active_low) } else { 0 };
-        for (_, words) in ports.iter().zip(&mut tables).filter(|(port, _)| **port == place.port) {
+        let set = bsrr(place.pin(), !active_low);
+        let unset = if both { bsrr(place.pin(), active_low) } else { 0 };
+        for (_, words) in ports.iter().zip(&mut tables).filter(|(port, _)| **port == place.port()) {
             for (bits, word) in words.iter_mut().enumerate() {
                 *word |= if bits as u8 & driven != 0 { set } else { unset };
             }
@@ -85,12 +97,12 @@ fn fill<const P: usize>(
 
 /// Returns the ports of some pins. Panics if there are more than `P`.
 fn ports_of<const P: usize>(places: impl Iterator<Item = Place> + Clone) -> [usize; P] {
-    let mut ports = [places.clone().next().map_or(0, |place| place.port); P];
+    let mut ports = [places.clone().next().map_or(0, Place::port); P];
     let mut used = 1;
     for place in places {
-        if !ports[..used].contains(&place.port) {
+        if !ports[..used].contains(&place.port()) {
             // A board whose `P` is too small fails here, at its start.
-            ports[used] = place.port;
+            ports[used] = place.port();
             used += 1;
         }
     }
@@ -337,6 +349,6 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
 
     #[inline(always)]
     fn probe_low(&self) -> bool {
-        self.probe.is_some_and(|probe| read_idr::<M>(probe.port) >> probe.pin & 1 == 0)
+        self.probe.is_some_and(|probe| read_idr::<M>(probe.port()) >> probe.pin() & 1 == 0)
     }
 }

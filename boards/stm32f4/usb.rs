@@ -91,6 +91,9 @@ const TXFNUM_SHIFT: u32 = 6;
 const FLAG_TICKS: u32 = 100 * crate::CLOCK_TICKS_PER_US;
 /// DOEPCTL and DIEPCTL: the next packet is DATA0.
 const SD0PID: u32 = 1 << 28;
+/// Whether the driver enables an endpoint when it fetches a packet (cores since the F446's, by their CID), or when it
+/// takes the entry that ends the packet.
+const IS_ENABLED_WITH_DATA: bool = cfg!(feature = "stm32f446");
 /// Index of the interface with the data endpoints: it is the class's second interface, after the control interface.
 const DATA_INTERFACE: u16 = 1;
 
@@ -262,6 +265,13 @@ impl UsbPort {
         }
     }
 
+    /// Makes the endpoint answer NAK, until [`UsbPort::enable_endpoint`]. On this chip the driver enables the endpoint as
+    /// soon as it has fetched a packet. A packet that comes between the two waits in the FIFO (see [`UsbPort::mask`]).
+    fn refuse_packets(&mut self) {
+        let control = DOEPCTL + self.class.port.read_ep().address().index() * NEXT_ENDPOINT;
+        write(control, read(control) & !ENABLED | SNAK);
+    }
+
     /// Allows the host to send exactly one more packet: a transfer of one packet, at whose end the endpoint is disabled
     /// (RM0383, 22.17.6, "Generic non-isochronous OUT data transfers"). Sets the size of the transfer, because the
     /// driver sets none when it enables the endpoint for the first time.
@@ -364,7 +374,11 @@ impl Port for UsbPort {
             self.forget_sent();
         }
         if events & EVENTS != 0 {
+            let is_data = self.entry() == Some(OUT_DATA);
             self.device.poll(&mut [&mut self.class]);
+            if IS_ENABLED_WITH_DATA && is_data {
+                self.refuse_packets();
+            }
             self.begin_toggles();
             self.received.may_wait = true;
             // In the FIFO, the packet that the driver has just fetched is usually followed by the entry that ends it.

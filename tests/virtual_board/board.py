@@ -18,6 +18,7 @@ from elftools.elf.elffile import ELFFile
 from unicorn import UC_HOOK_MEM_WRITE, UC_PROT_ALL
 
 from .core import ASLEEP, DEADLINE, EXCEPTION_RETURN, FAULT, Core
+from .models.clock_meter import ClockMeter
 from .models.dma import Dma
 from .models.exti import Exti
 from .models.flash import Flash
@@ -178,10 +179,10 @@ class Board:
         self.peripherals["NVIC"] = self.nvic
         fit(0x4000_7000, Pwr("PWR", self))
         self.flash = fit(0x4002_3C00, Flash("FLASH", self))
-        for bit, name in enumerate("ABCDEH"):
+        for bit, name in enumerate("ABCDEFGH"):
             gpio = Gpio(f"GPIO{name}", self)
-            gpio.CLOCK = (0x30, 7 if name == "H" else bit)
-            fit(0x4002_0000 + 0x400 * gpio.CLOCK[1], gpio)
+            gpio.CLOCK = (0x30, bit)
+            fit(0x4002_0000 + 0x400 * bit, gpio)
         for name, base, bit, irq, wide in (
             ("TIM2", 0x4000_0000, 0, 28, True),
             ("TIM3", 0x4000_0400, 1, 29, False),
@@ -194,6 +195,7 @@ class Board:
             ("USART2", 0x4000_4400, (0x40, 17), 38, "pclk1"),
         ):
             fit(base, Usart(name, self, base, clock, irq, bus))
+        fit(0x4001_4800, ClockMeter("TIM11", self))
         tim1 = fit(0x4001_0000, PulseTimer("TIM1", self))
         self.peripherals["TIM5"].slaves.append(tim1)
         self.dma = [fit(0x4002_6000, Dma("DMA1", self, 21)), fit(0x4002_6400, Dma("DMA2", self, 22))]

@@ -1,11 +1,13 @@
-"""Properties of the parts and boards, taken from data sheets and from the drawings in boards/ and not from the
-firmware: the emulation must not take its pins from the code that it checks."""
+"""Properties of the parts, taken from data sheets, and of the boards: their pins are read from the boards' files, of which
+the firmware has only the table of bytes that a tool made."""
 
 import re
+import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-PROFILES = Path(__file__).resolve().parents[2] / "boards" / "profiles.rs"
+FOLDER = Path(__file__).resolve().parents[2] / "boards"
+PROFILES, TABLES = FOLDER / "profiles.rs", FOLDER / "tables"
 MHZ = 1_000_000
 
 
@@ -32,6 +34,8 @@ class Part:
     """RCC_AHB1LPENR, AHB2LPENR, APB1LPENR and APB2LPENR after a reset, from the manuals: a set bit means that the
     peripheral's clock runs while the processor sleeps. On the F401 and F411 the clocks of TIM1, GPIOE and GPIOH
     stop."""
+    otg_id: int = 0x2000
+    """OTG_FS, CID: newer cores have 0x2000 (RM0390), older ones 0x1200 (RM0383, RM0368)."""
     vco_hz: int = 100 * MHZ
     """Minimum frequency of the PLL's oscillator (RCC_PLLCFGR; 192 MHz in RM0368)."""
     flash_kib: int = 512
@@ -49,13 +53,13 @@ STM32F411 = Part(
     "STM32F411CE", 100 * MHZ, 50 * MHZ, 100 * MHZ,
     wait_states=(30 * MHZ, 64 * MHZ, 90 * MHZ, 100 * MHZ),
     scale_hz={1: 64 * MHZ, 2: 84 * MHZ, 3: 100 * MHZ}, over_drive_hz=0, pwr_cr_reset=0x8000, interrupts=86,
-    asleep=(0x0061_900F, 0x80, 0x10E2_C80F, 0x0007_7930),
+    asleep=(0x0061_900F, 0x80, 0x10E2_C80F, 0x0007_7930), otg_id=0x1200,
 )  # fmt: skip
 STM32F401 = Part(
     "STM32F401CC", 84 * MHZ, 42 * MHZ, 84 * MHZ,
     wait_states=(30 * MHZ, 60 * MHZ, 84 * MHZ),
     scale_hz={1: 60 * MHZ, 2: 84 * MHZ}, over_drive_hz=0, pwr_cr_reset=0x8000, interrupts=85, vco_hz=192 * MHZ,
-    asleep=(0x0061_900F, 0x80, 0x10E2_C80F, 0x0007_7930), flash_kib=256, ram_kib=64,
+    asleep=(0x0061_900F, 0x80, 0x10E2_C80F, 0x0007_7930), otg_id=0x1200, flash_kib=256, ram_kib=64,
 )  # fmt: skip
 STM32F401RE = replace(STM32F401, name="STM32F401RE", flash_kib=512, ram_kib=96)
 STM32F446 = Part(
@@ -95,6 +99,8 @@ class Wiring:
     second_limit: str
     at_speed: str | None
     usart: str
+    other_enables: tuple = ()
+    """Enable inputs of the other drivers, on a board whose drivers have an input each."""
     program_outputs: tuple = ()
     program_inputs: tuple = ()
     step_irq: int = 50
@@ -124,8 +130,14 @@ class Wiring:
     @property
     def axes(self):
         """Number of axes: three, or four if the board's entry says `AXES`, as many as the simulator."""
-        row = PROFILES.read_text().split(f'name: "{self.name}"', 1)[1].split("};", 1)[0]
-        return 4 if "axes: AXES," in row else 3
+        text, begin = PROFILES.read_text(), f'name: "{self.name}"'
+        while True:
+            row, _, rest = text.split(begin, 1)[1].split("}", 1)[0].partition("..")
+            if "axes: AXES," in row:
+                return 4
+            if not rest:
+                return 3
+            begin = f"const {rest.strip()}: Board"
 
     @property
     def most_baud(self):
@@ -143,23 +155,43 @@ class Wiring:
         return min(1e6 / period * 0.998, self.safe_step_hz)
 
 
-BLACKPILL_F411 = Wiring(
-    "blackpill_f411", STM32F411, 25 * MHZ, False, 96 * MHZ,
-    step=("A1", "A2", "A3"), direction=("A4", "A5", "A6"), limits=("B12", "B13", "B14"),
-    enable="B0", spindle="B1", spindle_direction="B10", flood="B8", mist="B9", pwm="A7",
-    probe="B15", door="B7", hold="B5", start="B6", reset="B4", driver_fault="B3", second_step="A8", second_direction="A15",
-    second_limit="A0", at_speed=None, usart="USART1", serial_irq=36, uart_irq=37, usb=True,
-)  # fmt: skip
-BLACKPILL_F401 = replace(BLACKPILL_F411, name="blackpill_f401", part=STM32F401, core_hz=84 * MHZ, left_out=("splines", "recording"))
-NUCLEO_F446RE = Wiring(
-    "nucleo_f446re", STM32F446, 8 * MHZ, True, 180 * MHZ,
-    step=("A10", "B3", "B5"), direction=("B4", "B10", "A8"), limits=("C7", "B6", "A6"),
-    enable="A9", spindle="C2", spindle_direction="A5", flood="B0", mist="C1", pwm="A7",
-    probe="C0", door="C3", hold="A1", start="A4", reset="A0", driver_fault="C10", second_step="B13", second_direction="B14",
-    second_limit="B15", at_speed="C11", usart="USART2",
-    program_outputs=("C8", "C9"), program_inputs=("C6", "C5"),
-)  # fmt: skip
-NUCLEO_F411RE = replace(NUCLEO_F446RE, name="nucleo_f411re", part=STM32F411, core_hz=100 * MHZ)
-NUCLEO_F401RE = replace(NUCLEO_F446RE, name="nucleo_f401re", part=STM32F401RE, core_hz=84 * MHZ)
+def on(name, part, hse_hz, core_hz, **others):
+    """Returns a board: pins from its file, the rest from here."""
+    table = tomllib.loads((TABLES / f"{name}.toml").read_text())
+    # A pin is port and number; its label on the board may follow.
+    pins = {function: pin.split()[0] for function, pin in table["pins"].items()}
+    enables = [pins[f"{nth}enable"] for nth in ("", "second_", "third_", "fourth_") if f"{nth}enable" in pins]
+    return Wiring(
+        name, part, hse_hz, table["oscillator"].endswith(", external"), core_hz,
+        step=tuple(pins[f"step_{axis}"] for axis in "xyz"),
+        direction=tuple(pins[f"direction_{axis}"] for axis in "xyz"),
+        limits=tuple(pins[f"limit_{axis}"] for axis in "xyz"),
+        enable=enables[0], other_enables=tuple(enables[1:]),
+        spindle=pins["spindle_on"], spindle_direction=pins["spindle_direction"], pwm=pins["spindle_pwm"],
+        flood=pins["flood"], mist=pins["mist"], probe=pins["probe"], door=pins["door"], hold=pins["hold"],
+        start=pins["start"], reset=pins["reset"], driver_fault=pins["driver_fault"],
+        second_step=pins["step_fourth"], second_direction=pins["direction_fourth"], second_limit=pins["limit_fourth"],
+        at_speed=pins.get("at_speed"),
+        program_outputs=tuple(pins[name] for name in ("program_output", "second_program_output") if name in pins),
+        program_inputs=tuple(pins[name] for name in ("program_input", "second_program_input") if name in pins),
+        **others,
+    )  # fmt: skip
 
-BOARDS = {wiring.name: wiring for wiring in (BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE)}
+
+USB = {"usart": "USART1", "serial_irq": 36, "uart_irq": 37, "usb": True}
+NUCLEO = {"usart": "USART2"}
+
+BOARDS = {
+    board.name: board
+    for board in (
+        on("blackpill_f411", STM32F411, 25 * MHZ, 96 * MHZ, **USB),
+        on("blackpill_f401", STM32F401, 25 * MHZ, 84 * MHZ, left_out=("splines", "recording"), **USB),
+        on("nucleo_f446re", STM32F446, 8 * MHZ, 180 * MHZ, **NUCLEO),
+        on("nucleo_f411re", STM32F411, 8 * MHZ, 100 * MHZ, **NUCLEO),
+        on("nucleo_f401re", STM32F401RE, 8 * MHZ, 84 * MHZ, **NUCLEO),
+        on("octopus_f446", replace(STM32F446, name="STM32F446ZE"), 12 * MHZ, 168 * MHZ, **USB),
+        on("octopus_pro_f446", replace(STM32F446, name="STM32F446ZE"), 12 * MHZ, 168 * MHZ, **USB),
+        on("spider_f446", replace(STM32F446, name="STM32F446VE"), 12 * MHZ, 168 * MHZ, **USB),
+        on("blackpill_f411_grblhal", STM32F411, 25 * MHZ, 96 * MHZ, **USB),
+    )
+}

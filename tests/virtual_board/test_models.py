@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from .host import Host
 from .models import dma, exti, flash, gpio, iwdg, nvic, otg, pulse, pwr, rcc, readings, timer, usart
 from .models.peripheral import NEVER, Misuse, Unmodelled
-from .parts import BLACKPILL_F411, NUCLEO_F446RE
+from .parts import BOARDS
 from .profile import readable
 from .usb import SHORT_S, UsbHost
 
@@ -18,7 +18,7 @@ from .usb import SHORT_S, UsbHost
 class Bench:
     """Replaces the board for a model; the tests set the time."""
 
-    def __init__(self, wiring=BLACKPILL_F411, hclk=96_000_000, pclk1=48_000_000):
+    def __init__(self, wiring=BOARDS["blackpill_f411"], hclk=96_000_000, pclk1=48_000_000):
         self.wiring, self.part = wiring, wiring.part
         self.now = 0
         self.memory = {}
@@ -162,7 +162,7 @@ class RccTraces(unittest.TestCase):
             model.write(rcc.CR, model.read(rcc.CR) & ~(1 << 24))
 
     def test_an_enabled_clock_takes_a_few_cycles(self):
-        bench = Bench(NUCLEO_F446RE)
+        bench = Bench(BOARDS["nucleo_f446re"])
         model = rcc.Rcc("RCC", bench)
         model.hclk, model.pclk1 = 180_000_000, 45_000_000
         for offset, bit, cycles in ((rcc.AHB1ENR, 21, 2), (rcc.APB1ENR, 28, 5), (rcc.APB2ENR, 14, 2)):
@@ -181,7 +181,7 @@ class RccTraces(unittest.TestCase):
         model.check_clock(SimpleNamespace(name="it", CLOCK=(rcc.APB1ENR, 28)))
 
     def test_clocks_while_the_processor_sleeps(self):
-        for wiring, stands in ((BLACKPILL_F411, True), (NUCLEO_F446RE, False)):
+        for wiring, stands in ((BOARDS["blackpill_f411"], True), (BOARDS["nucleo_f446re"], False)):
             bench = Bench(wiring)
             model = rcc.Rcc("RCC", bench)
             model.write(rcc.AHB1ENR, 7 | 3 << 21)
@@ -196,7 +196,7 @@ class RccTraces(unittest.TestCase):
             model.check_sleep()
 
     def test_bypass_limits_and_reset_flags(self):
-        bench = Bench(NUCLEO_F446RE)
+        bench = Bench(BOARDS["nucleo_f446re"])
         model = rcc.Rcc("RCC", bench)
         # The Nucleo has no crystal: without HSEBYP (bit 18) the oscillator never becomes ready.
         model.write(rcc.CR, model.read(rcc.CR) | 1 << 16)
@@ -253,7 +253,7 @@ class RccTraces(unittest.TestCase):
 
 class PwrTraces(unittest.TestCase):
     def test_f411_wakes_up_for_84_mhz(self):
-        model = pwr.Pwr("PWR", Bench(BLACKPILL_F411))
+        model = pwr.Pwr("PWR", Bench(BOARDS["blackpill_f411"]))
         self.assertEqual((model.read(pwr.CR), model.limit()), (0x8000, 84_000_000))
         model.write(pwr.CR, 0xC000)
         self.assertEqual(model.limit(), 100_000_000)
@@ -261,7 +261,7 @@ class PwrTraces(unittest.TestCase):
             model.write(pwr.CR, 0xC000 | 1 << 16)
 
     def test_f446_over_drive_comes_in_two_steps(self):
-        bench = Bench(NUCLEO_F446RE)
+        bench = Bench(BOARDS["nucleo_f446re"])
         model = pwr.Pwr("PWR", bench)
         self.assertEqual(model.limit(), 168_000_000)
         with self.assertRaises(Misuse):
@@ -369,7 +369,7 @@ class TimerTraces(unittest.TestCase):
 
     def test_compare_flag_and_interrupt(self):
         # 180 MHz core, timer at 90 MHz: a count takes two cycles.
-        bench = Bench(NUCLEO_F446RE, 180_000_000, 45_000_000)
+        bench = Bench(BOARDS["nucleo_f446re"], 180_000_000, 45_000_000)
         model = self.fresh(bench)
         model.write(timer.CR1, 1)
         model.write(timer.CCR1, 100)
@@ -414,7 +414,7 @@ class TimerTraces(unittest.TestCase):
             model.write(timer.CCR1, 0x1_0000)
 
     def test_capture_of_both_edges_by_dma(self):
-        bench = Bench(NUCLEO_F446RE, 180_000_000, 45_000_000)
+        bench = Bench(BOARDS["nucleo_f446re"], 180_000_000, 45_000_000)
         controller = dma.Dma("DMA1", bench, 21)
         bench.dma = [controller]
         stream = 0x10 + 0x18 * 3

@@ -1,9 +1,12 @@
 """The start of a board, and whole jobs, compared step by step with the simulator."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from ..board import Failure
 from ..models.nvic import HARD_FAULT, NMI
+from ..models.rcc import PLLCFGR
+from ..parts import MHZ
 from ..scope import Scope
 from .bench import JOB_SETTINGS, LeftOut, duty, simulated, us
 
@@ -19,7 +22,7 @@ def boot(bench):
         raise Failure(f"the core runs at {board.clocks[-1][2]} Hz and not at {wiring.core_hz}")
     coolant = (wiring.flood, wiring.mist)
     safe = {name: 0 for name in (*wiring.step, wiring.spindle, wiring.spindle_direction, *coolant, *wiring.program_outputs)}
-    safe[wiring.enable] = 1
+    safe |= dict.fromkeys((wiring.enable, *wiring.other_enables), 1)
     for at, port, pin, level in board.edges:
         wanted = safe.get(f"{port}{pin}")
         if wanted is not None and level in (0, 1) and level != wanted:
@@ -33,6 +36,28 @@ def boot(bench):
     yield f"stack at the start: {used} of {size} bytes"
     if used > size - 1024:
         raise Failure("less than 1 KiB of the stack is left")
+
+
+def crystals(bench):
+    """Boots with every known crystal, with an internal oscillator that is off by 2.5 %, without a crystal, and with an
+    unknown one. With a known crystal the clock must be exact; otherwise the UART must tell the fault."""
+    own = bench.wiring
+    for mhz in (8, 12, 16, 25, None, 19):
+        for error in (0.0, 0.025, -0.025):
+            bench.wiring = replace(own, hse_hz=(mhz or 25) * MHZ)
+            board = bench.fresh()
+            board.peripherals["TIM11"].hsi_error = error
+            board.rcc.hse_stands = mhz is None
+            fault = mhz in (None, 19)
+            bench.wait_text("[MSG:Board: no crystal" if fault else "Grbl 1.1h ['$' for help]", 1.5)
+            # The source of the PLL is the external oscillator, and the core has its clock by the model of the PLL.
+            if board.rcc.values[PLLCFGR] >> 22 & 1 == fault or board.clocks[-1][2] != own.core_hz:
+                raise Failure(f"{mhz} MHz: the core runs at {board.clocks[-1][2]} Hz, RCC_PLLCFGR {board.rcc.values[PLLCFGR]:#x}")
+            if fault and not bench.status().startswith("<Alarm"):
+                raise Failure("the machine is not locked")
+            if error == 0:
+                yield f"{mhz or 'no'} MHz: {'locked, and told' if fault else 'exact clock'} after {board.seconds() * 1e3:.1f} ms"
+    bench.wiring = own
 
 
 def tasks(bench):

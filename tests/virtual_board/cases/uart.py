@@ -11,7 +11,7 @@ from .bench import US, fast, hard, us
 from .stepping import flooded_at_safe_rate
 from .usb import BELTS, many_lines
 
-UART_LINES_S = {"blackpill_f411": 700, "blackpill_f401": 700, "nucleo_f446re": 5700, "nucleo_f411re": 4000, "nucleo_f401re": 2600}
+UART_LINES_S = {"nucleo_f446re": 5700, "nucleo_f411re": 4000, "nucleo_f401re": 2600}
 """Short lines per second that a board accepts over the UART at its maximum rate while it moves."""
 
 LONGEST_GAP_S = 125 * US
@@ -204,7 +204,7 @@ def uart_lines(bench):
     bench.boot()
     bench.settings(**BELTS, s931=bench.wiring.most_baud)
     restart_at(bench, bench.wiring.most_baud)
-    yield from many_lines(bench, UART_LINES_S[bench.wiring.name], begin_s=0.015)
+    yield from many_lines(bench, UART_LINES_S.get(bench.wiring.name, 700), begin_s=0.015)
     if bench.board.usart.overruns or bench.host.has_said("lost"):
         raise Failure(f"{bench.board.usart.overruns} overruns")
 

@@ -11,7 +11,7 @@ from ..scope import Scope
 from .bench import JOB_SETTINGS, in_simulator, us, with_usb
 from .patching import hang, unpatch
 
-LINES_S = {"blackpill_f411": 4200, "blackpill_f401": 2850}
+LINES_S = {"blackpill_f401": 2850}
 """Short lines per second that a board accepts over USB while it moves."""
 
 
@@ -156,7 +156,7 @@ def usb_lines(bench):
     accepts if the motion would need more than it can accept."""
     with_usb(bench)
     bench.settings(**BELTS)
-    yield from many_lines(bench, LINES_S[bench.wiring.name])
+    yield from many_lines(bench, LINES_S.get(bench.wiring.name, 4200))
 
 
 def many_lines(bench, promised, begin_s=0.0):

@@ -13,7 +13,7 @@ from .peripheral import NEVER, Misuse, Peripheral, Unmodelled
 
 GOTGCTL, GAHBCFG, GUSBCFG, GRSTCTL, GINTSTS, GINTMSK = 0x000, 0x008, 0x00C, 0x010, 0x014, 0x018
 GRXSTSR, GRXSTSP, GRXFSIZ, DIEPTXF0, GCCFG, CID = 0x01C, 0x020, 0x024, 0x028, 0x038, 0x03C
-DIEPTXF = (0x104, 0x108, 0x10C)
+DIEPTXF = (0x104, 0x108, 0x10C, 0x110, 0x114)
 DCFG, DCTL, DSTS, DIEPMSK, DOEPMSK, DAINTMSK, PCGCCTL = 0x800, 0x804, 0x808, 0x810, 0x814, 0x81C, 0xE00
 IN, OUT, FIFO = 0x900, 0xB00, 0x1000
 USBSUSP, USBRST, ENUMDNE, WKUPINT, RXFLVL, IEPINT = 1 << 11, 1 << 12, 1 << 13, 1 << 31, 1 << 4, 1 << 18
@@ -21,8 +21,10 @@ USBAEP, NAKSTS, STALL, CNAK, SNAK, EPDIS, EPENA = 1 << 15, 1 << 17, 1 << 21, 1 <
 EPDISD, INEPNE = 1 << 1, 1 << 6
 SD0PID, SD1PID = 1 << 28, 1 << 29
 OUT_DATA, OUT_DONE, SETUP_DONE, SETUP_DATA = 2, 3, 4, 6
-ENDPOINTS, FIFO_WORDS = 4, 320
-"""RM0383, "OTG_FS main features": endpoint 0 and three more, 1.25 Kbytes of FIFO."""
+ENDPOINTS, FIFO_WORDS = 6, 320
+"""RM0390, "OTG_FS main features": endpoint 0 and five more, 1.25 Kbytes of FIFO. RM0383 has endpoint 0 and three more."""
+OLD_CORE = 0x1200
+"""CID of the cores of RM0383 and RM0368."""
 END_S = 0.5e-6
 """Seconds from a packet to the entry that marks its end."""
 
@@ -87,8 +89,10 @@ class OtgFs(Peripheral):
             return 1 << 31
         if offset == GINTSTS:
             return self._status()
+        if offset in DIEPTXF[3:] and self.board.part.otg_id == OLD_CORE:
+            raise Unmodelled("this OTG_FS has three data endpoints")
         if offset == CID:
-            return 0x1200
+            return self.board.part.otg_id
         if offset == DSTS:
             return 3 << 1 | self.suspended
         if offset in (GRXSTSR, GRXSTSP):
