@@ -114,6 +114,11 @@ impl Measured {
         self.reference.is_none()
     }
 
+    /// Sets the reference, or forgets it: the machine coordinate at which a tool with offset 0 touches the setter.
+    pub(super) fn set_reference(&mut self, reference: Option<Coordinate>) {
+        self.reference = reference;
+    }
+
     /// Forgets the offset of the tool in the spindle; the reference remains.
     pub(super) fn forget_tool(&mut self) {
         self.offset = None;

@@ -4,6 +4,7 @@
 mod answers;
 mod commands;
 mod dispatch_line;
+mod grblhal;
 mod listings;
 mod realtime;
 mod replay_state;

@@ -5,7 +5,7 @@ use super::system::{Described, Format};
 use super::text::{END, Text, put, whole};
 use crate::axes::Axis;
 use crate::error::{Alarm, Error};
-use crate::settings::{self, Description, Entry, Key, Kind, Row, SettingGroup, Settings};
+use crate::settings::{self, Description, Entry, GrblHalMask, Key, Kind, Row, SettingGroup, Settings};
 
 /// How a sender shows a value; the numbers are grblHAL's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -202,13 +202,14 @@ pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
 
 /// Appends `[MSG:Values of $32: 0 or 1; ...]`. For some settings the text also tells which settings replace grblHAL's
 /// additional values.
-pub fn values_of(out: &mut Text, mut row: Row, board: (u16, u32)) {
-    on_board(&mut row, board);
+pub fn values_of(out: &mut Text, row: &Row) {
     put(out, b"[MSG:Values of $");
     whole(out, row.number.into());
     put(out, b": ");
     values(out, &row.entry, &row.description);
-    put(out, beyond_a_switch(row.number));
+    if row.entry.kind == Kind::Switch {
+        put(out, beyond_a_switch(row.number));
+    }
     put(out, b"]");
     put(out, END);
 }
@@ -247,30 +248,58 @@ fn sum_of(out: &mut Text, labels: &str, bits: u32) {
     }
 }
 
-/// Returns the number of lines of a description, with `axes` axes in use.
-pub const fn lines(what: Described, axes: usize) -> usize {
+/// Returns the number of lines of a description, with `axes` axes in use. `grblhal`: hosts are answered like grblHAL.
+pub const fn lines(what: Described, axes: usize, grblhal: bool) -> usize {
     match what {
         Described::Settings(format) => settings::lines(axes) + header(format).is_some() as usize,
         Described::Groups => SettingGroup::ALL.len() + axes,
         Described::Errors => Error::ALL.len(),
-        Described::Alarms => Alarm::ALL.len(),
+        Described::Alarms => Alarm::ALL.len() + grblhal as usize,
     }
 }
 
-/// Narrows the range of a setting to that of the board, because the table has the widest range of all boards. The board
-/// is given by its minimum length of a step pulse, in tenths of a microsecond, and by the maximum baud rate of its
-/// UART.
-fn on_board(row: &mut Row, (least_pulse_tenths, most_baud): (u16, u32)) {
+/// What narrows the range of a setting, because the table has the widest range of all boards.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// Minimum length of a step pulse, in tenths of a microsecond.
+    pub least_pulse_tenths: u16,
+    /// Maximum baud rate of the UART.
+    pub most_baud: u32,
+    /// Hosts are answered like grblHAL, so some settings are masks.
+    pub grblhal: bool,
+}
+
+/// Returns the row of a setting with its range on a board and in a dialect.
+pub fn narrowed(mut row: Row, limits: Limits) -> Row {
+    if limits.grblhal
+        && let Some(mask) = GrblHalMask::of(row.number)
+    {
+        row.entry.kind = Kind::Mask(mask.bits());
+        row.description.unit = "mask";
+        row.description.labels = mask.labels;
+    }
     match &mut row.entry.kind {
-        Kind::Tenths(least, _) => *least = u32::from(least_pulse_tenths),
-        Kind::Whole(_, most) if row.number == Key::Baud.number() => *most = most_baud,
+        Kind::Tenths(least, _) => *least = u32::from(limits.least_pulse_tenths),
+        Kind::Whole(_, most) if row.number == Key::Baud.number() => *most = limits.most_baud,
         _ => {}
     }
+    row
 }
 
-/// Appends one line of a description. `board`: minimum length of a step pulse in tenths of a microsecond, and maximum
-/// baud rate of the UART.
-pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: usize, board: (u16, u32)) {
+/// Appends `[SETTINGDESCR:number|text]`: the name of a setting and its values.
+pub fn of_setting(out: &mut Text, row: &Row) {
+    put(out, b"[SETTINGDESCR:");
+    whole(out, row.number.into());
+    put(out, b"|");
+    name(out, row);
+    put(out, b": ");
+    values(out, &row.entry, &row.description);
+    put(out, b"]");
+    put(out, END);
+}
+
+/// Appends one line of a description.
+pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: usize, limits: Limits) {
     match what {
         Described::Settings(format) => match (header(format), line) {
             (Some(header), 0) => {
@@ -278,9 +307,8 @@ pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: 
                 put(out, END);
             }
             (header, line) => {
-                if let Some(mut row) = Settings::<N>::described(line - usize::from(header.is_some()), axes) {
-                    on_board(&mut row, board);
-                    setting(out, &row, format);
+                if let Some(row) = Settings::<N>::described(line - usize::from(header.is_some()), axes) {
+                    setting(out, &narrowed(row, limits), format);
                 }
             }
         },
@@ -291,9 +319,12 @@ pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: 
             }
         }
         Described::Alarms => {
-            if let Some(alarm) = Alarm::ALL.get(line) {
-                code(out, b"[ALARMCODE:", alarm.code(), alarm.text());
-            }
+            // The last line is that of `$900=3` alone.
+            let (number, text) =
+                Alarm::ALL.get(line).map_or((11, "the machine has to be homed ($H), or unlocked ($X)"), |alarm| {
+                    (alarm.code(), alarm.text())
+                });
+            code(out, b"[ALARMCODE:", number, text);
         }
     }
 }
@@ -330,14 +361,16 @@ fn code(out: &mut Text, head: &[u8], number: u8, text: &str) {
 mod tests {
     use super::*;
 
+    const LIMITS: Limits = Limits { least_pulse_tenths: 10, most_baud: 1_000_000, grblhal: false };
+
     fn text(what: Described, wanted: usize) -> String {
         let mut out = Text::new();
-        line::<3>(&mut out, what, wanted, 3, (10, 1_000_000));
+        line::<3>(&mut out, what, wanted, 3, LIMITS);
         String::from_utf8(out.to_vec()).expect("text")
     }
 
     fn all(what: Described) -> Vec<String> {
-        (0..lines(what, 3)).map(|wanted| text(what, wanted)).collect()
+        (0..lines(what, 3, false)).map(|wanted| text(what, wanted)).collect()
     }
 
     /// Returns the line of a setting in one format.
@@ -358,7 +391,7 @@ mod tests {
             (45, "[SETTING:45|7|Axes homed in cycle 2|mask|4|axes|||0|0]\r\n"),
             (58, "[SETTING:58|9|Parking place|mm|6|-#####0.000|||0|0]\r\n"),
             (112, "[SETTING:112|15|Z-axis maximum rate|mm/min|6|#####0.000|0||0|0]\r\n"),
-            (900, "[SETTING:900|1|Dialect||3|Grbl,Oxmill,Seed document|||0|0]\r\n"),
+            (900, "[SETTING:900|1|Dialect||3|Grbl,Oxmill,Seed document,grblHAL|||0|0]\r\n"),
         ] {
             assert_eq!(of(number, Format::Fields), expected);
         }
@@ -369,7 +402,8 @@ mod tests {
         );
         // A board with another minimum pulse shows its own range.
         let mut out = Text::new();
-        line::<3>(&mut out, Described::Settings(Format::Tabs), 1, 3, (5, 1_000_000));
+        let limits = Limits { least_pulse_tenths: 5, ..LIMITS };
+        line::<3>(&mut out, Described::Settings(Format::Tabs), 1, 3, limits);
         assert_eq!(out, b"0\tStep pulse\tus\tfloat\t##0.0\t0.5 to 255 in tenths\t0.5\t255\r\n");
         assert_eq!(of(29, Format::Tabs), "29\tDirection set-up\tus\tinteger\t#####0\t0 to 255\t0\t255\r\n");
     }
