@@ -305,16 +305,16 @@ impl<const N: usize> Controller<N> {
                 self.state,
                 State::Hold(_) | State::Braking { .. } | State::Jog { .. } | State::Door(_) | State::Homing(_)
             );
+        let (spindle, speed) = self.spindle_now();
         let (mut show_offset, mut show_overrides) = self.m.replies.rare_fields(busy);
         let of_grblhal = if self.speaks_grblhal() {
             let full = self.m.replies.take_full_status();
             (show_offset, show_overrides) = (show_offset | full, show_overrides | full);
-            [Some(self.grblhal_fields(full)); FULL_IMAGE as usize]
+            [Some(self.grblhal_fields(full, spindle)); FULL_IMAGE as usize]
         } else {
             [None; FULL_IMAGE as usize]
         };
         let mask = self.m.settings.whole(Key::StatusReport);
-        let (spindle, speed) = self.spindle_now();
         let grbl = self.dialect() == Dialect::Grbl;
         let line = self.m.motion.line_number();
         let overrides = self.m.accessories.overrides();

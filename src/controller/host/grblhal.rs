@@ -4,7 +4,7 @@
 use crate::dispatch::Controller;
 use crate::error::Error;
 use crate::gcode::TOOLS;
-use crate::messages::PinView;
+use crate::messages::{PinView, SpindleDirection};
 use crate::protocol::grblhal::{self, Command, Identity};
 use crate::protocol::reply_texts;
 use crate::protocol::status_report::GrblHalFields;
@@ -141,7 +141,7 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Returns the fields that only grblHAL's reports have.
-    pub(crate) fn grblhal_fields(&mut self, full: bool) -> GrblHalFields {
+    pub(crate) fn grblhal_fields(&mut self, full: bool, spindle: SpindleDirection) -> GrblHalFields {
         let is_homing_on = self.m.settings.is_on(Key::Homing);
         let reference = self.m.reference;
         let alarm = match self.state {
@@ -156,7 +156,7 @@ impl<const N: usize> Controller<N> {
             homed: is_homing_on.then_some((reference.is_trusted(), reference.homed_axes().0)),
             has_reference: self.m.interpreter.has_tool_reference(),
             waits_for_tool: self.waits_for_tool(),
-            spindle: self.spindle_now().0,
+            spindle,
             coolant: self.m.accessories.coolant(),
         }
     }

@@ -191,7 +191,8 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn option_letters(&self) -> heapless::Vec<u8, 12> {
         let own = self.dialect() != Dialect::Grbl;
         let on = |key| self.m.settings.is_on(key);
-        [
+        let mut letters = heapless::Vec::new();
+        for (on, letter) in [
             (true, b'V'),
             (own, b'N'),
             (own, b'M'),
@@ -201,10 +202,10 @@ impl<const N: usize> Controller<N> {
             (own && on(Key::Parking), b'R'),
             (on(Key::DoorFitted), b'+'),
             (on(Key::GangedAxis), b'2'),
-        ]
-        .into_iter()
-        .filter_map(|(on, letter)| on.then_some(letter))
-        .collect()
+        ] {
+            let _ = if on { letters.push(letter) } else { Ok(()) };
+        }
+        letters
     }
 
     /// Sends the parser state, the answer to `$G`, without `ok`.

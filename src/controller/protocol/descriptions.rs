@@ -157,6 +157,7 @@ fn bound(out: &mut Text, kind: Kind, value: u32) {
 
 /// Appends the name of a setting. The axis of a per-axis setting precedes the name, the number of a homing cycle
 /// follows it.
+#[inline(never)]
 pub fn name(out: &mut Text, row: &Row) {
     let axis = row.axis.filter(|_| row.description.group == SettingGroup::Axes);
     if let Some(axis) = axis {
@@ -176,6 +177,7 @@ pub fn name(out: &mut Text, row: &Row) {
 }
 
 /// Appends the possible values in words.
+#[inline(never)]
 pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
     match (entry.kind, DataType::of(entry, description)) {
         (Kind::Switch, _) => put(out, b"0 or 1"),

@@ -2,13 +2,9 @@
 //! show more of a machine that answers like this.
 
 use super::reply_texts::RELEASE;
-use super::text::{END, Text, fixed, put, whole};
-use crate::axes::Axis;
+use super::text::{Text, filled, put, real};
 use crate::messages::{LINES_DEPTH, PinView, input};
 use crate::number::{self, Digits};
-
-/// The version of the protocol, in the greeting and in `$I`.
-const VERSION: &[u8] = b"1.1f";
 
 /// A `$` command that only hosts of `$900=3` have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,30 +30,31 @@ pub enum Command {
     Help,
 }
 
+/// The commands without a value.
+const COMMANDS: [(&[u8], Command); 8] = [
+    (b"$SPINDLES", Command::Spindles { in_fields: false }),
+    (b"$SPINDLESH", Command::Spindles { in_fields: true }),
+    (b"$TLR", Command::ToolReference),
+    (b"$S", Command::SingleBlock),
+    (b"$B", Command::BlockDelete),
+    (b"$O", Command::OptionalStop),
+    (b"$+", Command::Settings),
+    (b"$HELP", Command::Help),
+];
+
 /// Reads a `$` line (filtered). Returns `None` if Grbl or Oxmill may know it.
+#[inline(never)]
 pub fn read(line: &[u8]) -> Option<Command> {
-    Some(match line {
-        b"$SPINDLES" => Command::Spindles { in_fields: false },
-        b"$SPINDLESH" => Command::Spindles { in_fields: true },
-        b"$TLR" => Command::ToolReference,
-        b"$S" => Command::SingleBlock,
-        b"$B" => Command::BlockDelete,
-        b"$O" => Command::OptionalStop,
-        b"$+" => Command::Settings,
-        b"$HELP" => Command::Help,
-        _ => {
-            let text = line.strip_prefix(b"$SED=")?;
-            let number = number::read(text, Digits::Exact).filter(|number| number.used == text.len())?.value;
-            Command::Describe(u16::try_from(number.truncate()).ok()?)
-        }
-    })
+    let Some(text) = line.strip_prefix(b"$SED=") else {
+        return COMMANDS.iter().find(|(name, _)| *name == line).map(|(_, command)| *command);
+    };
+    let number = number::read(text, Digits::Exact).filter(|number| number.used == text.len())?.value;
+    Some(Command::Describe(u16::try_from(number.truncate()).ok()?))
 }
 
 /// The welcome line.
 pub fn welcome(out: &mut Text) {
-    put(out, b"\r\nGrblHAL ");
-    put(out, VERSION);
-    put(out, b" ['$' or '$HELP' for help]\r\n");
+    put(out, b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n");
 }
 
 /// The commands that the answer to `$` lacks.
@@ -93,111 +90,66 @@ pub struct Identity<'a> {
     pub program_pins: [u8; 2],
 }
 
-/// The letters of control inputs in `SIGNALS`, in grblHAL's order.
-const SIGNALS: [(u32, u8); 6] = [
-    (input::RESET, b'R'),
-    (input::HOLD, b'H'),
-    (input::START, b'S'),
-    (input::DOOR, b'D'),
-    (input::EMERGENCY_STOP, b'E'),
-    (input::DRIVER_FAULT, b'F'),
-];
-
-/// The first lines of `$I`: `VER`, `OPT`, `AXS` and `NEWOPT`.
+/// The first lines of `$I`: `VER`, `OPT`, `AXS` and `NEWOPT`. `RT+`: the commands have their old bytes, such as `?`, too.
 pub fn options(out: &mut Text, this: &Identity) {
-    put(out, b"[VER:");
-    put(out, VERSION);
-    put(out, b".");
-    put(out, RELEASE.date.as_bytes());
-    put(out, b":");
-    put(out, this.user);
-    put(out, b"]\r\n[OPT:");
-    put(out, this.letters);
-    for number in [this.blocks, LINES_DEPTH, this.axes, this.tools] {
-        put(out, b",");
-        whole(out, number as u64);
-    }
-    put(out, b"]\r\n[AXS:");
-    whole(out, this.axes as u64);
-    put(out, b":");
-    for axis in Axis::ALL.iter().take(this.axes) {
-        put(out, &[axis.letter()]);
-    }
-    // `RT+`: the commands have their old bytes, such as `?`, too.
-    put(out, b"]\r\n[NEWOPT:ENUMS,RT+");
-    let has_stop = this.pins.fitted >> input::EMERGENCY_STOP & 1 != 0;
-    for (has, word) in [(this.homing, ",HOME"), (has_stop, ",ES"), (true, ",EXPR"), (this.changes_tools, ",TC")] {
-        put(out, if has { word.as_bytes() } else { b"" });
-    }
-    put(out, b",SED]\r\n");
+    let date = RELEASE.date.as_bytes();
+    let axes = b"XYZABC".get(..this.axes).unwrap_or_default();
+    let stops = when(this.pins.fitted >> input::EMERGENCY_STOP & 1 != 0, b",ES");
+    let (homes, changes) = (when(this.homing, b",HOME"), when(this.changes_tools, b",TC"));
+    filled(
+        out,
+        b"[VER:1.1f.%:%]\r\n[OPT:%,#,#,#,#]\r\n[AXS:#:%]\r\n[NEWOPT:ENUMS,RT+%%,EXPR%,SED]\r\n",
+        &[date, this.user, this.letters, axes, homes, stops, changes],
+        &[this.blocks, LINES_DEPTH, this.axes, this.tools, this.axes].map(|number| number as u32),
+    );
 }
 
 /// The other lines of `$I`, from `FIRMWARE` on.
 pub fn equipment(out: &mut Text, this: &Identity) {
-    put(out, b"[FIRMWARE:grblHAL]\r\n[SIGNALS:");
-    for (_, letter) in SIGNALS.iter().filter(|(bit, _)| this.pins.fitted >> bit & 1 != 0) {
-        put(out, &[*letter]);
-    }
-    put(out, if this.has_store { b"]\r\n[NVS STORAGE:FLASH" } else { b"" });
-    put(out, b"]\r\n[DRIVER:Oxmill]\r\n[DRIVER VERSION:");
-    put(out, RELEASE.version.as_bytes());
-    put(out, b"]\r\n[BOARD:");
-    put(out, this.board.as_bytes());
-    put(out, b"]\r\n[MAX STEP RATE:");
-    whole(out, this.step_rate.into());
-    put(out, b" Hz]\r\n");
-    let [outputs, inputs] = this.program_pins.map(u64::from);
+    let has = |bit: u32, letter| when(this.pins.fitted >> bit & 1 != 0, letter);
+    filled(
+        out,
+        b"[FIRMWARE:grblHAL]\r\n[SIGNALS:%%%%%%]\r\n%[DRIVER:Oxmill]\r\n[DRIVER VERSION:%]\r\n[BOARD:%]\r\n\
+          [MAX STEP RATE:# Hz]\r\n",
+        &[
+            has(input::RESET, b"R"),
+            has(input::HOLD, b"H"),
+            has(input::START, b"S"),
+            has(input::DOOR, b"D"),
+            has(input::EMERGENCY_STOP, b"E"),
+            has(input::DRIVER_FAULT, b"F"),
+            when(this.has_store, b"[NVS STORAGE:FLASH]\r\n"),
+            RELEASE.version.as_bytes(),
+            this.board.as_bytes(),
+        ],
+        &[this.step_rate],
+    );
+    let [outputs, inputs] = this.program_pins.map(u32::from);
     if outputs + inputs > 0 {
-        put(out, b"[AUX IO:");
-        whole(out, inputs);
-        put(out, b",");
-        whole(out, outputs);
-        put(out, b",0,0]\r\n");
+        filled(out, b"[AUX IO:#,#,0,0]\r\n", &[], &[inputs, outputs]);
     }
     put(out, b"[SPINDLE:PWM]\r\n");
 }
 
-/// The one spindle, as `$SPINDLES` or `$SPINDLESH` describes it.
-pub fn spindle(out: &mut Text, in_fields: bool, reports_speed: bool, speeds: [f32; 2]) {
-    // Turns both ways, can be a laser, has a variable speed.
-    let abilities = if reports_speed { b"SDLV".as_slice() } else { b"DLV" };
-    if !in_fields {
-        put(out, b"0 - PWM, enabled as spindle 0, ");
-        put(out, abilities);
-        return put(out, b", active\r\n");
-    }
-    put(out, b"[SPINDLE:0|0|0|*");
-    put(out, abilities);
-    put(out, b"|PWM");
-    for (speed, before) in speeds.iter().zip([b"|", b","]) {
-        put(out, before);
-        fixed(out, false, (*speed * 10.0 + 0.5) as u64, 1);
-    }
-    put(out, b"]");
-    put(out, END);
+fn when(has: bool, text: &[u8]) -> &[u8] {
+    if has { text } else { b"" }
 }
 
-/// The name of an input in `$PINS`.
-pub const fn input_name(bit: usize) -> &'static str {
-    match bit as u32 {
-        0 => "X limit",
-        1 => "Y limit",
-        2 => "Z limit",
-        3 => "A limit",
-        4 => "B limit",
-        5 => "C limit",
-        6 => "Second limit",
-        input::PROGRAM => "Aux in 0",
-        input::PROBE => "Probe",
-        input::DOOR => "Safety door",
-        input::HOLD => "Feed hold",
-        input::START => "Cycle start",
-        input::RESET => "Reset",
-        input::EMERGENCY_STOP => "Emergency stop",
-        input::DRIVER_FAULT => "Motor fault",
-        input::AT_SPEED => "At speed",
-        _ => "Aux in 1",
+/// The one spindle, as `$SPINDLES` or `$SPINDLESH` describes it. It turns both ways (D), can be a laser (L), and has a
+/// variable speed (V); S: it reports that it is up to speed. `speeds`: the range in rpm.
+pub fn spindle(out: &mut Text, in_fields: bool, reports_speed: bool, speeds: [f32; 2]) {
+    let reports = when(reports_speed, b"S");
+    if !in_fields {
+        return filled(out, b"0 - PWM, enabled as spindle 0, %DLV, active\r\n", &[reports], &[]);
     }
+    put(out, b"[SPINDLE:0|0|0|*");
+    put(out, reports);
+    put(out, b"DLV|PWM");
+    for (speed, before) in speeds.iter().zip([b"|", b","]) {
+        put(out, before);
+        real(out, *speed, 1);
+    }
+    put(out, b"]\r\n");
 }
 
 #[cfg(test)]

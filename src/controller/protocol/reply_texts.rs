@@ -3,8 +3,7 @@
 //!
 //! Pure functions from data to text. Each function makes one or more whole lines, ended by CR LF.
 
-use super::grblhal;
-use super::text::{END, Text, length, put, real, whole};
+use super::text::{END, Text, filled, length, put, real, whole};
 use crate::axes::{Axis, AxisMask, LINEAR, PerAxis};
 use crate::image::FULL_IMAGE;
 use crate::messages::{
@@ -222,18 +221,14 @@ const fn input_name(bit: usize) -> &'static str {
 
 /// `[PIN:name,level,active,polarity,pull,noise]`, one input of `$PINS`: present level of the pin, state of the filtered
 /// input, the level that makes it active, its pull resistor, and the number of changes that the filter has rejected.
-/// `grblhal`: `[PIN:IN10,Feed hold,..`, with the number of the input in place of a pin of the chip.
+/// `grblhal`: `[PIN:IN10,hold,..`, with the number of the input in place of a pin of the chip.
 pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &InputWiring, grblhal: bool) {
     let has = |word: u32| word >> bit & 1 != 0;
     put(out, b"[PIN:");
     if FULL_IMAGE && grblhal {
-        put(out, b"IN");
-        whole(out, bit as u64);
-        put(out, b",");
-        put(out, grblhal::input_name(bit).as_bytes());
-    } else {
-        put(out, input_name(bit).as_bytes());
+        filled(out, b"IN#,", &[], &[bit as u32]);
     }
+    put(out, input_name(bit).as_bytes());
     put(out, if has(view.low) { b",low" } else { b",high" });
     put(out, if active { b",active" } else { b",inactive" });
     put(out, if has(wiring.inverted) { b",active high" } else { b",active low" });

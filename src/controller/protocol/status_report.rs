@@ -1,7 +1,7 @@
 //! The text of the status report (`<...>`), the answer to `?`: its fields, and which reports carry the rare ones.
 
 use super::reply_texts::{PlaceForm, position, rate};
-use super::text::{Text, put, real, whole};
+use super::text::{Text, filled, put, real, whole};
 use crate::axes::PerAxis;
 use crate::image::FULL_IMAGE;
 use crate::messages::{Coolant, Signals, SpindleDirection};
@@ -127,22 +127,15 @@ fn fields_of_grblhal(out: &mut Text, more: &GrblHalFields, rare: bool, accessori
         put(out, &accessory_letters(more.spindle, more.coolant));
         put(out, if more.waits_for_tool { b"T" } else { b"" });
     }
-    if more.full {
-        put(out, b"|MPG:0");
-    }
+    let full = |text| if more.full { text } else { b"".as_slice() };
+    put(out, full(b"|MPG:0"));
     if !rare {
         return;
     }
     if let Some((all, axes)) = more.homed {
-        put(out, if all { b"|H:1," } else { b"|H:0," });
-        whole(out, u64::from(axes));
+        filled(out, b"|H:#,#", &[], &[all.into(), axes.into()]);
     }
-    put(out, b"|T:");
-    whole(out, u64::from(more.tool));
-    put(out, if more.has_reference { b"|TLR:1" } else { b"|TLR:0" });
-    if more.full {
-        put(out, b"|FW:grblHAL");
-    }
+    filled(out, b"|T:#|TLR:#%", &[full(b"|FW:grblHAL")], &[more.tool, more.has_reference.into()]);
 }
 
 fn pins(out: &mut Text, pins: &Signals) {
@@ -169,6 +162,7 @@ fn pins(out: &mut Text, pins: &Signals) {
     }
 }
 
+#[inline(never)]
 fn accessory_letters(spindle: SpindleDirection, coolant: Coolant) -> heapless::Vec<u8, 3> {
     let mut letters: heapless::Vec<u8, 3> = heapless::Vec::new();
     letters.extend(match spindle {

@@ -68,6 +68,7 @@ impl GrblHalMask {
 
 impl<const N: usize> Settings<N> {
     /// Returns the value of a setting as hosts of `$900=3` read it.
+    #[inline(never)]
     pub fn shown_to_grblhal(&self, number: u16, value: f32) -> f32 {
         let own = value as u32;
         match GrblHalMask::of(number) {
