@@ -209,9 +209,9 @@ impl<const N: usize> Interpreter<N> {
         self.measured.set_reference(place.map(|place| height(&place) - height(&self.offsets.tool_length)));
     }
 
-    /// Whether the tool setter has a reference.
-    pub fn has_tool_reference(&self) -> bool {
-        !self.measured.is_first()
+    /// Returns the machine coordinate at which a tool with offset 0 touches the tool setter, if it is known.
+    pub fn tool_reference(&self) -> Option<Coordinate> {
+        self.measured.reference()
     }
 
     /// Assumes, in check mode, that the tool was measured. The first measurement leaves Z at the height of G30, or

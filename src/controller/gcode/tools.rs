@@ -114,7 +114,12 @@ impl Measured {
         self.reference.is_none()
     }
 
-    /// Sets the reference, or forgets it: the machine coordinate at which a tool with offset 0 touches the setter.
+    /// Returns the machine coordinate at which a tool with offset 0 touches the setter, if it is known.
+    pub(super) fn reference(&self) -> Option<Coordinate> {
+        self.reference
+    }
+
+    /// Sets the reference, or forgets it.
     pub(super) fn set_reference(&mut self, reference: Option<Coordinate>) {
         self.reference = reference;
     }

@@ -22,6 +22,7 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn grblhal_command(&mut self, command: Command) -> Result<(), Error> {
         match command {
             Command::Settings => self.task = Task::Listing(Listing::Settings, 0),
+            Command::Table(what) => self.task = Task::Listing(Listing::Descriptions(what), 0),
             Command::Help => {
                 self.say_help();
                 self.say_ok();
@@ -154,7 +155,7 @@ impl<const N: usize> Controller<N> {
             system: self.m.interpreter.modal().coordinate_system.word(),
             tool: self.m.interpreter.spindle_tool(),
             homed: is_homing_on.then_some((reference.is_trusted(), reference.homed_axes().0)),
-            has_reference: self.m.interpreter.has_tool_reference(),
+            has_reference: self.m.interpreter.tool_reference().is_some(),
             waits_for_tool: self.waits_for_tool(),
             spindle,
             coolant: self.m.accessories.coolant(),

@@ -8,6 +8,7 @@ use crate::host::stored::STORED_TEXT;
 use crate::image::FULL_IMAGE;
 use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, input};
 use crate::protocol::descriptions::{self, Limits};
+use crate::protocol::grblhal;
 use crate::protocol::reply_texts::{self, ParserState};
 use crate::protocol::system::Described;
 use crate::settings::{self, Key, Row, Settings};
@@ -97,6 +98,11 @@ impl<const N: usize> Controller<N> {
             4 => {
                 let (position, success) = self.m.probe.result();
                 self.say(|out| reply_texts::probe(out, &position, success, form));
+                if self.speaks_grblhal()
+                    && let Some(height) = self.m.interpreter.tool_reference()
+                {
+                    self.say(|out| grblhal::tool_reference(out, height, form.inches));
+                }
             }
             entry if self.dialect() != Dialect::Grbl && entry < TOOLS + 5 => {
                 if let Some(tool) = self.m.interpreter.tools().entries().get(entry - 5).copied()

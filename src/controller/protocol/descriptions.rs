@@ -2,7 +2,7 @@
 //! senders that show names instead of numbers.
 
 use super::system::{Described, Format};
-use super::text::{END, Text, put, whole};
+use super::text::{END, Text, filled, put, whole};
 use crate::axes::Axis;
 use crate::error::{Alarm, Error};
 use crate::settings::{self, Description, Entry, GrblHalMask, Key, Kind, Row, SettingGroup, Settings};
@@ -256,7 +256,9 @@ pub const fn lines(what: Described, axes: usize, grblhal: bool) -> usize {
         Described::Settings(format) => settings::lines(axes) + header(format).is_some() as usize,
         Described::Groups => SettingGroup::ALL.len() + axes,
         Described::Errors => Error::ALL.len(),
+        Described::ErrorTable => 1 + Error::ALL.len(),
         Described::Alarms => Alarm::ALL.len() + grblhal as usize,
+        Described::AlarmTable => 2 + Alarm::ALL.len(),
     }
 }
 
@@ -315,20 +317,33 @@ pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: 
             }
         },
         Described::Groups => group(out, line),
-        Described::Errors => {
-            if let Some(error) = Error::ALL.get(line) {
-                code(out, b"[ERRORCODE:", error.code(), error.text());
-            }
-        }
-        Described::Alarms => {
-            // The last line is that of `$900=3` alone.
-            let (number, text) =
-                Alarm::ALL.get(line).map_or((11, "the machine has to be homed ($H), or unlocked ($X)"), |alarm| {
-                    (alarm.code(), alarm.text())
-                });
-            code(out, b"[ALARMCODE:", number, text);
-        }
+        Described::Errors => error_line(out, Some(line), b"[ERRORCODE:#||%]\r\n"),
+        Described::ErrorTable if line == 0 => put(out, ERRORS_HEAD),
+        Described::ErrorTable => error_line(out, line.checked_sub(1), TABLE_ROW),
+        Described::Alarms => alarm_line(out, Some(line), b"[ALARMCODE:#||%]\r\n"),
+        Described::AlarmTable if line == 0 => put(out, ALARMS_HEAD),
+        Described::AlarmTable => alarm_line(out, line.checked_sub(1), TABLE_ROW),
     }
+}
+
+/// Lines above the rows of `$EEG` and `$EAG`, and the form of their rows.
+const ERRORS_HEAD: &[u8] = b"\"Error Code in v1.1+\",\"Error Message in v1.0-\",\"Error Description\"\r\n";
+const ALARMS_HEAD: &[u8] = b"\"Alarm Code in v1.1+\",\" Alarm Message in v1.0-\",\" Alarm Description\"\r\n";
+const TABLE_ROW: &[u8] = b"\"#\",\"N/A\",\"%\"\r\n";
+
+/// Appends number and text of an error, in a form.
+fn error_line(out: &mut Text, line: Option<usize>, form: &[u8]) {
+    if let Some(error) = line.and_then(|line| Error::ALL.get(line)) {
+        filled(out, form, &[error.text().as_bytes()], &[error.code().into()]);
+    }
+}
+
+/// Appends number and text of an alarm, in a form. The last line is that of `$900=3` alone.
+fn alarm_line(out: &mut Text, line: Option<usize>, form: &[u8]) {
+    let (number, text) = line
+        .and_then(|line| Alarm::ALL.get(line))
+        .map_or((11, "the machine has to be homed ($H), or unlocked ($X)"), |alarm| (alarm.code(), alarm.text()));
+    filled(out, form, &[text.as_bytes()], &[number.into()]);
 }
 
 /// Appends `[SETTINGGROUP:number|parent|name]`. The first lines are the groups of the table; after them each axis has a
@@ -345,16 +360,6 @@ fn group(out: &mut Text, line: usize) {
         (None, Some(axis)) => put(out, &[axis.letter(), b' ', b'a', b'x', b'i', b's']),
         (None, None) => {}
     }
-    put(out, b"]");
-    put(out, END);
-}
-
-/// Appends `[ERRORCODE:number||text]` or `[ALARMCODE:number||text]`.
-fn code(out: &mut Text, head: &[u8], number: u8, text: &str) {
-    put(out, head);
-    whole(out, u64::from(number));
-    put(out, b"||");
-    put(out, text.as_bytes());
     put(out, b"]");
     put(out, END);
 }

@@ -2,9 +2,11 @@
 //! show more of a machine that answers like this.
 
 use super::reply_texts::RELEASE;
-use super::text::{Text, filled, put, real};
+use super::system::Described;
+use super::text::{Text, filled, length, put, real};
 use crate::messages::{LINES_DEPTH, PinView, input};
 use crate::number::{self, Digits};
+use crate::units::Coordinate;
 
 /// A `$` command that only hosts of `$900=3` have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,10 +30,12 @@ pub enum Command {
     Settings,
     /// `$HELP`
     Help,
+    /// `$EAG`, `$EEG`: the alarms or the errors as comma-separated values.
+    Table(Described),
 }
 
 /// The commands without a value.
-const COMMANDS: [(&[u8], Command); 8] = [
+const COMMANDS: [(&[u8], Command); 10] = [
     (b"$SPINDLES", Command::Spindles { in_fields: false }),
     (b"$SPINDLESH", Command::Spindles { in_fields: true }),
     (b"$TLR", Command::ToolReference),
@@ -40,6 +44,8 @@ const COMMANDS: [(&[u8], Command); 8] = [
     (b"$O", Command::OptionalStop),
     (b"$+", Command::Settings),
     (b"$HELP", Command::Help),
+    (b"$EAG", Command::Table(Described::AlarmTable)),
+    (b"$EEG", Command::Table(Described::ErrorTable)),
 ];
 
 /// Reads a `$` line (filtered). Returns `None` if Grbl or Oxmill may know it.
@@ -59,7 +65,7 @@ pub fn welcome(out: &mut Text) {
 
 /// The commands that the answer to `$` lacks.
 pub fn help(out: &mut Text) {
-    put(out, b"[HLP:$HELP $+ $SED=n $SPINDLES $SPINDLESH $TLR $S $B $O 0x80-83 0x87 0x88 0xA3]\r\n");
+    put(out, b"[HLP:$HELP $+ $SED=n $SPINDLES $SPINDLESH $TLR $S $B $O $EAG $EEG 0x80-83 0x87 0x88 0xA3]\r\n");
 }
 
 /// What `$I` and `$I+` answer.
@@ -133,6 +139,13 @@ pub fn equipment(out: &mut Text, this: &Identity) {
 
 fn when(has: bool, text: &[u8]) -> &[u8] {
     if has { text } else { b"" }
+}
+
+/// `[TLR:z]`: the reference of the tool setter, in `$#`.
+pub fn tool_reference(out: &mut Text, height: Coordinate, inches: bool) {
+    put(out, b"[TLR:");
+    length(out, height, inches);
+    put(out, b"]\r\n");
 }
 
 /// The one spindle, as `$SPINDLES` or `$SPINDLESH` describes it. It turns both ways (D), can be a laser (L), and has a
