@@ -135,7 +135,7 @@ mod tests {
         );
         assert_eq!(
             told("É \u{A1}").unwrap(),
-            "sent as it is, byte 0x89 of `É` switches single block on or off, byte 0xA1 of `¡` switches mist coolant on or off in dialects oxmill and seed"
+            "sent as it is, byte 0x89 of `É` switches single block on or off, byte 0xA1 of `¡` switches mist coolant on or off in dialects oxmill, seed and grblhal"
         );
         // The bytes are Windows-1252 text and a control character.
         assert_eq!(

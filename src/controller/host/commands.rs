@@ -110,15 +110,6 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Sends the commands, the answer to `$`.
-    pub(crate) fn say_help(&mut self) {
-        let grbl = self.dialect() == Dialect::Grbl;
-        self.say(|out| reply_texts::help(out, grbl));
-        if self.speaks_grblhal() {
-            self.say(grblhal::help);
-        }
-    }
-
     /// Switches the checking of lines on or off. The answer to this command already has the new form.
     fn check_lines(&mut self, session: Option<&[u8]>) {
         if let Some(session) = session {
@@ -204,7 +195,8 @@ impl<const N: usize> Controller<N> {
         if number == DIALECT {
             self.must_hold_nothing()?;
         }
-        let value = if self.speaks_grblhal() { self.take_mask(number, value)? } else { value };
+        let (value, zero_at_pull_off) =
+            if self.speaks_grblhal() { self.take_mask(number, value)? } else { (value, None) };
         // The table of settings has the widest limits of all boards, so the limits of this board are checked here.
         let least_pulse = i64::from(self.m.settings_lock.least_pulse_tenths()) * (DECIMAL_ONE / 10);
         if number == STEP_PULSE && (0..least_pulse).contains(&value.0) {
@@ -228,6 +220,9 @@ impl<const N: usize> Controller<N> {
             }
         }
         let dialect = self.dialect();
+        if let Some(on) = zero_at_pull_off.filter(|on| *on != self.m.settings.is_on(Key::ZeroAtPullOff)) {
+            self.change_setting(ZERO_AT_PULL_OFF, Decimal::from_int(on.into()))?;
+        }
         self.change_setting(number, value)?;
         if self.dialect() != dialect {
             self.m.interpreter.change_dialect();
@@ -243,7 +238,7 @@ impl<const N: usize> Controller<N> {
 
     /// Sets a setting to a value that was accepted, with all effects except those of another dialect. The value is to be
     /// stored.
-    pub(crate) fn change_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
+    fn change_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
         let before = self.m.settings.by_number(number);
         let soft_limits = self.m.settings.is_on(Key::SoftLimits);
         self.m.settings.set(number, value)?;

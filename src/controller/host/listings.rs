@@ -8,7 +8,7 @@ use crate::host::stored::STORED_TEXT;
 use crate::image::FULL_IMAGE;
 use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, input};
 use crate::protocol::descriptions::{self, Limits};
-use crate::protocol::grblhal;
+use crate::protocol::grblhal::{self, Identity};
 use crate::protocol::reply_texts::{self, ParserState};
 use crate::protocol::system::Described;
 use crate::settings::{self, Key, Row, Settings};
@@ -193,8 +193,30 @@ impl<const N: usize> Controller<N> {
         self.say_ok();
     }
 
+    /// Answers `$I` and `$I+` with `$900=3`.
+    fn report_identity(&mut self, pins: &PinView) {
+        let user = self.m.records.build_info().clone();
+        let (letters, settings, lock) = (self.option_letters(), &self.m.settings, &self.m.settings_lock);
+        let this = Identity {
+            user: &user,
+            letters: &letters,
+            blocks: self.m.motion.blocks(),
+            axes: settings.axes_in_use(),
+            tools: TOOLS,
+            homing: settings.is_on(Key::Homing),
+            changes_tools: self.m.prompts_for_tools(),
+            pins,
+            board: lock.board(),
+            has_store: self.m.records.has_store(),
+            step_rate: lock.greatest_hz(settings),
+            program_pins: lock.program_pins(),
+        };
+        self.say(|out| grblhal::options(out, &this));
+        self.say(|out| grblhal::equipment(out, &this));
+    }
+
     /// Returns the options that `$I` shows as enabled, in Grbl's letters and order.
-    pub(crate) fn option_letters(&self) -> heapless::Vec<u8, 12> {
+    fn option_letters(&self) -> heapless::Vec<u8, 12> {
         let own = self.dialect() != Dialect::Grbl;
         let on = |key| self.m.settings.is_on(key);
         let mut letters = heapless::Vec::new();

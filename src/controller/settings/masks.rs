@@ -50,9 +50,9 @@ impl GrblHalMask {
         self.own | self.elsewhere | self.always
     }
 
-    /// Returns whether the bits of a written value are those that are read back.
-    pub fn is_read_back(&self, written: u32) -> bool {
-        !self.is_in_force(written) || written & self.always == self.always
+    /// Returns what is read back after a value has been written.
+    pub fn read_back(&self, written: u32) -> u32 {
+        if self.is_in_force(written) { written | self.always } else { written & self.own }
     }
 
     /// Whether further bits count. Homing that is off (`$22=0`) has none.
@@ -99,8 +99,8 @@ mod tests {
         assert_eq!(settings.shown_to_grblhal(21, 1.0), 1.0);
         assert_eq!([0, 1, 9].map(|bits| homing.zero_at_pull_off(bits)), [None, Some(false), Some(true)]);
         assert_eq!(report.zero_at_pull_off(511), None);
-        assert_eq!([0, 1, 79, 207].map(|bits| homing.is_read_back(bits)), [true, false, false, true]);
-        assert_eq!([3, 511].map(|bits| report.is_read_back(bits)), [false, true]);
+        assert_eq!([0, 9, 79].map(|bits| homing.read_back(bits)), [0, 207, 207]);
+        assert_eq!([2, 511].map(|bits| report.read_back(bits)), [510, 511]);
     }
 
     #[test]
