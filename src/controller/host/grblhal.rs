@@ -80,8 +80,8 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Takes a value for a setting that is a mask in grblHAL. Returns the value that the setting has here, and the value
-    /// of `$932` if the mask has a bit for it. A bit that acts always need not be written; a message tells if it is read
-    /// back all the same.
+    /// of `$932` if the mask has a bit for it. A bit that acts always need not be written, and homing that is off has
+    /// no further bits; a message tells what is read back instead.
     ///
     /// # Errors
     /// [`Error::SettingOutOfRange`] for a bit that nothing does, after a message that names it.
@@ -100,7 +100,7 @@ impl<const N: usize> Controller<N> {
         let own = bits & mask.own;
         let all = mask.read_back(bits);
         if all != bits {
-            self.say(|out| reply_texts::message_number(out, "Some bits always act, so this is ", all));
+            self.say(|out| reply_texts::message_number(out, "Acts as ", all));
         }
         Ok((Decimal::from_int(own as i32), mask.zero_at_pull_off(bits)))
     }
