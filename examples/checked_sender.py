@@ -308,7 +308,7 @@ class Sender:
     def read_other(self, line):
         if line.startswith("ALARM:"):
             raise Stopped(line)
-        if line.startswith("Grbl ") or "Lines are not checked any more" in line:
+        if line.startswith(("Grbl ", "GrblHAL ")) or "Lines are not checked any more" in line:
             raise Stopped("the machine has been reset or stopped")
         if line.startswith("[MSG:"):
             self.tell(line)

@@ -30,7 +30,7 @@ listed with `$$` and, 2 s later or more, confirmed with `$X`: [the settings log]
 of its range, as other firmware may have stored it: the setting has its default.
 
 In the dialect of Grbl (`$900=0`) `$$` lists Grbl's 34 numbers only, and the answer to a setting is `ok` alone. Clients that refuse what Grbl does not
-have need this dialect.
+have need this dialect. With `$900=3` `$10` and `$22` are [masks of grblHAL](senders.md#gsender-and-iosender-with-9003).
 
 Senders can ask for all of this: `$ES` lists the settings with group, name, unit, type, choices and range, `$EG` their groups, `$EE` and `$EA` the texts of
 errors and alarms, in the formats of grblHAL; `$ESG` and `$ESH` are the settings as a table with commas or tabs; `$I+` adds the axes and what can be asked

@@ -222,12 +222,18 @@ impl<const N: usize> Controller<N> {
         matches!(self.state, State::Hold(_)) && self.m.motion.is_at_rest()
     }
 
+    /// Whether hosts are answered like grblHAL (`$900=3`). The words of a program are those of [`Dialect::Oxmill`].
+    #[inline]
+    pub fn speaks_grblhal(&self) -> bool {
+        self.m.settings.speaks_grblhal()
+    }
+
     pub(crate) fn dialect(&self) -> Dialect {
         dialect(&self.m.settings)
     }
 }
 
-/// Returns the dialect of the replies to the host.
+/// Returns the dialect of lines and replies. See also [`Controller::speaks_grblhal`].
 pub(crate) fn dialect<const N: usize>(settings: &Settings<N>) -> Dialect {
     match settings.whole(Key::Dialect) {
         0 => Dialect::Grbl,

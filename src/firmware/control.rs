@@ -153,6 +153,7 @@ impl Control {
         // The serial task checks separately whether the replies have been sent.
         shared::set_free(heard, nothing_waits && self.controller.is_free() && observed.step_idle);
         CONTROL.reads_characters.store(self.controller.reads_characters(), Ordering::Relaxed);
+        CONTROL.speaks_grblhal.store(self.controller.speaks_grblhal(), Ordering::Relaxed);
         if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
             && self.controller.is_idle()
             && self.observe().step_idle

@@ -134,6 +134,10 @@ impl Queues for ToControl {
     fn reads_characters(&self) -> bool {
         CONTROL.reads_characters.load(Ordering::Relaxed)
     }
+
+    fn speaks_grblhal(&self) -> bool {
+        CONTROL.speaks_grblhal.load(Ordering::Relaxed)
+    }
 }
 
 /// A link and its port.

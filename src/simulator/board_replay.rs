@@ -136,7 +136,9 @@ fn at_once_together(inputs: Vec<(u64, Input)>, at_once: u64) -> Vec<(u64, Input)
 /// Returns whether an input belongs to a line of the host and is not a realtime command.
 fn is_of_line(input: &Input) -> bool {
     match input {
-        Input::Host(bytes) => bytes.len() != 1 || realtime::command(bytes[0]).is_none(),
+        Input::Host(bytes) => {
+            bytes.len() != 1 || realtime::command(bytes[0]).or(realtime::command_of_grblhal(bytes[0])).is_none()
+        }
         Input::Told(Told::Noted(Noted::More)) => true,
         _ => false,
     }

@@ -140,7 +140,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
     (
         Key::Dialect,
-        "Which words, settings and answers are available. Choose Grbl for a sender that rejects everything that Grbl does not have.",
+        "Which words, settings and answers are available. Choose Grbl for a sender that rejects everything that Grbl does not have, and grblHAL for gSender or ioSender, which then show more of the machine.",
     ),
     (
         Key::StopOnError,

@@ -11,7 +11,7 @@ use crate::boards::AXES;
 use oxmill_controller::messages::{Event, LINES_DEPTH, LineByte, REALTIME_DEPTH, Realtime};
 use oxmill_controller::protocol::link::{AMBIGUOUS_US, MOST_HELD};
 use oxmill_controller::units::{Duration, Instant};
-use oxmill_controller::{HostArbiter, Link, Queues};
+use oxmill_controller::{Controller, HostArbiter, Link, Queues};
 use std::collections::VecDeque;
 
 /// Index of the host's link.
@@ -28,6 +28,8 @@ struct ToControl {
     free: bool,
     /// The controller reads comments as text, character by character.
     reads_characters: bool,
+    /// The controller answers like grblHAL.
+    speaks_grblhal: bool,
     /// The step task must be stopped.
     stop: bool,
 }
@@ -63,6 +65,10 @@ impl Queues for ToControl {
 
     fn reads_characters(&self) -> bool {
         self.reads_characters
+    }
+
+    fn speaks_grblhal(&self) -> bool {
+        self.speaks_grblhal
     }
 }
 
@@ -151,13 +157,14 @@ impl HostLink {
     }
 
     /// Fetches a byte from the port into the link; `None` if the port is empty or the link has no room. Otherwise
-    /// returns whether anything was added to the queues. `is_free`, `reads_characters`: state of the controller.
-    pub fn fetch(&mut self, is_free: bool, reads_characters: bool) -> Option<bool> {
+    /// returns whether anything was added to the queues.
+    pub fn fetch<const N: usize>(&mut self, controller: &Controller<N>) -> Option<bool> {
         let byte = if self.link.room() > 0 { self.port.pop_front()? } else { return None };
         self.heard = self.heard.wrapping_add(1);
         self.command_at = None;
-        self.queues.free = self.queues.lines.is_empty() && is_free;
-        self.queues.reads_characters = reads_characters;
+        self.queues.free = self.queues.lines.is_empty() && controller.is_free();
+        self.queues.reads_characters = controller.reads_characters();
+        self.queues.speaks_grblhal = controller.speaks_grblhal();
         Some(self.link.take(byte, &mut self.arbiter, &mut self.unused_link, &mut self.queues))
     }
 

@@ -178,7 +178,7 @@ fn apply(
 /// contain both.
 fn is_said_around_settings(line: &str) -> bool {
     let line = line.trim();
-    matches!(line, "ok" | "$$") || ["Grbl ", "[", "<"].iter().any(|begin| line.starts_with(begin))
+    matches!(line, "ok" | "$$") || ["Grbl ", "GrblHAL ", "[", "<"].iter().any(|begin| line.starts_with(begin))
 }
 
 /// How a command ended.

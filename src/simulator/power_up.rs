@@ -17,6 +17,9 @@ pub enum Dialect {
     Oxmill,
     /// As `oxmill`, and what the document means that Oxmill was made from.
     Seed,
+    /// As `oxmill`, and answers like grblHAL, for gSender and ioSender.
+    #[cfg_attr(feature = "program", value(name = "grblhal"))]
+    GrblHal,
 }
 
 impl Dialect {
@@ -31,11 +34,12 @@ impl Dialect {
             Dialect::Grbl => "grbl",
             Dialect::Oxmill => "oxmill",
             Dialect::Seed => "seed",
+            Dialect::GrblHal => "grblhal",
         }
     }
 
     /// All dialects.
-    pub const ALL: [Dialect; 3] = [Dialect::Grbl, Dialect::Oxmill, Dialect::Seed];
+    pub const ALL: [Dialect; 4] = [Dialect::Grbl, Dialect::Oxmill, Dialect::Seed, Dialect::GrblHal];
 
     /// Returns the dialect with this name.
     pub fn by_name(name: &str) -> Option<Self> {

@@ -2,13 +2,13 @@
 //! Warns what they would do, and in which dialects.
 
 use oxmill_controller::messages::Realtime;
-use oxmill_controller::protocol::realtime::command;
+use oxmill_controller::protocol::realtime::{command, command_of_grblhal};
 use oxmill_controller::protocol::remark::Remark;
 
 /// Returns what a command does to a job; `None` if it has no noticeable effect.
 fn effect(command: Realtime) -> Option<&'static str> {
     Some(match command {
-        Realtime::Status => return None,
+        Realtime::Status | Realtime::FullStatus | Realtime::ParserState => return None,
         Realtime::Reset => "resets the machine",
         Realtime::Stop => "stops the machine and drops the lines behind",
         Realtime::CycleStart => "goes on where the machine is held",
@@ -16,6 +16,8 @@ fn effect(command: Realtime) -> Option<&'static str> {
         Realtime::SafetyDoor => "opens the safety door",
         Realtime::JogCancel => "ends a jog",
         Realtime::SingleBlock => "switches single block on or off",
+        Realtime::OptionalStop => "switches the pause at M1 on or off",
+        Realtime::ToolReady => "ends the wait for a tool",
         Realtime::FeedReset => "sets the feed to 100 %",
         Realtime::FeedUp10 => "raises the feed by 10 %",
         Realtime::FeedDown10 => "lowers the feed by 10 %",
@@ -38,13 +40,16 @@ fn effect(command: Realtime) -> Option<&'static str> {
 /// Returns a warning about the realtime commands that a line of the file (without its line end) contains, if any.
 pub fn warning(line: &[u8]) -> Option<String> {
     let is_text = texts(line);
-    // Effects in all dialects, in dialect grbl only, and in the other dialects only.
-    let mut acts: [Vec<String>; 3] = Default::default();
+    // Effects in all dialects, in dialect grbl only, in the other dialects only, and in dialect grblhal only.
+    let mut acts: [Vec<String>; 4] = Default::default();
     for (at, byte) in line.iter().enumerate() {
-        let Some(command) = command(*byte) else { continue };
+        let of_grblhal = command_of_grblhal(*byte);
+        let Some(command) = command(*byte).or(of_grblhal) else { continue };
         let Some(effect) = effect(command) else { continue };
         let in_grbl = !matches!(command, Realtime::Stop | Realtime::SingleBlock | Realtime::MistToggle);
         let list = match (in_grbl, is_text[at]) {
+            (_, false) if of_grblhal.is_some() => &mut acts[3],
+            (_, true) if of_grblhal.is_some() => continue,
             (true, false) => &mut acts[0],
             (true, true) => &mut acts[1],
             (false, false) => &mut acts[2],
@@ -55,7 +60,7 @@ pub fn warning(line: &[u8]) -> Option<String> {
             list.push(act);
         }
     }
-    let places = ["in every dialect", "in dialect grbl", "in dialects oxmill and seed"];
+    let places = ["in every dialect", "in dialect grbl", "in dialects oxmill, seed and grblhal", "in dialect grblhal"];
     let told = acts.iter().zip(places).filter(|(acts, _)| !acts.is_empty());
     let told: Vec<_> = told.map(|(acts, place)| format!("{} {place}", acts.join(", "))).collect();
     (!told.is_empty()).then(|| format!("sent as it is, {}", told.join("; ")))
@@ -130,7 +135,7 @@ mod tests {
         );
         assert_eq!(
             told("É \u{A1}").unwrap(),
-            "sent as it is, byte 0x89 of `É` switches single block on or off, byte 0xA1 of `¡` switches mist coolant on or off in dialects oxmill and seed"
+            "sent as it is, byte 0x89 of `É` switches single block on or off, byte 0xA1 of `¡` switches mist coolant on or off in dialects oxmill, seed and grblhal"
         );
         // The bytes are Windows-1252 text and a control character.
         assert_eq!(

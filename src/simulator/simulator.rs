@@ -563,7 +563,7 @@ impl Simulator {
     /// Lets the link fetch the host's bytes, as far as there is room. Returns whether anything was queued.
     pub(crate) fn receive(&mut self) -> bool {
         let mut any = self.host.pass_on();
-        while let Some(queued) = self.host.fetch(self.controller.is_free(), self.controller.reads_characters()) {
+        while let Some(queued) = self.host.fetch(&self.controller) {
             any |= queued;
             if self.host.wants_stop() {
                 self.stop();

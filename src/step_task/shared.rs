@@ -77,6 +77,8 @@ pub struct ControlStatus {
     /// Whether UTF-8 characters in comments are text. `false` until the first round of `control`. While it is `false`,
     /// each byte of such a character is a command or ignored, as in Grbl.
     pub reads_characters: AtomicBool,
+    /// Whether hosts are answered like grblHAL, which has more realtime commands.
+    pub speaks_grblhal: AtomicBool,
     /// See [`Power`].
     power: AtomicU32,
 }
@@ -85,6 +87,7 @@ pub struct ControlStatus {
 pub static CONTROL: ControlStatus = ControlStatus {
     free_at: AtomicU32::new(u32::MAX),
     reads_characters: AtomicBool::new(false),
+    speaks_grblhal: AtomicBool::new(false),
     power: AtomicU32::new(0),
 };
 

@@ -33,7 +33,7 @@ pub struct Order {
     pub name: String,
     /// Name of the board; default: the desk's.
     pub board: Option<String>,
-    /// `grbl`, `oxmill` or `seed`.
+    /// `grbl`, `oxmill`, `seed` or `grblhal`.
     pub dialect: Option<String>,
     /// Numbers of settings and their values.
     pub settings: BTreeMap<u16, Number>,

@@ -23,7 +23,7 @@ const ROOMS: &[(&str, &[&str])] = &[
     ("step_rates", &[]),
     ("step_timing", &["step_rates"]),
     ("messages", &["axes", "units"]),
-    ("settings", &["units", "axes", "error", "number", "step_rates"]),
+    ("settings", &["units", "axes", "error", "image", "number", "step_rates"]),
     ("protocol", &["units", "axes", "error", "image", "messages", "number", "settings"]),
     ("gcode", &["units", "axes", "error", "image", "lent", "messages", "number"]),
     ("motion", &["units", "axes", "error", "image", "lent", "messages"]),

@@ -72,5 +72,18 @@ mod tests {
             }
         };
     }
+
+    /// The corpus is older than the dialect of `$900=3`, so no input of it chooses this dialect.
+    #[test]
+    fn settings_in_the_dialect_of_grblhal() {
+        let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/corpus/settings.txt"));
+        for mut input in oxmill_test_support::unpack(&text.expect("a corpus")) {
+            if let Some(first) = input.first_mut() {
+                *first = super::settings::OF_GRBLHAL;
+            }
+            super::settings::run(&input);
+        }
+    }
+
     replays!(lines, programs, session, stored, steps, hosts, events, settings, usb);
 }

@@ -50,7 +50,7 @@ const COMMANDS: [&str; 10] = ["$X", "$", "$G", "$I", "$C", "$RC", "$PINS", "$ES"
 /// Commands that list everything that can be set.
 const LISTINGS: [&str; 5] = ["$$", "$#", "$N", "$I", "$M"];
 /// Lines of `$#` that a power-up resets.
-const PASSING: [&str; 3] = ["[G92", "[TLO", "[PRB"];
+const PASSING: [&str; 4] = ["[G92", "[TLO", "[TLR", "[PRB"];
 
 impl Number {
     fn number(&self) -> u16 {
@@ -95,9 +95,12 @@ const MOST_ACTIONS: usize = 16;
 /// Maximum number of times that a line is expected to wait for the operator.
 const MOST_WAITS: usize = 4;
 
+/// From this value on, the first byte chooses the dialect of grblHAL.
+pub const OF_GRBLHAL: u8 = 0xF0;
+
 thread_local! {
     /// Machines after start-up, one for each dialect.
-    static STARTED: [Machine; 3] = ["$900=1", "$900=0", "$900=2"].map(|dialect| {
+    static STARTED: [Machine; 4] = ["$900=1", "$900=0", "$900=2", "$900=3"].map(|dialect| {
         let mut machine = Machine { board: Board::new(BTreeMap::new()), listed: Vec::new(), is_stored: true, is_busy: false };
         machine.board.ask(dialect);
         machine.listed = machine.list();
@@ -108,7 +111,8 @@ thread_local! {
 /// Runs the target on an input.
 pub fn run(data: &[u8]) {
     let Some((first, data)) = data.split_first() else { return };
-    let mut machine = STARTED.with(|machines| machines[usize::from(first % 3)].clone());
+    let mut machine =
+        STARTED.with(|machines| machines[if *first >= OF_GRBLHAL { 3 } else { usize::from(first % 3) }].clone());
     let mut input = Unstructured::new(data);
     for _ in 0..MOST_ACTIONS {
         if input.is_empty() || machine.is_busy {
@@ -193,6 +197,8 @@ impl Machine {
         }
         let listed = self.list();
         let accepted = answers == ["ok"];
+        // `$B` and `$O` of `$900=3` act until power-off.
+        self.is_stored &= !["[MSG:Block delete", "[MSG:Optional stop"].iter().any(|toggled| said.contains(toggled));
         let gone = self.listed.iter().filter(|line| !listed.contains(line));
         let new = listed.iter().filter(|line| !self.listed.contains(line));
         for changed in gone.chain(new) {
@@ -230,8 +236,10 @@ impl Machine {
         let name = format!("${number}=");
         // Disabling homing also disables soft limits; inches change the units of listings; another dialect has other
         // listings.
+        let is_grblhal = self.board.controller.speaks_grblhal();
         let follows = |line: &str| match number {
-            22 => line.starts_with("$20="),
+            22 => line.starts_with("$20=") || is_grblhal && line.starts_with("$932="),
+            932 => is_grblhal && line.starts_with("$22="),
             13 => line.starts_with("[G") || line.starts_with("[T") || line.starts_with("[P"),
             900 => true,
             _ => false,
@@ -249,6 +257,12 @@ impl Machine {
             // any value but 0, and all others have three decimals.
             let whole = !entry.contains('.');
             let switched = listed == 1.0 && set.trunc() != 0.0;
+            if is_grblhal && matches!(number, 10 | 22) {
+                // A mask in which some bits are always set, or none if homing is off.
+                let written = if number == 22 && set as u32 & 1 == 0 { 0 } else { set as u32 };
+                assert!(set.is_nan() || listed as u32 & written == written, "${number}={text} is {entry}");
+                return;
+            }
             let near = if whole {
                 (set - listed).abs() <= 1.0 + set.abs() * 1e-6 || switched
             } else {
@@ -277,8 +291,9 @@ impl Machine {
         let mut listed = Vec::new();
         for listing in LISTINGS {
             let said = self.board.ask(listing);
-            // The letters of the options depend on settings.
-            let kept = said.lines().filter(|line| *line != "ok" && !line.starts_with("[OPT:"));
+            // What `$I` tells of the machine depends on settings.
+            let depends = |line: &str| ["[OPT:", "[NEWOPT:", "[MAX STEP RATE:"].iter().any(|of| line.starts_with(of));
+            let kept = said.lines().filter(|line| *line != "ok" && !depends(line));
             listed.extend(kept.map(str::to_owned));
         }
         listed

@@ -8,6 +8,7 @@ mod crumbs;
 mod curves;
 mod estimator;
 mod examples;
+mod grblhal_senders;
 mod host;
 mod jerk;
 mod jerk_in_use;

@@ -49,7 +49,7 @@ fn ended(mut program: std::process::Child) -> (Option<i32>, String) {
 /// A sender may start with `?` and a line end in one write: the report comes before the `ok` of the empty line.
 #[test]
 fn a_report_comes_before_the_line_that_follows_its_question() {
-    for dialect in ["grbl", "oxmill"] {
+    for dialect in ["grbl", "oxmill", "grblhal"] {
         let mut program =
             oxmill(&["serve", "--stdio", "--dialect", dialect]).stdin(Stdio::piped()).spawn().expect("it starts");
         program.stdin.take().expect("a pipe").write_all(b"?\n").expect("the device reads");

@@ -38,6 +38,12 @@ fn settings_are_those_of_the_dialect() {
     let dump = file("dump_of_grbl.txt", "$20=1\n$22=1\n$0=2.5\n");
     let output = run(&["check", text(&job), "--dialect", "grbl", "--settings", text(&dump)]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    // A dump of the dialect of grblHAL lists masks before the dialect.
+    let dump = file("dump_of_grblhal.txt", "$10=511\n$22=207\n$900=3\n$932=1\n");
+    let output = run(&["check", text(&job), "--json", "--settings", text(&dump)]);
+    assert_eq!(json(&output)["dialect"], "grblhal", "{}", String::from_utf8_lossy(&output.stderr));
+    let output = run(&["check", text(&job), "--dialect", "oxmill", "--settings", text(&dump)]);
+    assert!(output.status.code() == Some(2) && String::from_utf8_lossy(&output.stderr).contains("error:52"));
     // A rejected value is normally tried again after all others, but not if a later value for the same setting follows.
     let twice = ["check", text(&job), "--dialect", "grbl", "--set", "32=2", "--set", "32=0"];
     let output = run(&twice);

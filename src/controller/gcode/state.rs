@@ -202,6 +202,18 @@ impl<const N: usize> Interpreter<N> {
         is_first
     }
 
+    /// Sets the reference of the tool setter: the tool in the spindle, with its offset in force, has touched the setter
+    /// at this machine position. `None` forgets the reference, so the next tool that is measured sets it.
+    pub fn set_tool_reference(&mut self, place: Option<PerAxis<Coordinate, N>>) {
+        let height = |of: &PerAxis<Coordinate, N>| of.get(TOOL_AXIS).unwrap_or(Coordinate::ZERO);
+        self.measured.set_reference(place.map(|place| height(&place) - height(&self.offsets.tool_length)));
+    }
+
+    /// Returns the machine coordinate at which a tool with offset 0 touches the tool setter, if it is known.
+    pub fn tool_reference(&self) -> Option<Coordinate> {
+        self.measured.reference()
+    }
+
     /// Assumes, in check mode, that the tool was measured. The first measurement leaves Z at the height of G30, or
     /// where it is if that is higher.
     pub fn assume_measured(&mut self) {

@@ -114,6 +114,16 @@ impl Measured {
         self.reference.is_none()
     }
 
+    /// Returns the machine coordinate at which a tool with offset 0 touches the setter, if it is known.
+    pub(super) fn reference(&self) -> Option<Coordinate> {
+        self.reference
+    }
+
+    /// Sets the reference, or forgets it.
+    pub(super) fn set_reference(&mut self, reference: Option<Coordinate>) {
+        self.reference = reference;
+    }
+
     /// Forgets the offset of the tool in the spindle; the reference remains.
     pub(super) fn forget_tool(&mut self) {
         self.offset = None;

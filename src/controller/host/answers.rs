@@ -8,6 +8,7 @@ use crate::gcode::{Dialect, Notice, ProgramPins, REASONS, WITH_VALUES};
 use crate::image::FULL_IMAGE;
 use crate::inputs::levels;
 use crate::messages::Signals;
+use crate::protocol::grblhal;
 use crate::protocol::reply_texts::{self, PlaceForm};
 use crate::protocol::status_report;
 use crate::protocol::text::Text;
@@ -190,7 +191,11 @@ impl<const N: usize> Controller<N> {
     /// have missed them.
     pub(crate) fn greet(&mut self) {
         self.m.records.host_greeted();
-        self.say(reply_texts::welcome);
+        if self.speaks_grblhal() {
+            self.say(grblhal::welcome);
+        } else {
+            self.say(reply_texts::welcome);
+        }
         if let Some(failure) = self.m.replies.failure().cloned() {
             let grbl = self.dialect() == Dialect::Grbl;
             self.say(|out| reply_texts::failure(out, &failure, grbl));
@@ -300,9 +305,16 @@ impl<const N: usize> Controller<N> {
                 self.state,
                 State::Hold(_) | State::Braking { .. } | State::Jog { .. } | State::Door(_) | State::Homing(_)
             );
-        let (show_offset, show_overrides) = self.m.replies.rare_fields(busy);
-        let mask = self.m.settings.whole(Key::StatusReport);
         let (spindle, speed) = self.spindle_now();
+        let (mut show_offset, mut show_overrides) = self.m.replies.rare_fields(busy);
+        let of_grblhal = if self.speaks_grblhal() {
+            let full = self.m.replies.take_full_status();
+            (show_offset, show_overrides) = (show_offset | full, show_overrides | full);
+            [Some(self.grblhal_fields(full, spindle)); FULL_IMAGE as usize]
+        } else {
+            [None; FULL_IMAGE as usize]
+        };
+        let mask = self.m.settings.whole(Key::StatusReport);
         let grbl = self.dialect() == Dialect::Grbl;
         let line = self.m.motion.line_number();
         let overrides = self.m.accessories.overrides();
@@ -326,6 +338,7 @@ impl<const N: usize> Controller<N> {
                 spindle,
                 self.m.accessories.coolant(),
             )),
+            of_grblhal,
         };
         let form = self.place_form();
         self.say(|out| status_report::status(out, &status, form));

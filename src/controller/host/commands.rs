@@ -6,8 +6,8 @@ use crate::dispatch::Controller;
 use crate::error::Error;
 use crate::gcode::{Dialect, REASONS};
 use crate::image::FULL_IMAGE;
-use crate::protocol::reply_texts;
 use crate::protocol::system::{self, Allowed, Restore, System};
+use crate::protocol::{grblhal, reply_texts};
 use crate::settings::{AxisKey, Key, Settings};
 use crate::states::{Homing, State};
 use crate::units::{DECIMAL_ONE, Decimal};
@@ -41,21 +41,32 @@ impl<const N: usize> Controller<N> {
             Allowed::ForJog if !(idle || matches!(self.state, State::Jog { .. })) => return Err(Error::NotIdle),
             _ => {}
         }
+        if self.speaks_grblhal()
+            && let Some(command) = grblhal::read(line)
+        {
+            return self.grblhal_command(command);
+        }
         let command = system::read(line)?;
         if self.dialect() == Dialect::Grbl {
             command.known_to_grbl()?;
         }
         match command {
             System::Help => {
-                let grbl = self.dialect() == Dialect::Grbl;
-                self.say(|out| reply_texts::help(out, grbl));
+                self.say_help();
                 self.say_ok();
             }
             System::Settings if matches!(self.state, State::Normal) && !idle => return Err(Error::NotIdle),
             System::Settings => self.task = Task::Listing(Listing::Settings, 0),
             System::Parameters => self.task = Task::Listing(Listing::Parameters, 0),
             System::StartupLines => self.task = Task::Listing(Listing::StartupLines, 0),
-            System::ParserState => self.report_parser_state(),
+            System::ParserState => {
+                self.say_parser_state();
+                self.say_ok();
+            }
+            System::BuildInfo | System::MoreBuildInfo if self.speaks_grblhal() => {
+                self.m.inputs.ask_view(false);
+                self.task = Task::Listing(Listing::Identity, 0);
+            }
             System::BuildInfo => self.report_build_info(false),
             System::MoreBuildInfo => self.report_build_info(true),
             System::Describe(_) if !FULL_IMAGE => return Err(Error::DescriptionsLeftOut),
@@ -184,6 +195,8 @@ impl<const N: usize> Controller<N> {
         if number == DIALECT {
             self.must_hold_nothing()?;
         }
+        let (value, zero_at_pull_off) =
+            if self.speaks_grblhal() { self.take_mask(number, value)? } else { (value, None) };
         // The table of settings has the widest limits of all boards, so the limits of this board are checked here.
         let least_pulse = i64::from(self.m.settings_lock.least_pulse_tenths()) * (DECIMAL_ONE / 10);
         if number == STEP_PULSE && (0..least_pulse).contains(&value.0) {
@@ -206,8 +219,28 @@ impl<const N: usize> Controller<N> {
                 _ => {}
             }
         }
+        let dialect = self.dialect();
+        if let Some(on) = zero_at_pull_off.filter(|on| *on != self.m.settings.is_on(Key::ZeroAtPullOff)) {
+            self.change_setting(ZERO_AT_PULL_OFF, Decimal::from_int(on.into()))?;
+        }
+        self.change_setting(number, value)?;
+        if self.dialect() != dialect {
+            self.m.interpreter.change_dialect();
+            self.end_check();
+            // Rotations also turn the G92 offset, but have no effect in Grbl's dialect. So the change of dialect can
+            // change the work offset.
+            self.m.replies.offset_changed();
+            self.apply_overrides();
+        }
+        self.task = Task::Storing(Answer::Setting(number));
+        Ok(())
+    }
+
+    /// Sets a setting to a value that was accepted, with all effects except those of another dialect. The value is to be
+    /// stored.
+    fn change_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
         let before = self.m.settings.by_number(number);
-        let (soft_limits, dialect) = (self.m.settings.is_on(Key::SoftLimits), self.dialect());
+        let soft_limits = self.m.settings.is_on(Key::SoftLimits);
         self.m.settings.set(number, value)?;
         let is_other = self.m.settings.by_number(number) != before;
         // With the new value, the same S means another power.
@@ -218,15 +251,6 @@ impl<const N: usize> Controller<N> {
         if is_other {
             self.rename_places(number);
         }
-        if self.dialect() != dialect {
-            self.m.interpreter.change_dialect();
-            self.end_check();
-            // Rotations also turn the G92 offset, but have no effect in Grbl's dialect. So the change of dialect can
-            // change the work offset.
-            self.m.replies.offset_changed();
-            self.apply_overrides();
-        }
-        self.task = Task::Storing(Answer::Setting(number));
         Ok(())
     }
 

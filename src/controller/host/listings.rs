@@ -7,10 +7,11 @@ use crate::gcode::{Angle, CoordinateSystem, Dialect, StoredOffset, TOOLS};
 use crate::host::stored::STORED_TEXT;
 use crate::image::FULL_IMAGE;
 use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, input};
-use crate::protocol::descriptions::{self};
+use crate::protocol::descriptions::{self, Limits};
+use crate::protocol::grblhal::{self, Identity};
 use crate::protocol::reply_texts::{self, ParserState};
 use crate::protocol::system::Described;
-use crate::settings::{self, Key, Settings};
+use crate::settings::{self, Key, Row, Settings};
 use crate::work::task::{Ask, Listing, Task};
 
 impl<const N: usize> Controller<N> {
@@ -30,6 +31,13 @@ impl<const N: usize> Controller<N> {
             Listing::Pins => match self.m.inputs.view() {
                 Some(view) => self.list_pin(&view, line),
                 None => return false,
+            },
+            Listing::Identity => match self.m.inputs.view() {
+                Some(view) if FULL_IMAGE => {
+                    self.report_identity(&view);
+                    false
+                }
+                _ => return false,
             },
             Listing::Descriptions(what) => FULL_IMAGE && self.describe(what, line),
             Listing::Macros => {
@@ -66,6 +74,7 @@ impl<const N: usize> Controller<N> {
 
     fn list_setting(&mut self, line: usize) -> bool {
         let Some((entry, number, value)) = self.m.settings.row(line) else { return false };
+        let value = if self.speaks_grblhal() { self.m.settings.shown_to_grblhal(number, value) } else { value };
         if entry.grbl || self.dialect() != Dialect::Grbl {
             self.say(|out| reply_texts::setting(out, &entry, number, value));
         }
@@ -89,6 +98,11 @@ impl<const N: usize> Controller<N> {
             4 => {
                 let (position, success) = self.m.probe.result();
                 self.say(|out| reply_texts::probe(out, &position, success, form));
+                if self.speaks_grblhal()
+                    && let Some(height) = self.m.interpreter.tool_reference()
+                {
+                    self.say(|out| grblhal::tool_reference(out, height, form.inches));
+                }
             }
             entry if self.dialect() != Dialect::Grbl && entry < TOOLS + 5 => {
                 if let Some(tool) = self.m.interpreter.tools().entries().get(entry - 5).copied()
@@ -117,30 +131,48 @@ impl<const N: usize> Controller<N> {
             if bit < Axis::ALL.len() { bit < axes } else { axes <= LINEAR || 1 << bit != SECOND_SWITCH as usize };
         if counts && view.fitted >> bit & 1 != 0 {
             let (active, wiring) = (self.m.inputs.pins().word() >> bit & 1 != 0, self.m.inputs.wiring());
-            self.say(|out| reply_texts::pin(out, bit, view, active, &wiring));
+            let grblhal = self.speaks_grblhal();
+            self.say(|out| reply_texts::pin(out, bit, view, active, &wiring, grblhal));
         }
         bit + 1 < input::COUNT
     }
 
     fn describe(&mut self, what: Described, line: usize) -> bool {
         let axes = self.m.settings.axes_in_use();
-        let is_there = line < descriptions::lines(what, axes);
+        let is_there = line < descriptions::lines(what, axes, self.speaks_grblhal());
         if is_there {
-            let (least_pulse, most_baud) =
-                (self.m.settings_lock.least_pulse_tenths(), self.m.settings_lock.most_baud());
-            self.say(|out| descriptions::line::<N>(out, what, line, axes, (least_pulse, most_baud)));
+            let limits = self.limits();
+            self.say(|out| descriptions::line::<N>(out, what, line, axes, limits));
         }
         is_there
+    }
+
+    /// Returns what narrows the ranges of the settings.
+    fn limits(&self) -> Limits {
+        Limits {
+            least_pulse_tenths: self.m.settings_lock.least_pulse_tenths(),
+            most_baud: self.m.settings_lock.most_baud(),
+            grblhal: self.speaks_grblhal(),
+        }
+    }
+
+    /// Returns the row of a setting, as it is described on this machine.
+    pub(crate) fn described(&self, number: u16) -> Option<Row> {
+        let axes = self.m.settings.axes_in_use();
+        let mut rows = (0..settings::lines(axes)).filter_map(|line| Settings::<N>::described(line, axes));
+        rows.find(|row| row.number == number).map(|row| descriptions::narrowed(row, self.limits()))
+    }
+
+    /// Sends the description of one setting.
+    pub(crate) fn say_description(&mut self, row: Row) {
+        self.say(|out| descriptions::of_setting(out, &row));
     }
 
     /// Sends the values that a setting accepts, after another value was refused.
     #[inline(never)]
     pub(crate) fn tell_values(&mut self, number: u16) {
-        let axes = self.m.settings.axes_in_use();
-        let mut rows = (0..settings::lines(axes)).filter_map(|line| Settings::<N>::described(line, axes));
-        if let Some(row) = rows.find(|row| row.number == number) {
-            let board = (self.m.settings_lock.least_pulse_tenths(), self.m.settings_lock.most_baud());
-            self.say(|out| descriptions::values_of(out, row, board));
+        if let Some(row) = self.described(number) {
+            self.say(|out| descriptions::values_of(out, &row));
         }
     }
 
@@ -161,11 +193,34 @@ impl<const N: usize> Controller<N> {
         self.say_ok();
     }
 
+    /// Answers `$I` and `$I+` with `$900=3`.
+    fn report_identity(&mut self, pins: &PinView) {
+        let user = self.m.records.build_info().clone();
+        let (letters, settings, lock) = (self.option_letters(), &self.m.settings, &self.m.settings_lock);
+        let this = Identity {
+            user: &user,
+            letters: &letters,
+            blocks: self.m.motion.blocks(),
+            axes: settings.axes_in_use(),
+            tools: TOOLS,
+            homing: settings.is_on(Key::Homing),
+            changes_tools: self.m.prompts_for_tools(),
+            pins,
+            board: lock.board(),
+            has_store: self.m.records.has_store(),
+            step_rate: lock.greatest_hz(settings),
+            program_pins: lock.program_pins(),
+        };
+        self.say(|out| grblhal::options(out, &this));
+        self.say(|out| grblhal::equipment(out, &this));
+    }
+
     /// Returns the options that `$I` shows as enabled, in Grbl's letters and order.
     fn option_letters(&self) -> heapless::Vec<u8, 12> {
         let own = self.dialect() != Dialect::Grbl;
         let on = |key| self.m.settings.is_on(key);
-        [
+        let mut letters = heapless::Vec::new();
+        for (on, letter) in [
             (true, b'V'),
             (own, b'N'),
             (own, b'M'),
@@ -175,13 +230,14 @@ impl<const N: usize> Controller<N> {
             (own && on(Key::Parking), b'R'),
             (on(Key::DoorFitted), b'+'),
             (on(Key::GangedAxis), b'2'),
-        ]
-        .into_iter()
-        .filter_map(|(on, letter)| on.then_some(letter))
-        .collect()
+        ] {
+            let _ = if on { letters.push(letter) } else { Ok(()) };
+        }
+        letters
     }
 
-    pub(crate) fn report_parser_state(&mut self) {
+    /// Sends the parser state, the answer to `$G`, without `ok`.
+    pub(crate) fn say_parser_state(&mut self) {
         let modal = self.m.interpreter.modal();
         let state = ParserState {
             words: [
@@ -204,6 +260,5 @@ impl<const N: usize> Controller<N> {
         };
         let inches = self.m.settings.is_on(Key::ReportInches);
         self.say(|out| reply_texts::parser_state(out, &state, inches));
-        self.say_ok();
     }
 }

@@ -4,6 +4,8 @@
 mod answers;
 mod commands;
 mod dispatch_line;
+mod grblhal;
+mod grblhal_fields;
 mod listings;
 mod realtime;
 mod replay_state;

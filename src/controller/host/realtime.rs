@@ -4,6 +4,7 @@
 
 use crate::dispatch::Controller;
 use crate::gcode::Dialect;
+use crate::image::FULL_IMAGE;
 use crate::machine::realtime_override::Overrides;
 use crate::messages::{Coolant, Realtime};
 use crate::protocol::reply_texts;
@@ -61,6 +62,14 @@ impl<const N: usize> Controller<N> {
             Realtime::SingleBlock if self.dialect() != Dialect::Grbl => {
                 self.line.toggle_single_block();
                 self.tell_single_block();
+            }
+            Realtime::FullStatus if FULL_IMAGE => self.m.replies.ask_full_status(),
+            Realtime::ParserState if FULL_IMAGE => self.say_parser_state(),
+            Realtime::OptionalStop if FULL_IMAGE => self.toggle_optional_stop(),
+            Realtime::ToolReady if FULL_IMAGE => {
+                if self.waits_for_tool() {
+                    self.cycle_start();
+                }
             }
             // Grbl drops these bytes.
             Realtime::MistToggle | Realtime::SingleBlock => {}

@@ -7,12 +7,15 @@
 //! into a locked machine, would get it at each line.
 
 use crate::dispatch::Profile;
+use crate::image::FULL_IMAGE;
 use crate::settings::{Key, Settings};
 use crate::step_rates::StepRates;
 
 /// The setting that locks motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SettingsLock {
+    /// Name of the board. Takes no memory in the small image, which never tells it.
+    board: [&'static str; FULL_IMAGE as usize],
     /// Step rates of the board.
     rates: StepRates,
     has_second_motor: bool,
@@ -32,9 +35,30 @@ pub(crate) struct SettingsLock {
 impl SettingsLock {
     /// Creates the lock for a board; no settings have been examined.
     pub(crate) const fn new(profile: &Profile) -> Self {
-        let Profile { rates, has_second_motor, has_at_speed, program_pins, most_baud, .. } = *profile;
+        let Profile { name, rates, has_second_motor, has_at_speed, program_pins, most_baud, .. } = *profile;
         let (revision, setting, named, refused) = (None, None, None, false);
-        Self { rates, has_second_motor, has_at_speed, program_pins, most_baud, revision, setting, named, refused }
+        Self {
+            board: [name; FULL_IMAGE as usize],
+            rates,
+            has_second_motor,
+            has_at_speed,
+            program_pins,
+            most_baud,
+            revision,
+            setting,
+            named,
+            refused,
+        }
+    }
+
+    /// Returns the name of the board; empty in the small image.
+    pub(crate) fn board(&self) -> &'static str {
+        self.board.first().copied().unwrap_or_default()
+    }
+
+    /// Returns the maximum step rate with the step pulse of the settings, in Hz.
+    pub(crate) fn greatest_hz<const N: usize>(&self, settings: &Settings<N>) -> u32 {
+        self.rates.greatest_hz(settings.step_pulse_tenths()) as u32
     }
 
     /// Returns the number of outputs and inputs that the board has for programs.

@@ -254,6 +254,11 @@ impl Records {
 
     // Texts
 
+    /// Whether records survive power-off.
+    pub(crate) fn has_store(&self) -> bool {
+        self.has_store
+    }
+
     /// Returns a startup line, if the number exists.
     pub(crate) fn startup_line(&self, index: usize) -> Option<&StoredText> {
         self.startup_lines.get(index)

@@ -21,6 +21,11 @@ impl Reference {
         self.trusted
     }
 
+    /// Axes homed since the reference was lost.
+    pub fn homed_axes(&self) -> AxisMask {
+        self.homed
+    }
+
     /// Marks the position as unknown.
     pub fn lose(&mut self) {
         *self = Reference { trusted: false, homed: AxisMask::NONE };

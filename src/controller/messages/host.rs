@@ -32,6 +32,14 @@ pub enum Realtime {
     MistToggle,
     /// 0x89, as in grblHAL: toggles single-block mode, in which the program pauses after each line that moves.
     SingleBlock,
+    /// 0x83, only with `$900=3`: sends the parser state, without `ok`.
+    ParserState,
+    /// 0x87, only with `$900=3`: sends a status report with all fields.
+    FullStatus,
+    /// 0x88, only with `$900=3`: switches the pause at M1 on or off.
+    OptionalStop,
+    /// 0xA3, only with `$900=3`: the operator has changed the tool.
+    ToolReady,
 }
 
 impl Realtime {

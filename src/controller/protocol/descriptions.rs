@@ -2,10 +2,10 @@
 //! senders that show names instead of numbers.
 
 use super::system::{Described, Format};
-use super::text::{END, Text, put, whole};
+use super::text::{END, Text, filled, put, whole};
 use crate::axes::Axis;
 use crate::error::{Alarm, Error};
-use crate::settings::{self, Description, Entry, Key, Kind, Row, SettingGroup, Settings};
+use crate::settings::{self, Description, Entry, GrblHalMask, Key, Kind, Row, SettingGroup, Settings};
 
 /// How a sender shows a value; the numbers are grblHAL's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -157,6 +157,7 @@ fn bound(out: &mut Text, kind: Kind, value: u32) {
 
 /// Appends the name of a setting. The axis of a per-axis setting precedes the name, the number of a homing cycle
 /// follows it.
+#[inline(never)]
 pub fn name(out: &mut Text, row: &Row) {
     let axis = row.axis.filter(|_| row.description.group == SettingGroup::Axes);
     if let Some(axis) = axis {
@@ -176,6 +177,7 @@ pub fn name(out: &mut Text, row: &Row) {
 }
 
 /// Appends the possible values in words.
+#[inline(never)]
 pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
     match (entry.kind, DataType::of(entry, description)) {
         (Kind::Switch, _) => put(out, b"0 or 1"),
@@ -202,13 +204,14 @@ pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
 
 /// Appends `[MSG:Values of $32: 0 or 1; ...]`. For some settings the text also tells which settings replace grblHAL's
 /// additional values.
-pub fn values_of(out: &mut Text, mut row: Row, board: (u16, u32)) {
-    on_board(&mut row, board);
+pub fn values_of(out: &mut Text, row: &Row) {
     put(out, b"[MSG:Values of $");
     whole(out, row.number.into());
     put(out, b": ");
     values(out, &row.entry, &row.description);
-    put(out, beyond_a_switch(row.number));
+    if row.entry.kind == Kind::Switch {
+        put(out, beyond_a_switch(row.number));
+    }
     put(out, b"]");
     put(out, END);
 }
@@ -247,30 +250,60 @@ fn sum_of(out: &mut Text, labels: &str, bits: u32) {
     }
 }
 
-/// Returns the number of lines of a description, with `axes` axes in use.
-pub const fn lines(what: Described, axes: usize) -> usize {
+/// Returns the number of lines of a description, with `axes` axes in use. `grblhal`: hosts are answered like grblHAL.
+pub const fn lines(what: Described, axes: usize, grblhal: bool) -> usize {
     match what {
         Described::Settings(format) => settings::lines(axes) + header(format).is_some() as usize,
         Described::Groups => SettingGroup::ALL.len() + axes,
         Described::Errors => Error::ALL.len(),
-        Described::Alarms => Alarm::ALL.len(),
+        Described::ErrorTable => 1 + Error::ALL.len(),
+        Described::Alarms => Alarm::ALL.len() + grblhal as usize,
+        Described::AlarmTable => 2 + Alarm::ALL.len(),
     }
 }
 
-/// Narrows the range of a setting to that of the board, because the table has the widest range of all boards. The board
-/// is given by its minimum length of a step pulse, in tenths of a microsecond, and by the maximum baud rate of its
-/// UART.
-fn on_board(row: &mut Row, (least_pulse_tenths, most_baud): (u16, u32)) {
+/// What narrows the range of a setting, because the table has the widest range of all boards.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// Minimum length of a step pulse, in tenths of a microsecond.
+    pub least_pulse_tenths: u16,
+    /// Maximum baud rate of the UART.
+    pub most_baud: u32,
+    /// Hosts are answered like grblHAL, so some settings are masks.
+    pub grblhal: bool,
+}
+
+/// Returns the row of a setting with its range on a board and in a dialect.
+pub fn narrowed(mut row: Row, limits: Limits) -> Row {
+    if limits.grblhal
+        && let Some(mask) = GrblHalMask::of(row.number)
+    {
+        row.entry.kind = Kind::Mask(mask.bits());
+        row.description.unit = "mask";
+        row.description.labels = mask.labels;
+    }
     match &mut row.entry.kind {
-        Kind::Tenths(least, _) => *least = u32::from(least_pulse_tenths),
-        Kind::Whole(_, most) if row.number == Key::Baud.number() => *most = most_baud,
+        Kind::Tenths(least, _) => *least = u32::from(limits.least_pulse_tenths),
+        Kind::Whole(_, most) if row.number == Key::Baud.number() => *most = limits.most_baud,
         _ => {}
     }
+    row
 }
 
-/// Appends one line of a description. `board`: minimum length of a step pulse in tenths of a microsecond, and maximum
-/// baud rate of the UART.
-pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: usize, board: (u16, u32)) {
+/// Appends `[SETTINGDESCR:number|text]`: the name of a setting and its values.
+pub fn of_setting(out: &mut Text, row: &Row) {
+    put(out, b"[SETTINGDESCR:");
+    whole(out, row.number.into());
+    put(out, b"|");
+    name(out, row);
+    put(out, b": ");
+    values(out, &row.entry, &row.description);
+    put(out, b"]");
+    put(out, END);
+}
+
+/// Appends one line of a description.
+pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: usize, limits: Limits) {
     match what {
         Described::Settings(format) => match (header(format), line) {
             (Some(header), 0) => {
@@ -278,24 +311,39 @@ pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: 
                 put(out, END);
             }
             (header, line) => {
-                if let Some(mut row) = Settings::<N>::described(line - usize::from(header.is_some()), axes) {
-                    on_board(&mut row, board);
-                    setting(out, &row, format);
+                if let Some(row) = Settings::<N>::described(line - usize::from(header.is_some()), axes) {
+                    setting(out, &narrowed(row, limits), format);
                 }
             }
         },
         Described::Groups => group(out, line),
-        Described::Errors => {
-            if let Some(error) = Error::ALL.get(line) {
-                code(out, b"[ERRORCODE:", error.code(), error.text());
-            }
-        }
-        Described::Alarms => {
-            if let Some(alarm) = Alarm::ALL.get(line) {
-                code(out, b"[ALARMCODE:", alarm.code(), alarm.text());
-            }
-        }
+        Described::Errors => error_line(out, Some(line), b"[ERRORCODE:#||%]\r\n"),
+        Described::ErrorTable if line == 0 => put(out, ERRORS_HEAD),
+        Described::ErrorTable => error_line(out, line.checked_sub(1), TABLE_ROW),
+        Described::Alarms => alarm_line(out, Some(line), b"[ALARMCODE:#||%]\r\n"),
+        Described::AlarmTable if line == 0 => put(out, ALARMS_HEAD),
+        Described::AlarmTable => alarm_line(out, line.checked_sub(1), TABLE_ROW),
     }
+}
+
+/// Lines above the rows of `$EEG` and `$EAG`, and the form of their rows.
+const ERRORS_HEAD: &[u8] = b"\"Error Code in v1.1+\",\"Error Message in v1.0-\",\"Error Description\"\r\n";
+const ALARMS_HEAD: &[u8] = b"\"Alarm Code in v1.1+\",\" Alarm Message in v1.0-\",\" Alarm Description\"\r\n";
+const TABLE_ROW: &[u8] = b"\"#\",\"N/A\",\"%\"\r\n";
+
+/// Appends number and text of an error, in a form.
+fn error_line(out: &mut Text, line: Option<usize>, form: &[u8]) {
+    if let Some(error) = line.and_then(|line| Error::ALL.get(line)) {
+        filled(out, form, &[error.text().as_bytes()], &[error.code().into()]);
+    }
+}
+
+/// Appends number and text of an alarm, in a form. The last line is that of `$900=3` alone.
+fn alarm_line(out: &mut Text, line: Option<usize>, form: &[u8]) {
+    let (number, text) = line
+        .and_then(|line| Alarm::ALL.get(line))
+        .map_or((11, "the machine has to be homed ($H), or unlocked ($X)"), |alarm| (alarm.code(), alarm.text()));
+    filled(out, form, &[text.as_bytes()], &[number.into()]);
 }
 
 /// Appends `[SETTINGGROUP:number|parent|name]`. The first lines are the groups of the table; after them each axis has a
@@ -316,28 +364,20 @@ fn group(out: &mut Text, line: usize) {
     put(out, END);
 }
 
-/// Appends `[ERRORCODE:number||text]` or `[ALARMCODE:number||text]`.
-fn code(out: &mut Text, head: &[u8], number: u8, text: &str) {
-    put(out, head);
-    whole(out, u64::from(number));
-    put(out, b"||");
-    put(out, text.as_bytes());
-    put(out, b"]");
-    put(out, END);
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    const LIMITS: Limits = Limits { least_pulse_tenths: 10, most_baud: 1_000_000, grblhal: false };
+
     fn text(what: Described, wanted: usize) -> String {
         let mut out = Text::new();
-        line::<3>(&mut out, what, wanted, 3, (10, 1_000_000));
+        line::<3>(&mut out, what, wanted, 3, LIMITS);
         String::from_utf8(out.to_vec()).expect("text")
     }
 
     fn all(what: Described) -> Vec<String> {
-        (0..lines(what, 3)).map(|wanted| text(what, wanted)).collect()
+        (0..lines(what, 3, false)).map(|wanted| text(what, wanted)).collect()
     }
 
     /// Returns the line of a setting in one format.
@@ -358,7 +398,7 @@ mod tests {
             (45, "[SETTING:45|7|Axes homed in cycle 2|mask|4|axes|||0|0]\r\n"),
             (58, "[SETTING:58|9|Parking place|mm|6|-#####0.000|||0|0]\r\n"),
             (112, "[SETTING:112|15|Z-axis maximum rate|mm/min|6|#####0.000|0||0|0]\r\n"),
-            (900, "[SETTING:900|1|Dialect||3|Grbl,Oxmill,Seed document|||0|0]\r\n"),
+            (900, "[SETTING:900|1|Dialect||3|Grbl,Oxmill,Seed document,grblHAL|||0|0]\r\n"),
         ] {
             assert_eq!(of(number, Format::Fields), expected);
         }
@@ -369,7 +409,8 @@ mod tests {
         );
         // A board with another minimum pulse shows its own range.
         let mut out = Text::new();
-        line::<3>(&mut out, Described::Settings(Format::Tabs), 1, 3, (5, 1_000_000));
+        let limits = Limits { least_pulse_tenths: 5, ..LIMITS };
+        line::<3>(&mut out, Described::Settings(Format::Tabs), 1, 3, limits);
         assert_eq!(out, b"0\tStep pulse\tus\tfloat\t##0.0\t0.5 to 255 in tenths\t0.5\t255\r\n");
         assert_eq!(of(29, Format::Tabs), "29\tDirection set-up\tus\tinteger\t#####0\t0 to 255\t0\t255\r\n");
     }

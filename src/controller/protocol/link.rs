@@ -23,8 +23,10 @@
 //!
 //! A `!` in a remark may be text, as in `(slow!)`, or a hold from the operator. It is text if the line continues after
 //! it, and a command if nothing follows for [`AMBIGUOUS_US`]: see [`Link::take_as_command`]. A `~` in a remark is text:
-//! a host that pauses at that point must not start a machine in hold. In dialect `grbl` both are always commands.
+//! a host that pauses at that point must not start a machine in hold. In dialect `grbl` both are always commands. So are
+//! 0x81 and 0x82, which mean the same with `$900=3`.
 
+use crate::image::FULL_IMAGE;
 use crate::messages::{LineByte, Realtime};
 use crate::protocol::host_arbiter::HostArbiter;
 use crate::protocol::queues::Queues;
@@ -112,7 +114,7 @@ impl Link {
     fn take_any(&mut self, byte: u8, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut impl Queues) -> bool {
         let mut any = false;
         for byte in self.remark.break_off(byte) {
-            if let Received::Realtime(command) = Received::of(byte) {
+            if let Received::Realtime(command) = Received::in_dialect(byte, queues) {
                 any |= self.command(command, arbiter, queues);
             }
         }
@@ -126,13 +128,13 @@ impl Link {
 
     /// Takes a byte that is not part of a character.
     fn take_alone(&mut self, byte: u8, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut impl Queues) -> bool {
-        match Received::of(byte) {
+        match Received::in_dialect(byte, queues) {
             Received::Nothing => {
                 queues.ignored();
                 false
             }
             Received::Realtime(command @ (Realtime::FeedHold | Realtime::CycleStart))
-                if self.remark.is_inside() && queues.reads_characters() =>
+                if (byte < 0x80 || !FULL_IMAGE) && self.remark.is_inside() && queues.reads_characters() =>
             {
                 self.is_ambiguous |= command == Realtime::FeedHold;
                 queues.ignored();

@@ -16,6 +16,7 @@ pub mod byte_channel;
 pub mod coalescing;
 pub mod descriptions;
 mod floor;
+pub mod grblhal;
 pub mod heartbeat;
 pub mod host_arbiter;
 pub mod intake;

@@ -25,4 +25,8 @@ pub trait Queues {
     fn ignored(&mut self) {}
     /// Returns whether characters of remarks are text. In Grbl each byte from 0x80 up is a command or ignored.
     fn reads_characters(&self) -> bool;
+    /// Returns whether hosts are answered like grblHAL (`$900=3`), which has more realtime commands.
+    fn speaks_grblhal(&self) -> bool {
+        false
+    }
 }

@@ -1,8 +1,10 @@
-//! Finds realtime commands in the received bytes, anywhere in a line. `command` maps a byte to its command, and
-//! `byte_of` is the inverse. A byte that is no command is part of a line or ignored (`Received`). Runs in the serial
+//! Finds realtime commands in the received bytes, anywhere in a line. `command` maps a byte to its command,
+//! `command_of_grblhal` knows those of `$900=3` alone, and `byte_of` is the inverse. A byte that is no command is part of a line or ignored (`Received`). Runs in the serial
 //! task.
 
+use crate::image::FULL_IMAGE;
 use crate::messages::Realtime;
+use crate::protocol::queues::Queues;
 
 /// Classification of a received byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,6 +18,16 @@ pub enum Received {
 }
 
 impl Received {
+    /// Like [`Received::of`], with the commands of grblHAL if hosts are answered like it.
+    pub(super) fn in_dialect(byte: u8, queues: &impl Queues) -> Received {
+        match Received::of(byte) {
+            Received::Nothing if FULL_IMAGE && queues.speaks_grblhal() => {
+                command_of_grblhal(byte).map_or(Received::Nothing, Received::Realtime)
+            }
+            received => received,
+        }
+    }
+
     /// Classifies a byte, independently of its position in a line.
     pub fn of(byte: u8) -> Received {
         match command(byte) {
@@ -73,9 +85,24 @@ pub const fn command(byte: u8) -> Option<Realtime> {
     })
 }
 
-/// Returns the byte of a realtime command.
+/// Returns the realtime command of a byte that is one only if hosts are answered like grblHAL (`$900=3`).
+pub const fn command_of_grblhal(byte: u8) -> Option<Realtime> {
+    Some(match byte {
+        0x80 => Realtime::Status,
+        0x81 => Realtime::CycleStart,
+        0x82 => Realtime::FeedHold,
+        0x83 => Realtime::ParserState,
+        0x87 => Realtime::FullStatus,
+        0x88 => Realtime::OptionalStop,
+        0xA3 => Realtime::ToolReady,
+        _ => return None,
+    })
+}
+
+/// Returns the byte of a realtime command; the lowest one, if there are several.
 pub fn byte_of(wanted: Realtime) -> u8 {
-    (0..=u8::MAX).find(|byte| command(*byte) == Some(wanted)).unwrap_or_default()
+    let of = |byte: &u8| command(*byte).or(if FULL_IMAGE { command_of_grblhal(*byte) } else { None });
+    (0..=u8::MAX).find(|byte| of(byte) == Some(wanted)).unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -104,6 +131,17 @@ mod tests {
             let of_line = Received::of(byte) == Received::Line(byte) && !b"();".contains(&byte);
             assert_eq!(is_plain(byte), of_line && (b' '..=b'}').contains(&byte), "{byte:#x}");
         }
+    }
+
+    #[test]
+    fn no_byte_of_grblhal_has_another_command() {
+        for byte in 0..=0xFF {
+            let Some(of_grblhal) = command_of_grblhal(byte) else { continue };
+            assert_eq!((command(byte), Received::of(byte)), (None, Received::Nothing), "{byte:#x}");
+            let lowest = byte_of(of_grblhal);
+            assert_eq!(command(lowest).or(command_of_grblhal(lowest)), Some(of_grblhal));
+        }
+        assert_eq!([byte_of(Realtime::Status), byte_of(Realtime::FullStatus)], [b'?', 0x87]);
     }
 
     #[test]

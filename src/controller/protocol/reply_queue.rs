@@ -4,6 +4,7 @@
 use super::reply_texts::{is_answer, is_of_one_host};
 use super::status_report::RareFields;
 use super::text::PIECE;
+use crate::image::FULL_IMAGE;
 use crate::messages::{Chunk, Restart};
 
 /// Capacity of the queue, in bytes.
@@ -27,6 +28,8 @@ pub struct Replies {
     echoed: bool,
     /// `?` was received and has not been answered.
     status_due: bool,
+    /// The report is to have all fields (0x87). Takes no memory in the small image.
+    is_full: [bool; FULL_IMAGE as usize],
     /// The text queued last is a status report.
     reported: bool,
     rare_fields: RareFields,
@@ -53,6 +56,7 @@ impl Replies {
             hosts_gone: 0,
             echoed: false,
             status_due: false,
+            is_full: [false; FULL_IMAGE as usize],
             reported: false,
             rare_fields: RareFields::DUE,
             restart_told: false,
@@ -147,6 +151,17 @@ impl Replies {
         self.status_due = true;
     }
 
+    /// Requests a status report with all fields (0x87).
+    pub fn ask_full_status(&mut self) {
+        self.status_due = true;
+        self.is_full = [true; FULL_IMAGE as usize];
+    }
+
+    /// Returns whether the report made now has all fields, and clears that request.
+    pub fn take_full_status(&mut self) -> bool {
+        self.is_full.first_mut().is_some_and(core::mem::take)
+    }
+
     /// Returns whether a status report is to be made now, and in this case clears the request.
     #[inline]
     pub fn take_status(&mut self) -> bool {
@@ -160,6 +175,7 @@ impl Replies {
     pub fn reset(&mut self) {
         self.rare_fields = RareFields::DUE;
         self.status_due = false;
+        self.is_full = [false; FULL_IMAGE as usize];
     }
 
     /// Lets the next report show the changed work offset.

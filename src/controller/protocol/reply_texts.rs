@@ -3,7 +3,7 @@
 //!
 //! Pure functions from data to text. Each function makes one or more whole lines, ended by CR LF.
 
-use super::text::{END, Text, length, put, real, whole};
+use super::text::{END, Text, filled, length, put, real, whole};
 use crate::axes::{Axis, AxisMask, LINEAR, PerAxis};
 use crate::image::FULL_IMAGE;
 use crate::messages::{
@@ -228,9 +228,13 @@ const fn input_name(bit: usize) -> &'static str {
 
 /// `[PIN:name,level,active,polarity,pull,noise]`, one input of `$PINS`: present level of the pin, state of the filtered
 /// input, the level that makes it active, its pull resistor, and the number of changes that the filter has rejected.
-pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &InputWiring) {
+/// `grblhal`: `[PIN:IN10,hold,..`, with the number of the input in place of a pin of the chip.
+pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &InputWiring, grblhal: bool) {
     let has = |word: u32| word >> bit & 1 != 0;
     put(out, b"[PIN:");
+    if FULL_IMAGE && grblhal {
+        filled(out, b"IN#,", &[], &[bit as u32]);
+    }
     put(out, input_name(bit).as_bytes());
     put(out, if has(view.low) { b",low" } else { b",high" });
     put(out, if active { b",active" } else { b",inactive" });
@@ -390,12 +394,14 @@ pub fn tool_length<const N: usize>(out: &mut Text, offset: &PerAxis<Coordinate, 
     put(out, b"]\r\n");
 }
 
-/// `[T:number|x,y,z]`
+/// `[T:number|x,y,z|radius]`. The table has no radius, so it is 0.
 pub fn tool<const N: usize>(out: &mut Text, number: u32, offset: &PerAxis<Coordinate, N>, form: PlaceForm) {
     put(out, b"[T:");
     whole(out, u64::from(number));
     put(out, b"|");
     position(out, offset, form);
+    put(out, b"|");
+    length(out, Coordinate::ZERO, form.inches);
     put(out, b"]\r\n");
 }
 

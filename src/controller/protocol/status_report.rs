@@ -1,8 +1,9 @@
 //! The text of the status report (`<...>`), the answer to `?`: its fields, and which reports carry the rare ones.
 
 use super::reply_texts::{PlaceForm, position, rate};
-use super::text::{Text, put, real, whole};
+use super::text::{Text, filled, put, real, whole};
 use crate::axes::PerAxis;
+use crate::image::FULL_IMAGE;
 use crate::messages::{Coolant, Signals, SpindleDirection};
 use crate::units::Coordinate;
 
@@ -31,12 +32,45 @@ pub struct Status<const N: usize> {
     pub show_offset: bool,
     /// Overrides in percent (feed, rapid, spindle), spindle direction and coolant, if this report carries them.
     pub overrides: Option<([u8; 3], SpindleDirection, Coolant)>,
+    /// Further fields, with `$900=3`. Takes no memory in the small image.
+    pub of_grblhal: [Option<GrblHalFields>; FULL_IMAGE as usize],
+}
+
+/// Fields of a status report with `$900=3`, as grblHAL has them.
+#[derive(Clone, Copy, Debug)]
+pub struct GrblHalFields {
+    /// Whether all fields are asked for (0x87).
+    pub full: bool,
+    /// Number of the alarm that locks the machine; 0 for none.
+    pub alarm: u8,
+    /// The active coordinate system: `G54` and so on.
+    pub system: &'static str,
+    /// The tool in the spindle.
+    pub tool: u32,
+    /// Whether the machine is homed, and which axes are; `None` if homing is off.
+    pub homed: Option<(bool, u8)>,
+    /// Whether the tool setter has a reference.
+    pub has_reference: bool,
+    /// Whether M6 waits for a tool.
+    pub waits_for_tool: bool,
+    /// Spindle.
+    pub spindle: SpindleDirection,
+    /// Coolant.
+    pub coolant: Coolant,
 }
 
 /// `<...>`
 pub fn status<const N: usize>(out: &mut Text, status: &Status<N>, form: PlaceForm) {
     put(out, b"<");
-    put(out, status.state.as_bytes());
+    let more = status.of_grblhal.first().and_then(Option::as_ref);
+    match more {
+        Some(more) if more.waits_for_tool => put(out, b"Tool"),
+        _ => put(out, status.state.as_bytes()),
+    }
+    if let Some(GrblHalFields { full: true, alarm: alarm @ 1.., .. }) = more {
+        put(out, b":");
+        whole(out, u64::from(*alarm));
+    }
     if status.show_machine {
         put(out, b"|MPos:");
         position(out, &status.machine, form);
@@ -62,6 +96,10 @@ pub fn status<const N: usize>(out: &mut Text, status: &Status<N>, form: PlaceFor
     if status.show_offset {
         put(out, b"|WCO:");
         position(out, &status.offset, form);
+        if let Some(more) = more {
+            put(out, b"|WCS:");
+            put(out, more.system.as_bytes());
+        }
     }
     if let Some(([feed, rapid, speed], spindle, coolant)) = status.overrides {
         put(out, b"|Ov:");
@@ -70,9 +108,34 @@ pub fn status<const N: usize>(out: &mut Text, status: &Status<N>, form: PlaceFor
         whole(out, u64::from(rapid));
         put(out, b",");
         whole(out, u64::from(speed));
-        accessories(out, spindle, coolant);
+        if more.is_none() {
+            accessories(out, spindle, coolant);
+        }
+    }
+    if let Some(more) = more {
+        fields_of_grblhal(out, more, status.show_offset, status.overrides.is_some());
     }
     put(out, b">\r\n");
+}
+
+/// Appends the fields behind `Ov`. Those that change rarely come together with `WCO`.
+#[inline(never)]
+fn fields_of_grblhal(out: &mut Text, more: &GrblHalFields, rare: bool, accessories: bool) {
+    if accessories || more.waits_for_tool {
+        // Without letters, too: a host keeps the last ones until it gets others.
+        put(out, b"|A:");
+        put(out, &accessory_letters(more.spindle, more.coolant));
+        put(out, if more.waits_for_tool { b"T" } else { b"" });
+    }
+    let full = |text| if more.full { text } else { b"".as_slice() };
+    put(out, full(b"|MPG:0"));
+    if !rare {
+        return;
+    }
+    if let Some((all, axes)) = more.homed {
+        filled(out, b"|H:#,#", &[], &[all.into(), axes.into()]);
+    }
+    filled(out, b"|T:#|TLR:#%", &[full(b"|FW:grblHAL")], &[more.tool, more.has_reference.into()]);
 }
 
 fn pins(out: &mut Text, pins: &Signals) {
@@ -99,7 +162,8 @@ fn pins(out: &mut Text, pins: &Signals) {
     }
 }
 
-fn accessories(out: &mut Text, spindle: SpindleDirection, coolant: Coolant) {
+#[inline(never)]
+fn accessory_letters(spindle: SpindleDirection, coolant: Coolant) -> heapless::Vec<u8, 3> {
     let mut letters: heapless::Vec<u8, 3> = heapless::Vec::new();
     letters.extend(match spindle {
         SpindleDirection::Off => None,
@@ -108,6 +172,11 @@ fn accessories(out: &mut Text, spindle: SpindleDirection, coolant: Coolant) {
     });
     letters.extend(coolant.flood.then_some(b'F'));
     letters.extend(coolant.mist.then_some(b'M'));
+    letters
+}
+
+fn accessories(out: &mut Text, spindle: SpindleDirection, coolant: Coolant) {
+    let letters = accessory_letters(spindle, coolant);
     if !letters.is_empty() {
         put(out, b"|A:");
         put(out, &letters);

@@ -105,6 +105,10 @@ pub enum Described {
     Errors,
     /// The meanings of `ALARM:N`.
     Alarms,
+    /// The meanings of `error:N` as comma-separated values, only with `$900=3`.
+    ErrorTable,
+    /// The meanings of `ALARM:N` as comma-separated values, only with `$900=3`.
+    AlarmTable,
 }
 
 /// What `$RST` resets to defaults.

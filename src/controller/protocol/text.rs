@@ -22,6 +22,7 @@ pub fn put(out: &mut Text, bytes: &[u8]) {
 }
 
 /// Appends a whole number.
+#[inline(never)]
 pub fn whole(out: &mut Text, value: u64) {
     let mut digits = [0_u8; 20];
     let mut rest = value;
@@ -35,6 +36,19 @@ pub fn whole(out: &mut Text, value: u64) {
         }
     }
     put(out, digits.get(digits.len() - used..).unwrap_or(&[]));
+}
+
+/// Appends `form`, in which the next of `texts` stands for each `%` and the next of `numbers` for each `#`.
+#[inline(never)]
+pub fn filled(out: &mut Text, form: &[u8], texts: &[&[u8]], numbers: &[u32]) {
+    let (mut texts, mut numbers) = (texts.iter(), numbers.iter());
+    for byte in form {
+        match byte {
+            b'%' => put(out, texts.next().copied().unwrap_or_default()),
+            b'#' => whole(out, numbers.next().copied().unwrap_or_default().into()),
+            byte => put(out, core::slice::from_ref(byte)),
+        }
+    }
 }
 
 /// Appends `value` / 10^`places` with `places` decimals, after a minus sign if `negative` (even before a zero).
@@ -70,6 +84,7 @@ pub fn length(out: &mut Text, value: Coordinate, inches: bool) {
 
 /// Appends a non-negative real number, rounded half up. Scales by hundreds and tens in `f32` as Grbl does, so that
 /// settings print with the same last digit.
+#[inline(never)]
 pub fn real(out: &mut Text, value: f32, places: u32) {
     // From 1000 up the whole part is not scaled: `f32` would lose the last digit, and the printed value would not be
     // read back unchanged.

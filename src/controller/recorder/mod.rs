@@ -467,7 +467,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
                     self.line_byte(now, *byte, controller);
                 }
             }
-            Event::Realtime(Realtime::Status) | Event::Pins(_) => {}
+            Event::Realtime(Realtime::Status | Realtime::FullStatus | Realtime::ParserState) | Event::Pins(_) => {}
             event => self.record_seldom(now, event),
         }
     }

@@ -153,6 +153,7 @@ mod tests {
                 (0, in_grbl, Error::InvalidStatement),
                 (1_000, taken, Error::SettingOutOfRange),
                 (2_000, taken, Error::SettingOutOfRange),
+                (3_000, taken, Error::SettingOutOfRange),
             ] {
                 let mut s = Settings::<3>::default();
                 set(&mut s, 900, dialect).unwrap();

@@ -15,12 +15,14 @@
 mod change;
 mod index;
 mod listing;
+mod masks;
 mod row;
 mod runnable;
 mod table;
 mod values;
 
 pub use listing::lines;
+pub use masks::GrblHalMask;
 pub use row::{Description, Entry, Kind, Row, SettingGroup};
 pub use table::{AxisKey, Key, PER_AXIS, PER_AXIS_DESCRIPTIONS, SCALAR_DESCRIPTIONS, SCALARS};
 pub use values::Settings;

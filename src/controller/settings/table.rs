@@ -2,6 +2,7 @@
 
 use super::row::{ALL_AXIS_LABELS, AXIS_LABELS, Description, Entry, Kind, SettingGroup, table};
 use crate::axes::Axis;
+use crate::image::FULL_IMAGE;
 
 /// Bits of the control inputs, as in grblHAL's `$14` and `$17`.
 const CONTROL: Kind = Kind::Mask(0b1_0100_1111);
@@ -14,6 +15,12 @@ const REACTIONS: &str =
 const CONTROL_LABELS: &str = "Reset,Feed hold,Cycle start,Safety door,N/A,N/A,Emergency stop,N/A,Driver fault";
 /// Labels of the bits of the limit inputs.
 const LIMIT_LABELS: &str = "X axis,Y axis,Z axis,A axis,B axis,C axis,Second motor";
+
+/// Greatest value of `$900`, and the names of the dialects. The small image lacks the dialect of grblHAL.
+const MOST_DIALECT: u32 = if FULL_IMAGE { GRBLHAL } else { 2 };
+const DIALECT_LABELS: &str = if FULL_IMAGE { "Grbl,Oxmill,Seed document,grblHAL" } else { "Grbl,Oxmill,Seed document" };
+/// Value of `$900` with which hosts are answered like grblHAL.
+pub(super) const GRBLHAL: u32 = 3;
 
 table! {
     /// Settings that exist once.
@@ -68,7 +75,7 @@ table! {
         DoorCoolantDelay: 393, "Coolant on to motion, after a door", "s", Door, "", Kind::Real, 1.0, false;
         SpinUp: 394, "Spindle on to motion", "s", Spindle, "", Kind::Real, 0.0, false;
         SpinDown: 539, "Spindle off to motion", "s", Spindle, "", Kind::Real, 0.0, false;
-        Dialect: 900, "Dialect", "", General, "Grbl,Oxmill,Seed document", Kind::Whole(0, 2), 1.0, false;
+        Dialect: 900, "Dialect", "", General, DIALECT_LABELS, Kind::Whole(0, MOST_DIALECT), 1.0, false;
         StopOnError: 901, "An error stops the job", "", General, "", Kind::Switch, 0.0, false;
         TrustNeeded: 902, "Machine coordinates need a trusted position", "", General, "", Kind::Switch, 1.0, false;
         DoorFitted: 903, "Safety door fitted", "", Door, "", Kind::Switch, 1.0, false;

@@ -3,8 +3,9 @@
 //! own.
 
 use super::index::Index;
-use super::table::{AxisKey, Key, PER_AXIS, SCALARS, SOFT_LIMITS, homing_cycle};
+use super::table::{AxisKey, GRBLHAL, Key, PER_AXIS, SCALARS, SOFT_LIMITS, homing_cycle};
 use crate::axes::{Arrangement, Axis, LINEAR, PerAxis};
+use crate::image::FULL_IMAGE;
 use crate::units::Duration;
 
 /// The values of all settings.
@@ -99,6 +100,12 @@ impl<const N: usize> Settings<N> {
         let seconds = self.value(key);
         let bounded = if seconds < 86_400.0 { seconds } else { 86_400.0 };
         Duration::from_ticks((bounded * 1.0e6) as u64)
+    }
+
+    /// Returns whether hosts are answered like grblHAL (`$900=3`).
+    #[inline]
+    pub fn speaks_grblhal(&self) -> bool {
+        FULL_IMAGE && self.whole(Key::Dialect) == GRBLHAL
     }
 
     /// Returns whether a scalar value is not 0.
@@ -249,7 +256,8 @@ mod tests {
             (110, 1.0e12, false),
             (110, f32::INFINITY, false),
             (110, f32::NAN, false),
-            (900, 3.0, false),
+            (900, 3.0, true),
+            (900, 4.0, false),
         ] {
             let mut s = Settings::<4>::default();
             let before = s.by_number(number);
@@ -301,7 +309,7 @@ mod tests {
         /// A value that can be set can also be restored, whatever dialects are in force when it is set and when it is
         /// restored.
         #[test]
-        fn what_can_be_set_is_taken_over(value: i64, shift in 0..64_u32, set_in in 0..3, in_force in 0..3) {
+        fn what_can_be_set_is_taken_over(value: i64, shift in 0..64_u32, set_in in 0..4, in_force in 0..4) {
             let of = |dialect| {
                 let mut s = Settings::<4>::default();
                 s.set(Key::Dialect.number(), Decimal::from_int(dialect)).unwrap();

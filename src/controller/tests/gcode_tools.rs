@@ -1,6 +1,7 @@
 //! Tests of tools: the table, the words that change it, and the offsets that are taken from it.
 
 use crate::program::{Program, in_mm};
+use oxmill_controller::axes::PerAxis;
 use oxmill_controller::gcode::{Dialect, MotionCommand, TOOLS, ToolTable};
 use oxmill_controller::units::Coordinate;
 
@@ -313,6 +314,21 @@ fn measure(program: &mut Program, number: u32, height: i32) -> bool {
 
 fn tool_length(program: &Program) -> f64 {
     in_mm(&program.interpreter.offsets().tool_length)[2]
+}
+
+/// A reference that the host has set (`$TLR`) counts like that of the first measured tool.
+#[test]
+fn a_host_sets_the_reference_of_the_setter() {
+    let mut program = ready(Dialect::Oxmill);
+    program.run("G43.1 Z2");
+    assert_eq!(program.interpreter.tool_reference(), None);
+    let touched = PerAxis([Coordinate::mm(1), Coordinate::mm(2), Coordinate::mm(-50)]);
+    program.interpreter.set_tool_reference(Some(touched));
+    assert_eq!(program.interpreter.tool_reference(), Some(Coordinate::mm(-52)), "of a tool with offset 0");
+    assert!(!measure(&mut program, 2, -43));
+    assert_eq!(tool_length(&program), 9.0, "7 mm longer than the one that has touched");
+    program.interpreter.set_tool_reference(None);
+    assert!(measure(&mut program, 2, -43));
 }
 
 #[test]

@@ -276,6 +276,8 @@ pub(crate) enum Listing {
     Macros,
     /// `$PINS`
     Pins,
+    /// `$I` with `$900=3`, which needs the view of the pins
+    Identity,
     /// `$ES` and the like
     Descriptions(Described),
     /// `$REC`

@@ -168,7 +168,7 @@ fn a_tool_that_was_taken_out_stays_out() {
     second.run_until_idle();
     let listing = second.take_output();
     let tools: Vec<&str> = listing.lines().filter(|line| line.starts_with("[T:")).collect();
-    assert_eq!(tools, ["[T:4|0.000,0.000,4.000]", "[T:3|0.000,0.000,3.000]"]);
+    assert_eq!(tools, ["[T:4|0.000,0.000,4.000|0.000]", "[T:3|0.000,0.000,3.000|0.000]"]);
 }
 
 #[test]
@@ -184,7 +184,10 @@ fn the_tool_table_outlives_a_power_cycle() {
         mill.take_output().lines().filter(|line| line.starts_with("[T:")).map(str::to_owned).collect()
     };
     let table = tools(&mut first);
-    assert_eq!(table, ["[T:5|1.000,-2.000,12.500]", "[T:7|0.000,0.000,-0.001]", "[T:99999|0.000,0.000,25.400]"]);
+    assert_eq!(
+        table,
+        ["[T:5|1.000,-2.000,12.500|0.000]", "[T:7|0.000,0.000,-0.001|0.000]", "[T:99999|0.000,0.000,25.400|0.000]"]
+    );
     let store = first.store().power_cycled().unwrap();
     let mut second = Simulator::new(Options { store, ..Options::default() });
     second.run_until_idle();

@@ -100,7 +100,7 @@ export class Machine {
     if (quiet > SILENT) return "silent";
     switch (this.status.state.split(":")[0]) {
       case "Alarm": return "alarm";
-      case "Hold": return "hold";
+      case "Hold": case "Tool": return "hold";
       case "Door": return "door";
       case "Home": return "home";
       case "Jog": return "jog";
@@ -360,7 +360,7 @@ export class Machine {
     this.rests = this.sender?.free && /^(Idle|Check)$/.test(name) ? this.rests + 1 : 0;
     const overrides = status.fields.Ov?.split(",").map(Number);
     if (overrides) [this.overrides, this.accessories] = [overrides, status.fields.A ?? ""];
-    if (name !== "Hold") this.pause = "";
+    if (name !== "Hold" && name !== "Tool") this.pause = "";
     if (name === "Alarm" && !this.trouble) this.locked();
     if (before === "Alarm" && name !== "Alarm" && this.trouble && !this.trouble.unlocked) this.trouble = undefined;
     for (const call of this.waiting.splice(0)) call(status);
@@ -468,7 +468,7 @@ export class Machine {
     }
     if (this.running) this.end(this.running, "stopped");
     this.stopping = new Stopping(sender, brakingTime(this.settings, this.axes.length), reset);
-    if (this.status && /^(Hold:0|Door:[01])/.test(this.status.state)) this.stopping.report(this.status);
+    if (this.status && /^(Hold:0|Tool|Door:[01])/.test(this.status.state)) this.stopping.report(this.status);
     this.changed();
   }
 

@@ -249,10 +249,10 @@ export class Sender {
       const buffer = /^\[OPT:[^,]*,\d+,(\d+)/.exec(line);
       if (buffer) this.room = Number(buffer[1]);
       if (line.startsWith("ALARM:") && !this.resetting) this.stop(line);
-      if (line.startsWith("Grbl ")) this.greeted();
+      if (/^Grbl(HAL)? /.test(line)) this.greeted();
       const [asked] = this.flight;
       if (asked?.command) asked.said.push(line);
-      if (!asked?.command?.quiet || /^(\[MSG:|ALARM:|Grbl )/.test(line)) this.onmessage(line);
+      if (!asked?.command?.quiet || /^(\[MSG:|ALARM:|Grbl(HAL)? )/.test(line)) this.onmessage(line);
     }
   }
 

@@ -7,9 +7,14 @@ import { type Preset, PRESETS } from "./presets";
 const STORED = "oxmill settings";
 const STORED_PRESET = "oxmill machine";
 
-/** Parses the output of `$$` into numbers and values. */
+/** Parses the output of `$$` into numbers and values. In the dialect of grblHAL (`$900=3`), `$10` and `$22` have bits that always act. */
 export function parseSettings(text: string): Record<string, number> {
-  return Object.fromEntries([...text.matchAll(/^\s*\$(\d+)=(-?[\d.]+)(?=[\s(;]|$)/gm)].map(match => [match[1], Number(match[2])]));
+  const values: Record<string, number> =
+    Object.fromEntries([...text.matchAll(/^\s*\$(\d+)=(-?[\d.]+)(?=[\s(;]|$)/gm)].map(match => [match[1], Number(match[2])]));
+  if (values[900] === 3) {
+    for (const [number, own] of [[10, 3], [22, 1]]) if (number in values) values[number] &= own;
+  }
+  return values;
 }
 
 export class Settings implements Values {

@@ -19,7 +19,7 @@ export class Stopping {
 
   /** Handles a report: resets the machine if it is at rest. */
   report({ state }: Status): void {
-    if (/^(Hold:0|Idle|Door:[01]|Alarm|Sleep|Check)/.test(state)) this.reset(true);
+    if (/^(Hold:0|Tool|Idle|Door:[01]|Alarm|Sleep|Check)/.test(state)) this.reset(true);
   }
 
   /** Stop was pressed again: resets immediately, even in motion. */

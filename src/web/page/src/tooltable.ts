@@ -8,7 +8,7 @@ export interface Tool { number: number; offset: number[] }
 /** Returns the tools in the output of `$#`. */
 export const toolsOf = (stored: string[]): Tool[] =>
   stored.flatMap(line => {
-    const found = /^\[T:(\d+)\|([^\]]*)\]$/.exec(line);
+    const found = /^\[T:(\d+)\|([^\]|]*)(?:\|[^\]]*)?\]$/.exec(line);
     return found ? [{ number: Number(found[1]), offset: found[2].split(",").map(Number) }] : [];
   });
 
@@ -20,7 +20,7 @@ export function storedLines(stored: string[], unit: number): string[] {
     return found ? [`G10 L2 P${Number(found[1]) - 3 + Number(found[2] ?? 0)} ${words(found[3])}`] : [];
   });
   const tools = stored.flatMap(line => {
-    const found = /^\[T:(\d+)\|([^\]]*)\]$/.exec(line);
+    const found = /^\[T:(\d+)\|([^\]|]*)(?:\|[^\]]*)?\]$/.exec(line);
     return found ? [`G10 L1 P${found[1]} ${words(found[2])}`] : [];
   });
   return [...systems, ...tools];

@@ -593,7 +593,7 @@ export async function nothing_starts_that_would_fail(browser) {
   await openJob(page, "needs.nc", "G21 G90\nG43 H5\nG0 X1\n");
   await page.waitForFunction(() => [...document.querySelectorAll(".checks li.look")].some(item => item.textContent.startsWith("The tool table is empty")) && !document.getElementById("start").disabled, null, { timeout: PATIENCE });
   await page.evaluate(() => {
-    fake.online = line => (line === "$#" ? (fake.say("[T:4|0,0,1.5]"), "ok") : "ok");
+    fake.online = line => (line === "$#" ? (fake.say("[T:4|0,0,1.5|0]"), "ok") : "ok");
     void oxmill.app.machine.line("G4 P0");
   });
   await page.waitForFunction(() => document.getElementById("start-why").textContent === "Off: this machine would refuse a line.", null, { timeout: PATIENCE });

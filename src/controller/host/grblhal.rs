@@ -1,0 +1,107 @@
+//! Answers hosts like grblHAL (`$900=3`): executes its `$` commands, and takes settings that are masks there.
+
+use crate::dispatch::Controller;
+use crate::error::Error;
+use crate::gcode::Dialect;
+use crate::protocol::grblhal::{self, Command};
+use crate::protocol::reply_texts;
+use crate::settings::{GrblHalMask, Key};
+use crate::units::{DECIMAL_ONE, Decimal};
+use crate::work::task::{Listing, Task};
+
+impl<const N: usize> Controller<N> {
+    /// Executes a command that Grbl and Oxmill lack. Such a command is allowed in idle or alarm.
+    #[inline(never)]
+    pub(crate) fn grblhal_command(&mut self, command: Command) -> Result<(), Error> {
+        match command {
+            Command::Settings => self.task = Task::Listing(Listing::Settings, 0),
+            Command::Table(what) => self.task = Task::Listing(Listing::Descriptions(what), 0),
+            Command::Help => {
+                self.say_help();
+                self.say_ok();
+            }
+            Command::Describe(number) => {
+                let row = self.described(number).ok_or(Error::InvalidStatement)?;
+                self.say_description(row);
+                self.say_ok();
+            }
+            Command::Spindles { in_fields } => {
+                let settings = &self.m.settings;
+                let speeds = [Key::SpindleMinimum, Key::SpindleMaximum].map(|key| settings.value(key));
+                let reports_speed = settings.is_on(Key::AtSpeed);
+                self.say(|out| grblhal::spindle(out, in_fields, reports_speed, speeds));
+                self.say_ok();
+            }
+            Command::ToolReference => {
+                if !self.measures_tools() {
+                    return Err(Error::InvalidStatement);
+                }
+                let (place, success) = self.m.probe.result();
+                self.m.interpreter.set_tool_reference(success.then_some(place));
+                self.say_ok();
+            }
+            Command::SingleBlock => {
+                self.line.toggle_single_block();
+                self.tell_single_block();
+                self.say_ok();
+            }
+            Command::BlockDelete => {
+                self.toggle(Key::BlockDelete, ["Block delete off", "Block delete on"]);
+                self.say_ok();
+            }
+            Command::OptionalStop => {
+                self.toggle_optional_stop();
+                self.say_ok();
+            }
+        }
+        Ok(())
+    }
+
+    /// Sends the commands, the answer to `$`.
+    pub(crate) fn say_help(&mut self) {
+        let grbl = self.dialect() == Dialect::Grbl;
+        self.say(|out| reply_texts::help(out, grbl));
+        if self.speaks_grblhal() {
+            self.say(grblhal::help);
+        }
+    }
+
+    /// Switches the pause at M1 on or off (0x88, `$O`), until power-off.
+    pub(crate) fn toggle_optional_stop(&mut self) {
+        self.toggle(Key::OptionalStop, ["Optional stop off", "Optional stop on"]);
+    }
+
+    /// Switches a setting on or off without storing it, and reports its new state.
+    fn toggle(&mut self, key: Key, states: [&'static str; 2]) {
+        let is_on = !self.m.settings.is_on(key);
+        self.m.settings.restore(key.number(), if is_on { 1.0 } else { 0.0 });
+        let [off, on] = states;
+        self.say(|out| reply_texts::message(out, if is_on { on } else { off }));
+    }
+
+    /// Takes a value for a setting that is a mask in grblHAL. Returns the value that the setting has here, and the value
+    /// of `$932` if the mask has a bit for it. A bit that acts always need not be written, and homing that is off has
+    /// no further bits; a message tells what is read back instead.
+    ///
+    /// # Errors
+    /// [`Error::SettingOutOfRange`] for a bit that nothing does, after a message that names it.
+    pub(crate) fn take_mask(&mut self, number: u16, value: Decimal) -> Result<(Decimal, Option<bool>), Error> {
+        let Some(mask) = GrblHalMask::of(number) else { return Ok((value, None)) };
+        let Ok(bits) = u32::try_from(value.truncate()) else { return Ok((value, None)) };
+        if value.0 % DECIMAL_ONE != 0 {
+            return Ok((value, None));
+        }
+        let unknown = bits & !mask.bits();
+        if unknown != 0 {
+            self.tell_values(number);
+            self.say(|out| reply_texts::message_number(out, "Nothing does what these bits mean: ", unknown));
+            return Err(Error::SettingOutOfRange);
+        }
+        let own = bits & mask.own;
+        let all = mask.read_back(bits);
+        if all != bits {
+            self.say(|out| reply_texts::message_number(out, "Acts as ", all));
+        }
+        Ok((Decimal::from_int(own as i32), mask.zero_at_pull_off(bits)))
+    }
+}

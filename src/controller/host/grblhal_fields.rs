@@ -1,0 +1,45 @@
+//! The fields that only status reports with `$900=3` have, as in grblHAL.
+
+use crate::dispatch::Controller;
+use crate::messages::SpindleDirection;
+use crate::protocol::status_report::GrblHalFields;
+use crate::settings::Key;
+use crate::states::State;
+use crate::work::task::{Stage, Task};
+
+/// Number of the alarm with which grblHAL asks for homing. Only full reports have it.
+const HOMING_REQUIRED: u8 = 11;
+
+impl<const N: usize> Controller<N> {
+    /// Whether M6 waits for the operator.
+    pub(crate) fn waits_for_tool(&mut self) -> bool {
+        let Task::Job(job) = self.task else { return false };
+        matches!(self.state, State::Hold(_))
+            && match job.stage {
+                Stage::ToolChange => true,
+                Stage::Measuring => self.line.change().waits_for().is_some(),
+                _ => false,
+            }
+    }
+
+    /// Returns the fields that only grblHAL's reports have.
+    pub(crate) fn grblhal_fields(&mut self, full: bool, spindle: SpindleDirection) -> GrblHalFields {
+        let is_homing_on = self.m.settings.is_on(Key::Homing);
+        let reference = self.m.reference;
+        let alarm = match self.state {
+            State::Alarm(None) if is_homing_on && !reference.is_trusted() => HOMING_REQUIRED,
+            _ => self.state.alarm().map_or(0, |alarm| alarm.code()),
+        };
+        GrblHalFields {
+            full,
+            alarm,
+            system: self.m.interpreter.modal().coordinate_system.word(),
+            tool: self.m.interpreter.spindle_tool(),
+            homed: is_homing_on.then_some((reference.is_trusted(), reference.homed_axes().0)),
+            has_reference: self.m.interpreter.tool_reference().is_some(),
+            waits_for_tool: self.waits_for_tool(),
+            spindle,
+            coolant: self.m.accessories.coolant(),
+        }
+    }
+}

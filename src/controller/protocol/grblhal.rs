@@ -1,0 +1,224 @@
+//! What only hosts of `$900=3` get: the `$` commands and the texts that grblHAL has and Grbl lacks. gSender and ioSender
+//! show more of a machine that answers like this.
+
+use super::reply_texts::RELEASE;
+use super::system::Described;
+use super::text::{Text, filled, length, put, real};
+use crate::messages::{LINES_DEPTH, PinView, input};
+use crate::number::{self, Digits};
+use crate::units::Coordinate;
+
+/// A `$` command that only hosts of `$900=3` have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Command {
+    /// `$SED=n`: describes one setting.
+    Describe(u16),
+    /// `$SPINDLES`, and `$SPINDLESH` for programs.
+    Spindles {
+        /// In fields for programs.
+        in_fields: bool,
+    },
+    /// `$TLR`: the last contact of the probe is the reference of the tool setter.
+    ToolReference,
+    /// `$S`: switches single block on or off.
+    SingleBlock,
+    /// `$B`: switches block delete on or off.
+    BlockDelete,
+    /// `$O`: switches the pause at M1 on or off.
+    OptionalStop,
+    /// `$+`: lists all settings.
+    Settings,
+    /// `$HELP`
+    Help,
+    /// `$EAG`, `$EEG`: the alarms or the errors as comma-separated values.
+    Table(Described),
+}
+
+/// The commands without a value.
+const COMMANDS: [(&[u8], Command); 10] = [
+    (b"$SPINDLES", Command::Spindles { in_fields: false }),
+    (b"$SPINDLESH", Command::Spindles { in_fields: true }),
+    (b"$TLR", Command::ToolReference),
+    (b"$S", Command::SingleBlock),
+    (b"$B", Command::BlockDelete),
+    (b"$O", Command::OptionalStop),
+    (b"$+", Command::Settings),
+    (b"$HELP", Command::Help),
+    (b"$EAG", Command::Table(Described::AlarmTable)),
+    (b"$EEG", Command::Table(Described::ErrorTable)),
+];
+
+/// Reads a `$` line (filtered). Returns `None` if Grbl or Oxmill may know it.
+#[inline(never)]
+pub fn read(line: &[u8]) -> Option<Command> {
+    let Some(text) = line.strip_prefix(b"$SED=") else {
+        return COMMANDS.iter().find(|(name, _)| *name == line).map(|(_, command)| *command);
+    };
+    let number = number::read(text, Digits::Exact).filter(|number| number.used == text.len())?.value;
+    Some(Command::Describe(u16::try_from(number.truncate()).ok()?))
+}
+
+/// The welcome line.
+pub fn welcome(out: &mut Text) {
+    put(out, b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n");
+}
+
+/// The commands that the answer to `$` lacks.
+pub fn help(out: &mut Text) {
+    put(out, b"[HLP:$HELP $+ $SED=n $SPINDLES $SPINDLESH $TLR $S $B $O $EAG $EEG 0x80-83 0x87 0x88 0xA3]\r\n");
+}
+
+/// What `$I` and `$I+` answer.
+pub struct Identity<'a> {
+    /// Text of the user (`$I=`).
+    pub user: &'a [u8],
+    /// Letters of `OPT`.
+    pub letters: &'a [u8],
+    /// Capacity of the look-ahead.
+    pub blocks: usize,
+    /// Axes in use.
+    pub axes: usize,
+    /// Capacity of the tool table.
+    pub tools: usize,
+    /// Homing is enabled.
+    pub homing: bool,
+    /// M6 stops the program for another tool.
+    pub changes_tools: bool,
+    /// The input pins of the board.
+    pub pins: &'a PinView,
+    /// Name of the board.
+    pub board: &'static str,
+    /// Settings survive power-off.
+    pub has_store: bool,
+    /// Highest step rate in Hz.
+    pub step_rate: u32,
+    /// Number of outputs and inputs for programs.
+    pub program_pins: [u8; 2],
+}
+
+/// The first lines of `$I`: `VER`, `OPT`, `AXS` and `NEWOPT`. `RT+`: the commands have their old bytes, such as `?`, too.
+pub fn options(out: &mut Text, this: &Identity) {
+    let date = RELEASE.date.as_bytes();
+    let axes = b"XYZABC".get(..this.axes).unwrap_or_default();
+    let stops = when(this.pins.fitted >> input::EMERGENCY_STOP & 1 != 0, b",ES");
+    let (homes, changes) = (when(this.homing, b",HOME"), when(this.changes_tools, b",TC"));
+    filled(
+        out,
+        b"[VER:1.1f.%:%]\r\n[OPT:%,#,#,#,#]\r\n[AXS:#:%]\r\n[NEWOPT:ENUMS,RT+%%,EXPR%,SED]\r\n",
+        &[date, this.user, this.letters, axes, homes, stops, changes],
+        &[this.blocks, LINES_DEPTH, this.axes, this.tools, this.axes].map(|number| number as u32),
+    );
+}
+
+/// The other lines of `$I`, from `FIRMWARE` on.
+pub fn equipment(out: &mut Text, this: &Identity) {
+    let has = |bit: u32, letter| when(this.pins.fitted >> bit & 1 != 0, letter);
+    filled(
+        out,
+        b"[FIRMWARE:grblHAL]\r\n[SIGNALS:%%%%%%]\r\n%[DRIVER:Oxmill]\r\n[DRIVER VERSION:%]\r\n[BOARD:%]\r\n\
+          [MAX STEP RATE:# Hz]\r\n",
+        &[
+            has(input::RESET, b"R"),
+            has(input::HOLD, b"H"),
+            has(input::START, b"S"),
+            has(input::DOOR, b"D"),
+            has(input::EMERGENCY_STOP, b"E"),
+            has(input::DRIVER_FAULT, b"F"),
+            when(this.has_store, b"[NVS STORAGE:FLASH]\r\n"),
+            RELEASE.version.as_bytes(),
+            this.board.as_bytes(),
+        ],
+        &[this.step_rate],
+    );
+    let [outputs, inputs] = this.program_pins.map(u32::from);
+    if outputs + inputs > 0 {
+        filled(out, b"[AUX IO:#,#,0,0]\r\n", &[], &[inputs, outputs]);
+    }
+    put(out, b"[SPINDLE:PWM]\r\n");
+}
+
+fn when(has: bool, text: &[u8]) -> &[u8] {
+    if has { text } else { b"" }
+}
+
+/// `[TLR:z]`: the reference of the tool setter, in `$#`.
+pub fn tool_reference(out: &mut Text, height: Coordinate, inches: bool) {
+    put(out, b"[TLR:");
+    length(out, height, inches);
+    put(out, b"]\r\n");
+}
+
+/// The one spindle, as `$SPINDLES` or `$SPINDLESH` describes it. It turns both ways (D), can be a laser (L), and has a
+/// variable speed (V); S: it reports that it is up to speed. `speeds`: the range in rpm.
+pub fn spindle(out: &mut Text, in_fields: bool, reports_speed: bool, speeds: [f32; 2]) {
+    let reports = when(reports_speed, b"S");
+    if !in_fields {
+        return filled(out, b"0 - PWM, enabled as spindle 0, %DLV, active\r\n", &[reports], &[]);
+    }
+    put(out, b"[SPINDLE:0|0|0|*");
+    put(out, reports);
+    put(out, b"DLV|PWM");
+    for (speed, before) in speeds.iter().zip([b"|", b","]) {
+        put(out, before);
+        real(out, *speed, 1);
+    }
+    put(out, b"]\r\n");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn text(make: impl FnOnce(&mut Text)) -> String {
+        let mut out = Text::new();
+        make(&mut out);
+        assert!(out.len() < out.capacity(), "nothing is cut off");
+        String::from_utf8(out.to_vec()).unwrap()
+    }
+
+    #[test]
+    fn commands_are_read() {
+        assert_eq!(read(b"$SED=120"), Some(Command::Describe(120)));
+        assert_eq!(read(b"$SPINDLESH"), Some(Command::Spindles { in_fields: true }));
+        assert_eq!(read(b"$S"), Some(Command::SingleBlock));
+        for other in [b"$SED=".as_slice(), b"$SED=X", b"$SED=1X", b"$SED=-1", b"$SED=70000", b"$SLP", b"$$", b"$BX"] {
+            assert_eq!(read(other), None);
+        }
+    }
+
+    #[test]
+    fn the_longest_identity_fits() {
+        let pins = PinView { fitted: u32::MAX, ..PinView::default() };
+        let this = Identity {
+            user: &[b'X'; 80],
+            letters: b"VNMCPHR+2",
+            blocks: 512,
+            axes: 4,
+            tools: 32,
+            homing: true,
+            changes_tools: true,
+            pins: &pins,
+            board: "nucleo_f446re",
+            has_store: true,
+            step_rate: 1_000_000,
+            program_pins: [2, 2],
+        };
+        let told = text(|out| options(out, &this));
+        assert!(
+            told.ends_with(",512,255,4,32]\r\n[AXS:4:XYZA]\r\n[NEWOPT:ENUMS,RT+,HOME,ES,EXPR,TC,SED]\r\n"),
+            "{told}"
+        );
+        let told = text(|out| equipment(out, &this));
+        assert!(told.starts_with("[FIRMWARE:grblHAL]\r\n[SIGNALS:RHSDEF]\r\n[NVS STORAGE:FLASH]\r\n"), "{told}");
+        assert!(told.ends_with("[MAX STEP RATE:1000000 Hz]\r\n[AUX IO:2,2,0,0]\r\n[SPINDLE:PWM]\r\n"), "{told}");
+    }
+
+    #[test]
+    fn a_spindle_has_its_range() {
+        assert_eq!(text(|out| spindle(out, true, false, [0.0, 24_000.0])), "[SPINDLE:0|0|0|*DLV|PWM|0.0,24000.0]\r\n");
+        assert_eq!(
+            text(|out| spindle(out, false, true, [0.0, 1.0])),
+            "0 - PWM, enabled as spindle 0, SDLV, active\r\n"
+        );
+    }
+}
