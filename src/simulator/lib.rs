@@ -47,6 +47,8 @@ pub mod meter;
 #[cfg(feature = "program")]
 mod no_browser;
 pub mod path;
+#[cfg(feature = "program")]
+mod pin_tables;
 pub mod pins;
 #[cfg(feature = "program")]
 pub mod plot;
@@ -104,6 +106,7 @@ pub fn main() -> ExitCode {
         Command::Plot(options) => job::plot(options),
         Command::Replay(options) => job::replay(&options),
         Command::Resume(options) => job::resume(&options),
+        Command::Board(command) => pin_tables::run(&command),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut CommandLine::command(), "oxmill", &mut script);
