@@ -189,6 +189,9 @@ impl<const N: usize> Controller<N> {
         if with_options {
             let axes = self.m.settings.axes_in_use();
             self.say(|out| reply_texts::more_options(out, axes, OPTIONS));
+            let lock = &self.m.settings_lock;
+            let (board, oscillator_mhz) = (lock.board(), lock.oscillator_mhz());
+            self.say(|out| reply_texts::board(out, board, oscillator_mhz));
         }
         self.say_ok();
     }

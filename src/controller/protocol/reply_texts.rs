@@ -343,6 +343,18 @@ pub fn more_options(out: &mut Text, axes: usize, options: &[&str]) {
     put(out, b"]\r\n");
 }
 
+/// `[BOARD:...]` of `$I+`, as in grblHAL, and `[CRYSTAL:...]`: the frequency of the oscillator as measured at the start.
+pub fn board(out: &mut Text, name: &str, oscillator_mhz: u8) {
+    put(out, b"[BOARD:");
+    put(out, name.as_bytes());
+    if oscillator_mhz > 0 {
+        put(out, b"]\r\n[CRYSTAL:");
+        whole(out, oscillator_mhz.into());
+        put(out, b" MHz");
+    }
+    put(out, b"]\r\n");
+}
+
 /// Format of printed positions: number of axes, and unit of lengths. Angles stay in degrees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlaceForm {
