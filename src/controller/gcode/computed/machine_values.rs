@@ -173,6 +173,7 @@ impl<const N: usize> Interpreter<N> {
             b"IJK_ABSOLUTE_MODE" => truth(modal.arc_distance == ArcDistance::Absolute),
             b"INVERSE_TIME" => truth(modal.feed_mode == FeedMode::InverseTime),
             b"UNITS_PER_MINUTE" => truth(modal.feed_mode == FeedMode::PerMinute),
+            b"UNITS_PER_REV" => truth(modal.feed_mode == FeedMode::PerRevolution),
             b"TOOL_OFFSET" => truth(self.offsets.tool_length != PerAxis::all(Coordinate::ZERO)),
             b"SPINDLE_ON" => truth(modal.spindle != SpindleDirection::Off),
             b"SPINDLE_CW" => truth(modal.spindle == SpindleDirection::Clockwise),
@@ -184,7 +185,10 @@ impl<const N: usize> Interpreter<N> {
             b"SPEED_OVERRIDE" => truth(!modal.overrides_held.spindle),
             // These values never change. (In LinuxCNC `#<_task>` is 0 in the preview.)
             b"TASK" | b"METRIC_MACHINE" | b"SPINDLE_RPM_MODE" | b"LATHE_RADIUS_MODE" | b"FEED_HOLD" => truth(true),
-            b"UNITS_PER_REV" | b"SPINDLE_CSS_MODE" | b"LATHE_DIAMETER_MODE" | b"ADAPTIVE_FEED" => truth(false),
+            b"SPINDLE_CSS_MODE" | b"LATHE_DIAMETER_MODE" | b"ADAPTIVE_FEED" => truth(false),
+            // The version of LinuxCNC whose words these are.
+            b"VMAJOR" => Ok(Some(Real::from_decimal(Decimal(DECIMAL_ONE * 29 / 10)))),
+            b"VMINOR" => Ok(Some(Real::ZERO)),
             b"FEED" => Ok(Some(self.feed())),
             b"RPM" => Ok(Some(Real::from_f32(modal.speed))),
             b"VALUE" => Ok(Some(self.computed.returned.unwrap_or(Real::ZERO))),
@@ -211,7 +215,8 @@ impl<const N: usize> Interpreter<N> {
     fn feed(&self) -> Real {
         let feed = Real::from_decimal(self.modal.feed);
         match self.modal.feed_mode {
-            FeedMode::PerMinute if self.modal.units == Units::Inch => inches(feed),
+            FeedMode::InverseTime => feed,
+            _ if self.modal.units == Units::Inch => inches(feed),
             _ => feed,
         }
     }

@@ -7,6 +7,7 @@ mod calls;
 mod explain;
 mod expression;
 mod flow;
+mod jumps;
 mod m_words;
 mod machine_values;
 mod macros;
@@ -70,6 +71,8 @@ pub(super) struct Computed<const N: usize> {
     probe_succeeded: bool,
     /// Last input read by M66: 1 (active), 0 (inactive), or -1 (timeout).
     input_read: i8,
+    /// O number of the program; 0 if it has none.
+    program: u32,
 }
 
 impl<const N: usize> Computed<N> {
@@ -81,6 +84,7 @@ impl<const N: usize> Computed<N> {
             probed: PerAxis::all(Coordinate::ZERO),
             probe_succeeded: false,
             input_read: 0,
+            program: 0,
         }
     }
 
@@ -92,6 +96,11 @@ impl<const N: usize> Computed<N> {
         self.probed = PerAxis::all(Coordinate::ZERO);
         self.probe_succeeded = false;
         self.input_read = 0;
+    }
+
+    /// Forgets the O number of the program.
+    pub fn forget_number(&mut self) {
+        self.program = 0;
     }
 
     /// Whether programs have left no state that another program could read, except macros and the last probe position.

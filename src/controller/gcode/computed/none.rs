@@ -44,6 +44,8 @@ impl<const N: usize> Computed<N> {
 
     pub fn reset(&mut self) {}
 
+    pub fn forget_number(&mut self) {}
+
     pub fn begin(&mut self) {}
 
     pub fn assigns(&self) -> bool {

@@ -31,8 +31,9 @@ impl<const N: usize> Interpreter<N> {
         flow.line = number;
         let plain = flow.state == FlowState::Streaming && !flow.skipping;
         let may_direct = match line.first() {
-            Some(b'O' | b'N' | b':' | b'M') => true,
-            Some(b'G') => matches!(line, [_, b'6', b'5', ..] | [_, b'0', b'6', b'5', ..]),
+            Some(b'O' | b'N' | b':' | b'M' | b'W' | b'E') => true,
+            Some(b'G') => matches!(line, [_, b'6', b'5', ..] | [_, b'0', b'6', b'5', ..] | [_, b'O', ..]),
+            Some(b'I') => matches!(line, [_, b'F', ..]),
             _ => false,
         };
         if plain && !may_direct {
@@ -140,7 +141,12 @@ impl<const N: usize> Interpreter<N> {
             flow.skipped = flow.skipped.saturating_add(1);
             return Ok(Direction::LeftOut);
         }
-        let Some(order) = order else { return Ok(Direction::Check) };
+        let Some(order) = order else {
+            if let Some(b'O' | b':') = line.first() {
+                self.note_number(line);
+            }
+            return Ok(Direction::Check);
+        };
         match order.keyword {
             Keyword::If | Keyword::ElseIf | Keyword::Else | Keyword::EndIf => self.branch(order)?,
             Keyword::Call => {
@@ -151,6 +157,15 @@ impl<const N: usize> Interpreter<N> {
                 return Ok(Direction::Call);
             }
             Keyword::CallProgram | Keyword::CallMacro => return self.run_call(&[], line, remark, &order),
+            Keyword::CallMacroOfM => {
+                let Some((_, at)) = flow.find_macro(order.label) else { return Ok(Direction::Check) };
+                let arguments = self.arguments_of_m(order.arguments)?;
+                self.computed.flow.run(at, None);
+                self.call(FrameKind::Call, order.label, STREAM, &arguments)?;
+                return Ok(Direction::Call);
+            }
+            Keyword::Then => return self.run_then(&order, remark),
+            Keyword::GoTo => return Err(Error::NotSupported),
             Keyword::Back => return Err(self.refuse_rest()),
             Keyword::Sub | Keyword::Do | Keyword::While | Keyword::Repeat => {
                 let from = flow.text.len() as u16;
@@ -287,6 +302,15 @@ impl<const N: usize> Interpreter<N> {
                     return Ok(Held::End);
                 }
             }
+            Keyword::CallMacroOfM => {
+                let Some((_, begin)) = flow.find_macro(order.label) else { return Ok(Held::Line) };
+                let back = flow.next;
+                let arguments = self.arguments_of_m(order.arguments)?;
+                self.call(FrameKind::Call, order.label, back, &arguments)?;
+                self.computed.flow.go_back(begin)?;
+            }
+            Keyword::Then => return self.then(line),
+            Keyword::GoTo => self.go_to(&order)?,
             Keyword::Return | Keyword::EndSub | Keyword::Back => return self.leave_call(line),
             Keyword::Sub | Keyword::Program => return Err(Error::FlowSyntax),
             _ => self.go_round(order, at)?,
@@ -485,7 +509,7 @@ impl<const N: usize> Interpreter<N> {
         Err(if is_back { Error::OutOfPlace } else { Error::FlowSyntax })
     }
 
-    fn condition(&self, text: &[u8]) -> Result<bool, Error> {
+    pub(super) fn condition(&self, text: &[u8]) -> Result<bool, Error> {
         self.argument(text).map(|value| !value.is_zero())
     }
 

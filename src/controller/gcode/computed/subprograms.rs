@@ -147,6 +147,23 @@ impl<const N: usize> Interpreter<N> {
         belongs
     }
 
+    /// Takes note of the number of the program.
+    #[inline(never)]
+    pub(super) fn note_number(&mut self, line: &[u8]) {
+        if self.place == ProgramPlace::Program
+            && let Some(label) = subprogram_number(line)
+        {
+            self.computed.program = number_of(label);
+        }
+    }
+
+    /// Whether a line among subprograms has the number of the program before them, so that the same file begins again.
+    #[inline(never)]
+    pub(in crate::gcode) fn begins_again(&self, line: &[u8]) -> bool {
+        let number = subprogram_number(line).map_or(0, number_of);
+        number > 0 && number == self.computed.program
+    }
+
     /// Holds a line of the program that comes after the call of an unknown subprogram.
     #[inline(never)]
     fn hold_line(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
@@ -367,7 +384,12 @@ fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
     ((1..=8).contains(&number.len()) && digits(number) == number.len()).then_some(number)
 }
 
-/// Whether a line begins with a word of Fanuc's macros that is known to be missing here: IF, WHILE, END, GOTO.
+/// Returns the value of up to eight digits.
+fn number_of(label: &[u8]) -> u32 {
+    label.iter().fold(0, |value, digit| value * 10 + u32::from(digit - b'0'))
+}
+
+/// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. If it is no [`OWord`], it is not supported.
 pub(super) fn is_jump(line: &[u8]) -> bool {
     let line = behind_line_number(line);
     [b"IF".as_slice(), b"WHILE", b"END", b"GOTO"].iter().any(|word| line.starts_with(word))
