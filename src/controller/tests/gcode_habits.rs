@@ -328,12 +328,14 @@ fn feed_per_revolution() {
         near(program, "G21 X7", 508.0);
         assert_eq!(program.error("X8 S0"), 22);
         program.run("S0");
-        for (line, error) in [("X8", 22), ("G0 X8", 0), ("G1", 22), ("G81 X1 Z-1 R1", 22), ("G38.2 X1", 22), ("G5.1 Q1", 0)]
-        {
+        for (line, error) in [("X8", 22), ("G0 X8", 0), ("G1", 22), ("G81 X1 Z-1 R1", 22), ("G38.2 X1", 22)] {
             assert_eq!(program.error(line), error, "{line}");
         }
         program.run("S100");
-        assert_eq!((program.error("G81 X1 Z-1 R1"), program.error("G94 G1 X9"), program.error("G93 G1 X9")), (0, 22, 22));
+        assert_eq!(
+            (program.error("G81 X1 Z-1 R1"), program.error("G94 G1 X9"), program.error("G93 G1 X9")),
+            (0, 22, 22)
+        );
         near(program, "G94 G1 X9 F300", 300.0);
         // M70 keeps the mode with its F; the end of the program selects G94, without F.
         program.run_all("G95 F0.5\nM70\nG94 F100\nM72");

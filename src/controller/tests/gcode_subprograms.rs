@@ -624,7 +624,8 @@ fn conditions_of_fanuc() {
     goes(&format!("G0 X7\no1 repeat [2]\n{body}\no1 endrepeat\nX9\nM30"), &[7, 5, 5, 9]);
     fails("G0 X1\nIF [1/0] THEN X3\nX2\nM30", &[72], &[1, 2]);
     fails("G0 X1\nIF [1] THEN X3 X4\nX2\nM30", &[25], &[1, 2]);
-    for line in ["IF [1] THEN", "IF [1] THEN M98 P1", "IF [1] THEN X5 M99", "IF [1] THEN M30", "IF [1] THEN o1 if [1]"] {
+    for line in ["IF [1] THEN", "IF [1] THEN M98 P1", "IF [1] THEN X5 M99", "IF [1] THEN M30", "IF [1] THEN o1 if [1]"]
+    {
         let mut sender = Sender::new();
         sender.send_all(&format!("G0 X1\n{line}"));
         assert_eq!((sender.went, sender.errors.len(), sender.ends), (vec![1], 1, 0), "{line}");
@@ -678,8 +679,7 @@ fn m_words_of_macros() {
     assert_eq!(send("G0 X1\no1 repeat [2]\nM010\no1 endrepeat\nM30"), (vec![1, 3, 3], vec![]));
     assert_eq!(send(&calling("M10\nM150 P5 Q6")), (vec![1, 3, 5, 6, 9], vec![]));
     // No macro of the number, other words in the line, and a subroutine of the program.
-    for (line, error) in
-        [("M11", 20), ("M151", 20), ("M10.1", 23), ("M10 X5", 36), ("X5 M10", 20), ("M150 Q2 P1", 36)]
+    for (line, error) in [("M11", 20), ("M151", 20), ("M10.1", 23), ("M10 X5", 36), ("X5 M10", 20), ("M150 Q2 P1", 36)]
     {
         assert_eq!(send(&format!("G0 X1\n{line}\nX2\nM30")), (vec![1, 2], vec![error]), "{line}");
     }

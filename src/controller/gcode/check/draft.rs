@@ -185,7 +185,8 @@ impl<'a, const N: usize> Draft<'a, N> {
     pub(super) fn feed_of_motion(&self) -> Feed {
         let modal = &self.action.modal;
         match modal.feed_mode {
-            FeedMode::PerMinute | FeedMode::PerRevolution => Feed::PerMinute(modal.feed_per_second),
+            FeedMode::PerMinute => Feed::PerMinute(modal.feed_per_second),
+            FeedMode::PerRevolution => Feed::PerMinute(modal.feed_per_second * modal.speed),
             FeedMode::InverseTime => inverse_time(modal.feed),
         }
     }

@@ -129,40 +129,38 @@ impl<const N: usize> Draft<'_, N> {
                 }
                 Decimal::ZERO
             }
-            (FeedMode::PerMinute, true) => {
+            (mode, true) => {
                 self.action.modal.feed_in_inches = modal.units == Units::Inch;
                 let feed = Decimal(self.length(self.line.value(b'F')).0);
                 self.action.modal.feed_per_second = per_second(feed.to_f32());
+                if FULL_IMAGE && mode == FeedMode::PerRevolution {
+                    self.needs_speed()?;
+                }
                 feed
             }
             (FeedMode::PerMinute, false) if self.state.modal.feed_mode == FeedMode::PerMinute => modal.feed,
-            (FeedMode::PerMinute, false) => Decimal::ZERO,
-            (FeedMode::PerRevolution, _) => self.feed_per_revolution()?,
+            (FeedMode::PerRevolution, false) if self.state.modal.feed_mode == FeedMode::PerRevolution => {
+                self.needs_speed()?;
+                modal.feed
+            }
+            (_, false) => Decimal::ZERO,
         };
         Ok(())
     }
 
-    /// Returns F of G95, and computes the speed from it and from S. F stays in force like that of G94.
+    /// With G95 a motion needs S, because F is the distance per revolution.
     #[inline(never)]
-    fn feed_per_revolution(&mut self) -> Result<Decimal, Error> {
-        if !FULL_IMAGE {
-            return Ok(Decimal::ZERO);
-        }
-        let (line, before) = (self.line, &self.state.modal);
-        let feed = match line.values.has(b'F') {
-            true => Decimal(self.length(line.value(b'F')).0),
-            false if before.feed_mode == FeedMode::PerRevolution => before.feed,
-            false => Decimal::ZERO,
+    fn needs_speed(&self) -> Result<(), Error> {
+        let line = self.line;
+        let is_zero = match line.values.has(b'S') {
+            true => line.value(b'S') == Decimal::ZERO,
+            false => self.state.modal.speed == 0.0,
         };
-        let speed = if line.values.has(b'S') { line.value(b'S').to_f32() } else { before.speed };
-        let modal = &mut self.action.modal;
-        modal.feed_in_inches = if line.values.has(b'F') { modal.units == Units::Inch } else { before.feed_in_inches };
-        modal.feed_per_second = per_second(feed.to_f32() * speed);
-        let is_fed = !matches!(modal.motion, MotionMode::Rapid | MotionMode::Cancelled);
-        if is_fed && self.claim == Claim::Motion && speed == 0.0 && !self.is_look_ahead() {
+        let is_fed = !matches!(self.action.modal.motion, MotionMode::Rapid | MotionMode::Cancelled);
+        if is_zero && is_fed && self.claim == Claim::Motion {
             return Err(Error::UndefinedFeed);
         }
-        Ok(feed)
+        Ok(())
     }
 
     fn speed(&mut self) {

@@ -39,7 +39,11 @@ impl<const N: usize> Interpreter<N> {
                 say(out, "no room to hold this line: subroutines and loops are too long", &[])
             }
             (None, Error::NotSupported | Error::BadNumber) if is_jump(line) => {
-                say(out, "% is not supported: IF with THEN or GOTO, WHILE with DO and END, values in brackets", &[line]);
+                say(
+                    out,
+                    "% is not supported: IF with THEN or GOTO, WHILE with DO and END, values in brackets",
+                    &[line],
+                );
             }
             (None, _) if is_refused_block => {
                 say(out, "the sub or loop of this line is refused as a whole: correct its first refused line", &[]);

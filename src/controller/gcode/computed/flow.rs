@@ -178,9 +178,8 @@ impl<'a> OWord<'a> {
             Some(words) => {
                 let then = OWord { label: words, keyword: Keyword::Then, arguments: condition };
                 // A line that begins a block, calls, returns or ends the program cannot be a part of another one.
-                let is_plain = !words.is_empty()
-                    && OWord::of(words).is_none()
-                    && !has_m_word(words, &[b"2", b"30", b"98", b"99"]);
+                let is_plain =
+                    !words.is_empty() && OWord::of(words).is_none() && !has_m_word(words, &[b"2", b"30", b"98", b"99"]);
                 (is_plain && condition.first() == Some(&b'[')).then_some(then)
             }
             None => Self::of_jump(condition, rest),
@@ -510,8 +509,14 @@ impl FlowControl {
 
     /// Returns the position after the `endsub` line of a subroutine.
     fn end_of_sub(&self, from: u16, label: &[u8]) -> Option<u16> {
-        let is_end = |order: &OWord| order.keyword == Keyword::EndSub && order.label == label;
-        self.find_from(from, is_end).map(|(_, behind)| behind)
+        self.find_order(from, Keyword::EndSub, label).map(|(_, behind)| behind)
+    }
+
+    /// Finds the first line from a position on with this O word. Returns the positions of this line and of the line after
+    /// it.
+    #[inline(never)]
+    pub(super) fn find_order(&self, from: u16, keyword: Keyword, label: &[u8]) -> Option<(u16, u16)> {
+        self.find_from(from, |order| order.keyword == keyword && order.label == label)
     }
 
     /// Finds the first line from a position on whose O word satisfies `is_it`. Returns the positions of this line and

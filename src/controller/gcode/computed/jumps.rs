@@ -5,28 +5,13 @@
 //! loops that do not contain its target. A jump into a loop is an error at the end of that loop. The stream has no
 //! jumps, because its earlier lines are gone and its later ones have not come.
 
-use super::flow::{ARGUMENTS, FlowControl, FlowState, FrameKind, HeldLine, Keyword, OWord, SPARE};
-use super::real::Real;
+use super::flow::{FlowControl, FlowState, FrameKind, HeldLine, Keyword, OWord};
 use crate::error::Error;
-use crate::gcode::direction::{Direction, Held};
+use crate::gcode::direction::Held;
 use crate::gcode::remark::split_remark;
 use crate::gcode::state::Interpreter;
 
 impl<const N: usize> Interpreter<N> {
-    /// Executes `IF [..] THEN` in a line of the host: the words behind THEN are held and run like a loop.
-    #[inline(never)]
-    pub(super) fn run_then(&mut self, order: &OWord, remark: &[u8]) -> Result<Direction, Error> {
-        if !self.condition(order.arguments)? {
-            return Ok(Direction::LeftOut);
-        }
-        let flow = &mut self.computed.flow;
-        let from = flow.text.len() as u16;
-        flow.hold(order.label, remark, SPARE)?;
-        flow.of_host = true;
-        flow.run(from, Some(from));
-        Ok(Direction::Run)
-    }
-
     /// Executes `IF [..] THEN` in a held line: leaves only the words behind THEN in it.
     #[inline(never)]
     pub(super) fn then(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
@@ -51,58 +36,48 @@ impl<const N: usize> Interpreter<N> {
         let (value, rest) = self.value(order.label)?;
         let number = value.whole().filter(|_| rest.is_empty()).ok_or(Error::FlowSyntax)?;
         let flow = &mut self.computed.flow;
-        let (from, end) = flow.scope().ok_or(Error::FlowSyntax)?;
-        let target = flow.numbered(number, flow.next, end).or_else(|| flow.numbered(number, from, end));
+        let target = flow.numbered(number, flow.next).or_else(|| flow.numbered(number, flow.beginning()?));
         let target = target.ok_or(Error::FlowSyntax)?;
         flow.leave_loops(target);
         flow.go_back(target)
     }
-
-    /// Reads the values that an M word passes to its macro: P is #1, Q is #2.
-    #[inline(never)]
-    pub(super) fn arguments_of_m(&self, text: &[u8]) -> Result<heapless::Vec<(u8, Real), ARGUMENTS>, Error> {
-        let mut values = heapless::Vec::new();
-        let mut rest = text;
-        for (number, letter) in [(1, b'P'), (2, b'Q')] {
-            if let Some((of, text)) = rest.split_first()
-                && *of == letter
-            {
-                let (value, behind) = self.value(text)?;
-                let _ = values.push((number, value));
-                rest = behind;
-            }
-        }
-        if rest.is_empty() { Ok(values) } else { Err(Error::UnusedWords) }
-    }
 }
 
 impl FlowControl {
-    /// Returns where the running text begins and ends in which a jump can find its target: the innermost subprogram or
-    /// subroutine, or the held lines of the program.
+    /// Reads the O word of a line. M10, M11 and M100 to M199 are words of their own unless they have a macro.
     #[inline(never)]
-    fn scope(&self) -> Option<(u16, u16)> {
+    pub(super) fn order_of<'l>(&self, line: &'l [u8]) -> Option<OWord<'l>> {
+        let is_known = |order: &OWord| order.keyword != Keyword::CallMacroOfM || self.find_macro(order.label).is_some();
+        OWord::of(line).filter(is_known)
+    }
+
+    /// Returns where the text begins in which a jump can find its target: the innermost subprogram or subroutine, or the
+    /// held lines of the program.
+    #[inline(never)]
+    fn beginning(&self) -> Option<u16> {
         let mut labels = self.labels();
         for frame in self.frames.get(usize::from(self.below)..)?.iter().rev() {
             let (others, label) = labels.split_at_checked(labels.len().checked_sub(usize::from(frame.label))?)?;
             if frame.kind.is_call() {
-                let (_, begin) = self.find(label)?;
-                let is_end = |order: &OWord| order.keyword == Keyword::EndSub && order.label == label;
-                let (end, _) = self.find_from(begin, is_end)?;
-                return (begin..=end).contains(&self.next).then_some((begin, end));
+                // A subroutine of the program and a macro can have the same label.
+                let found = if self.next < self.macros { self.find_macro(label) } else { self.find_own(label) };
+                return found.map(|(_, begin)| begin);
             }
             labels = others;
         }
-        let FlowState::Running(Some(from)) = self.state else { return None };
-        let is_subprogram = |order: &OWord| order.keyword == Keyword::Program;
-        Some((from, self.find_from(from, is_subprogram).map_or(self.text.len() as u16, |(at, _)| at)))
+        if let FlowState::Running(from) = self.state { from } else { None }
     }
 
-    /// Returns the position of the first line from `from` up to `end` that has this line number.
+    /// Returns the position of the first line from `from` on that has this line number, up to the end of the subprogram or
+    /// of the program.
     #[inline(never)]
-    fn numbered(&self, number: i64, from: u16, end: u16) -> Option<u16> {
+    fn numbered(&self, number: i64, from: u16) -> Option<u16> {
         let mut at = from;
-        while at < end {
+        loop {
             let line = self.line(at)?;
+            if OWord::of(line).is_some_and(|order| matches!(order.keyword, Keyword::EndSub | Keyword::Program)) {
+                return None;
+            }
             if let Some(digits) = line.strip_prefix(b"N") {
                 let digits = digits.iter().take_while(|byte| byte.is_ascii_digit());
                 let read = |value: i64, digit: &u8| value.saturating_mul(10).saturating_add(i64::from(digit - b'0'));
@@ -112,7 +87,6 @@ impl FlowControl {
             }
             at += 1 + line.len() as u16;
         }
-        None
     }
 
     /// Closes the loops and conditions of the running text that do not contain the line at `target`.
@@ -132,8 +106,7 @@ impl FlowControl {
                     continue;
                 }
             };
-            let label = self.last_label();
-            let end = self.find_from(frame.at, |order| order.keyword == end && order.label == label);
+            let end = self.find_order(frame.at, end, self.last_label());
             if end.is_some_and(|(end, _)| (first..=end).contains(&target)) {
                 return;
             }

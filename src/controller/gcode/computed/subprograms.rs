@@ -100,8 +100,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Executes M98 or G65 in a line of the host (`call`), after the words in front of it. The line is held and runs
-    /// like a loop. If the subprogram is unknown, the program is held from the call on.
+    /// Executes M98, G65 or `IF [..] THEN` in a line of the host (`call`), after the words in front of it. The line is held
+    /// and runs like a loop. If the subprogram is unknown, the program is held from the call on.
     #[inline(never)]
     pub(super) fn run_call(
         &mut self,
@@ -110,7 +110,9 @@ impl<const N: usize> Interpreter<N> {
         remark: &[u8],
         order: &OWord,
     ) -> Result<Direction, Error> {
-        self.read_call(order)?;
+        if order.keyword != Keyword::Then {
+            self.read_call(order)?;
+        }
         let flow = &mut self.computed.flow;
         let from = flow.text.len();
         let mut held = Ok(());
@@ -150,18 +152,15 @@ impl<const N: usize> Interpreter<N> {
     /// Takes note of the number of the program.
     #[inline(never)]
     pub(super) fn note_number(&mut self, line: &[u8]) {
-        if self.place == ProgramPlace::Program
-            && let Some(label) = subprogram_number(line)
-        {
-            self.computed.program = number_of(label);
+        if self.place == ProgramPlace::Program {
+            self.computed.program = number_of(line);
         }
     }
 
     /// Whether a line among subprograms has the number of the program before them, so that the same file begins again.
     #[inline(never)]
     pub(in crate::gcode) fn begins_again(&self, line: &[u8]) -> bool {
-        let number = subprogram_number(line).map_or(0, number_of);
-        number > 0 && number == self.computed.program
+        self.computed.program > 0 && number_of(line) == self.computed.program
     }
 
     /// Holds a line of the program that comes after the call of an unknown subprogram.
@@ -384,9 +383,11 @@ fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
     ((1..=8).contains(&number.len()) && digits(number) == number.len()).then_some(number)
 }
 
-/// Returns the value of up to eight digits.
-fn number_of(label: &[u8]) -> u32 {
-    label.iter().fold(0, |value, digit| value * 10 + u32::from(digit - b'0'))
+/// Returns the number of a program; 0 if the line is no such number.
+#[inline(never)]
+fn number_of(line: &[u8]) -> u32 {
+    let digits = subprogram_number(line).unwrap_or_default();
+    digits.iter().fold(0, |value, digit| value * 10 + u32::from(digit - b'0'))
 }
 
 /// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. If it is no [`OWord`], it is not supported.

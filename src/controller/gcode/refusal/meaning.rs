@@ -207,11 +207,16 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             say(out, "F is missing: each jog needs its own", &[]);
         } else if self.modal.feed_mode == FeedMode::InverseTime {
             say(out, "F is missing: G93 needs one in each line that moves", &[]);
-        } else if self.modal.feed_mode == FeedMode::PerRevolution && self.modal.feed > Decimal::ZERO {
+        } else if self.modal.feed_mode == FeedMode::PerRevolution && self.lacks_speed() {
             say(out, "S is missing: the feed of G95 is F times S", &[]);
         } else {
             say(out, "F is missing: no feed has been set for %", &[self.motion()]);
         }
+    }
+
+    /// Whether S is 0, which makes the feed of G95 undefined.
+    fn lacks_speed(&self) -> bool {
+        if self.parsed.values.has(b'S') { self.value(b'S') == Decimal::ZERO } else { self.state.modal.speed == 0.0 }
     }
 
     #[inline(never)]
