@@ -464,9 +464,10 @@ impl GWord {
             (93, 0) => GWord::FeedMode(FeedMode::InverseTime),
             (94, 0) => GWord::FeedMode(FeedMode::PerMinute),
             (8, 0) if more => return Err(Error::NotSupported),
-            (7 | 12 | 13 | 15 | 16 | 31 | 33 | 51 | 65 | 66 | 68 | 74 | 76 | 84 | 87 | 95 | 96, _) if more => {
+            (7 | 12 | 13 | 16 | 31 | 33 | 51 | 65 | 66 | 68 | 74 | 76 | 84 | 87 | 96, _) if more => {
                 return Err(Error::NotSupported);
             }
+            (15 | 95, _) if more && !FULL_IMAGE => return Err(Error::NotSupported),
             (54 | 59, _) if more => return Err(Error::UnsupportedCoordinateSystem),
             (0..=4 | 10 | 17..=21 | 40 | 49 | 53..=59 | 80 | 93 | 94, _) => return Err(Error::IntegerRequired),
             _ => return Err(Error::UnsupportedCommand),

@@ -373,7 +373,7 @@ fn modes_that_are_never_active() {
     each(&[("G15", 20), ("G67", 20)], |program| {
         program.run("G0 G15 G17 G40 G49 G50 G67 G69 G80 G90 X3");
         assert_eq!(program.machine()[0], 3.0);
-        for (line, error) in [("G16", 121), ("G66 P1", 121), ("G15 G15", 21), ("G15.1", 121), ("G67.1", 20)] {
+        for (line, error) in [("G16", 121), ("G66 P1", 121), ("G15 G15", 21), ("G15.1", 20), ("G67.1", 20)] {
             assert_eq!(program.error(line), error, "{line}");
         }
     });
