@@ -16,6 +16,8 @@ struct Sender {
     rested: bool,
     /// X targets of moves in lines that ran as they came.
     at_once: Vec<i64>,
+    /// What the lines do, if it is wanted.
+    acts: Option<Vec<String>>,
 }
 
 impl Sender {
@@ -28,6 +30,7 @@ impl Sender {
             sent: 0,
             rested: false,
             at_once: Vec::new(),
+            acts: None,
         }
     }
 
@@ -39,6 +42,9 @@ impl Sender {
     fn carry_out(&mut self, line: &[u8]) -> bool {
         match self.check(line) {
             Ok(checked) => {
+                if let Some(acts) = &mut self.acts {
+                    acts.push(format!("{:?} {:?} {:?}", checked.motion, checked.dwell, checked.modal()));
+                }
                 if let MotionCommand::Line { target, .. } = checked.motion {
                     self.went.push(target.0[0].0 / 10_000_000);
                 }
@@ -842,7 +848,92 @@ fn written_out(programs: &[Vec<Step>], index: usize, one: &mut i64, went: &mut V
     }
 }
 
+/// A line of a program, or a call of a program behind it: which, how often, and with which arguments.
+#[derive(Clone, Debug)]
+enum Line {
+    Text(&'static str),
+    Call(usize, u16, Option<[i64; 3]>),
+}
+
+/// Parameters that the arguments A, B and Z of G65 set.
+const ARGUMENTS: [&str; 3] = ["#1", "#2", "#26"];
+
+/// Lines that are valid in any order.
+const TEXTS: [&str; 18] = [
+    "G90 G0 X[3+#1] Y#2 Z[5+#26]",
+    "G91 G1 X#1 Y1.5",
+    "G90",
+    "G91",
+    "G17 G91 G2 X2 Y0 I1 J0",
+    "G91 G3 X0 Y-4 R2.5 Z#26",
+    "G90 G99 G81 X[10+#2] Y1 Z-3 R2",
+    "G0 X4",
+    "G80 G0 Z[#26+1]",
+    "G4 P[ABS[#1]/10]",
+    "M3 S[1000+#2]",
+    "G1 X1 F[100+ABS[#1]]",
+    "G20 G1 X0.5",
+    "G21",
+    "G52 X#1",
+    "G55 G0 Y2",
+    "G54",
+    "#100=[#100+#1] G0 X#100",
+];
+
+fn line() -> impl Strategy<Value = Line> {
+    prop_oneof![
+        3 => prop::sample::select(&TEXTS[..]).prop_map(Line::Text).boxed(),
+        2 => (0_usize..3, 1_u16..4, prop::option::of([-9_i64..9, -9_i64..9, -9_i64..9]))
+            .prop_map(|(to, times, with)| Line::Call(to, times, with))
+            .boxed(),
+    ]
+}
+
+/// Returns the lines of a program with its calls. `behind`: a call by M98 follows a line with words in the same line.
+fn calls_of(programs: &[Vec<Line>], index: usize, behind: bool) -> String {
+    let mut text = String::new();
+    for line in &programs[index] {
+        match line {
+            Line::Text(words) => text += &format!("{words}\n"),
+            Line::Call(to, ..) if index + 1 + to >= programs.len() => {}
+            Line::Call(to, times, None) => {
+                if behind && text.ends_with(|end: char| end == '\n') && text.lines().last().is_some_and(|last| last == "G90") {
+                    text.pop();
+                    text.push(' ');
+                }
+                text += &format!("M98 P{} L{times}\n", index + 1 + to);
+            }
+            Line::Call(to, times, Some([a, b, z])) => {
+                text += &format!("G65 P{} A{a} B{b} Z{z} L{times}\n", index + 1 + to);
+            }
+        }
+    }
+    text
+}
+
+/// Appends the lines of a program with those of its calls in their places, and with numbers for `ARGUMENTS`.
+fn expand(programs: &[Vec<Line>], index: usize, values: &[i64; 3], lines: &mut Vec<String>) {
+    for line in &programs[index] {
+        match line {
+            Line::Text(words) => {
+                // The longest name first: #26 begins with #2.
+                let number = |text: String, (name, value): (&&str, &i64)| text.replace(*name, &format!("[{value}]"));
+                let words = words.replace("#100", "#_100");
+                let words = ARGUMENTS.iter().zip(values).rev().fold(words, number);
+                lines.push(words.replace("#_100", "#100"));
+            }
+            Line::Call(to, ..) if index + 1 + to >= programs.len() => {}
+            Line::Call(to, times, with) => {
+                for _ in 0..*times {
+                    expand(programs, index + 1 + to, with.as_ref().unwrap_or(values), lines);
+                }
+            }
+        }
+    }
+}
+
 proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
     /// A program with subprograms makes the same moves as the program written out, in whatever order its subprograms
     /// follow it.
     #[test]
@@ -862,18 +953,42 @@ proptest! {
         prop_assert_eq!((sender.went, sender.errors, sender.ends), (went, vec![], 1), "{}", text);
     }
 
+    /// The same for all kinds of lines: arcs, cycles, modes, dwells and arguments.
+    #[test]
+    fn calls_act_as_their_lines(
+        programs in prop::collection::vec(prop::collection::vec(line(), 0..7), 2..5),
+        lone in prop::collection::vec(prop::bool::ANY, 4),
+    ) {
+        let mut lines = vec!["O1000".to_owned(), "G21 G90 F300".to_owned()];
+        expand(&programs, 0, &[0, 0, 0], &mut lines);
+        let mut text = format!("O1000\nG21 G90 F300\n{}M30\n", calls_of(&programs, 0, false));
+        for index in 1..programs.len() {
+            text += &format!("O{index}\n{}M99\n", calls_of(&programs, index, lone[index - 1]));
+        }
+        let acts = |text: &str| {
+            let mut sender = Sender::new();
+            sender.acts = Some(Vec::new());
+            sender.send_all(text);
+            let position = sender.interpreter.position().0;
+            (sender.acts.unwrap(), position, sender.errors, sender.ends)
+        };
+        let (called, written) = (acts(&text), acts(&format!("{}\nM30", lines.join("\n"))));
+        prop_assert_eq!(called, written, "{}\n---\n{}", text, lines.join("\n"));
+    }
+
     /// However the lines behind a program are mixed, and wherever the machine rests while lines are held, those behind
     /// the first number run in calls only, and never in the next job.
     #[test]
     fn no_mixture_falls_into_a_subprogram(
         program in prop::collection::vec(
             "M98P[123]|G65P[12]A1|M98P[12]L2|G0X1|G0X1M98P1|o1 if \\[[01]\\]|o1 endif|o1 repeat \\[2\\]|o1 endrepeat|M2|X|o9 sub\
-             |o9 endsub|M98P1M30|XM30",
+             |o9 endsub|M98P1M30|XM30|WHILE\\[0\\]DO1|END1|IF\\[1\\]THENG0X1|GOTO7",
             0..8,
         ),
         lines in prop::collection::vec(
             ("M98P[123]|G65P[12]A1|M98P1L2|M30|O[123]|M99|G0X-1|G0X-1|G0X-1M99|G0X-1M98P1|o1 if \\[1\\]|o1 endif\
-              |o1 repeat \\[2\\]|o1 endrepeat|X|o9 sub|o9 endsub|M99P2|O1G0X-1", prop::bool::weighted(0.1)),
+              |o1 repeat \\[2\\]|o1 endrepeat|X|o9 sub|o9 endsub|M99P2|O1G0X-1\
+              |WHILE\\[0\\]DO1|END1|IF\\[[01]\\]THENG0X-1|IF\\[#9LT2\\]GOTO7|N7#9=\\[#9\\+1\\]", prop::bool::weighted(0.1)),
             0..30,
         ),
         next in 0_usize..5,
@@ -882,7 +997,7 @@ proptest! {
         sender.send_all(&program.join("\n"));
         if sender.interpreter.is_within_block() {
             // An open block is no concern of subprograms, and a held program is ended here.
-            sender.send_all("o1 endif\no1 endrepeat\no9 endsub");
+            sender.send_all("o1 endif\no1 endrepeat\no9 endsub\nEND1");
         }
         sender.send_all("M30\nO5");
         for (line, rests) in &lines {
