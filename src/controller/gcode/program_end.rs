@@ -79,7 +79,10 @@ impl<const N: usize> Interpreter<N> {
             ProgramPlace::End => rested,
             #[cfg(feature = "full")]
             ProgramPlace::Subprogram => rested && (!has_program_number(line) || self.begins_again(line)),
-            ProgramPlace::Refused => false,
+            ProgramPlace::Refused => {
+                self.computed.count_refused(line);
+                false
+            }
         };
         if begins {
             self.begin_program();

@@ -781,6 +781,21 @@ fn memory_for_programs() {
         sender.interpreter.reset();
         assert!(!sender.interpreter.is_within_block());
     }
+    // The count of what is too long is exact, wherever the text ends: in the program, in the subprogram for which it waits, or
+    // in another one before that.
+    for body in ["{}M30\nO1\nX2\nM99", "M30\nO1\n{}M99", "M30\nO2\n{}M99\nO1\nX3\nM99\nO3\nX4\nM99"] {
+        let send = |lines: usize| {
+            let mut sender = Sender::new();
+            let body = body.replace("{}", &"X5\n".repeat(lines));
+            sender.send_all(&format!("G0 X1\nM98 P1\n{body}\n%\n"));
+            assert_eq!(sender.interpreter.lacking_bytes().is_some(), !sender.errors.is_empty(), "{lines}");
+            sender.interpreter.lacking_bytes()
+        };
+        let lacking = send(2500).unwrap();
+        let fits = 2500 - lacking.div_ceil(3);
+        assert_eq!((send(fits), send(fits + 1).is_some()), (None, true), "{body}");
+        assert_eq!(send(1500 + fits).unwrap() - send(fits + 500).unwrap(), 3000, "{body}");
+    }
     // However full the memory is, no line of a subprogram runs by itself, and none of the held program before its call.
     for free in 0..200 {
         let fill = 6144 - 64 - free;
@@ -897,7 +912,10 @@ fn calls_of(programs: &[Vec<Line>], index: usize, behind: bool) -> String {
             Line::Text(words) => text += &format!("{words}\n"),
             Line::Call(to, ..) if index + 1 + to >= programs.len() => {}
             Line::Call(to, times, None) => {
-                if behind && text.ends_with(|end: char| end == '\n') && text.lines().last().is_some_and(|last| last == "G90") {
+                if behind
+                    && text.ends_with(|end: char| end == '\n')
+                    && text.lines().last().is_some_and(|last| last == "G90")
+                {
                     text.pop();
                     text.push(' ');
                 }

@@ -20,6 +20,7 @@
 //! line by line, without recursion.
 
 use super::m_words::has_m_word;
+use super::overflow::Overflow;
 use crate::error::Error;
 use crate::gcode::program_number::behind_line_number;
 use crate::gcode::remark::split_remark;
@@ -27,7 +28,7 @@ use crate::lent::Lent;
 
 /// Capacity of the held text, in bytes. A line takes one byte more than its length. This is enough for a probing
 /// subroutine of 150 lines and the loop that calls it.
-const TEXT: usize = 6144;
+pub(super) const TEXT: usize = 6144;
 /// Maximum number of bytes of the held text that macros may take; the rest is for programs.
 pub(super) const MOST_MACROS: usize = 3072;
 /// Bytes of held text that are reserved for the first line of a subroutine or loop. So its label is recorded and its
@@ -392,6 +393,8 @@ pub(super) struct FlowControl {
     pub(super) within: u8,
     /// The present line comes from the host, which can send more lines.
     pub(super) of_host: bool,
+    /// The last held program that did not fit.
+    pub(super) overflow: Overflow,
 }
 
 impl FlowControl {
@@ -416,6 +419,7 @@ impl FlowControl {
             missing: 0,
             within: 0,
             of_host: false,
+            overflow: Overflow::default(),
         }
     }
 

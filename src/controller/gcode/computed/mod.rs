@@ -12,6 +12,7 @@ mod m_words;
 mod machine_values;
 mod macros;
 mod o_words;
+mod overflow;
 mod parameters;
 mod real;
 mod subprograms;
@@ -19,6 +20,7 @@ mod subprograms;
 mod tests;
 
 use crate::axes::PerAxis;
+use crate::gcode::REASONS;
 use crate::lent::Lent;
 use crate::units::Coordinate;
 use flow::{FlowControl, HeldText};
@@ -101,6 +103,14 @@ impl<const N: usize> Computed<N> {
     /// Forgets the O number of the program.
     pub fn forget_number(&mut self) {
         self.program = 0;
+        self.flow.overflow.end();
+    }
+
+    /// Counts a line of a held program that did not fit.
+    pub fn count_refused(&mut self, line: &[u8]) {
+        if REASONS {
+            self.flow.overflow.count(line, self.flow.missing);
+        }
     }
 
     /// Whether programs have left no state that another program could read, except macros and the last probe position.

@@ -23,6 +23,7 @@ use super::flow::{FlowControl, FlowState, FrameKind, Keyword, OWord, PROGRAM, Pa
 use super::m_words::find_m_word;
 use super::real::Real;
 use crate::error::Error;
+use crate::gcode::REASONS;
 use crate::gcode::direction::Direction;
 use crate::gcode::program_number::{behind_line_number, has_program_number};
 use crate::gcode::state::{Interpreter, ProgramPlace};
@@ -177,13 +178,29 @@ impl<const N: usize> Interpreter<N> {
             return Err(self.refuse_rest());
         }
         if let Err(error) = flow.hold_order(line, remark, order) {
-            self.refuse_rest();
+            self.refuse_held(error, line, remark, None);
             return Err(error);
         }
         if !line.is_empty() {
             flow.after_end = order.is_none() && ends_program(line);
         }
         Ok(Direction::LeftOut)
+    }
+
+    /// Refuses a line of a held program or of a subprogram, and all that follow.
+    fn refuse_held(&mut self, error: Error, line: &[u8], remark: &[u8], subprogram: Option<&[u8]>) {
+        let flow = &mut self.computed.flow;
+        if REASONS && error == Error::OutOfMemory && flow.waiting.is_some() {
+            let number = |label: &[u8]| label.iter().fold(0, |value, digit| value * 10 + u32::from(digit - b'0'));
+            let subprogram = subprogram.map(|label| (label, number(label) == flow.missing));
+            flow.overflow.begin(flow.text.len(), line, remark, subprogram);
+        }
+        self.refuse_rest();
+    }
+
+    /// Returns by how many bytes at least the last held program was too long that did not fit.
+    pub fn lacking_bytes(&self) -> Option<usize> {
+        self.computed.flow.overflow.lacking()
     }
 
     /// Begins the definition of a subprogram.
@@ -202,7 +219,8 @@ impl<const N: usize> Interpreter<N> {
             flow.missing = 0;
         }
         if let Err(error) = held {
-            self.refuse_rest();
+            let line = if REASONS { line_of(label, PROGRAM) } else { ShortLine::new() };
+            self.refuse_held(error, &line, &[], Some(label));
             return Err(error);
         }
         flow.within = 0;
@@ -238,7 +256,11 @@ impl<const N: usize> Interpreter<N> {
             }
         };
         if let Err(error) = held {
-            self.refuse_rest();
+            let mut label = ShortLine::new();
+            if REASONS && let Some(opening) = self.computed.flow.line(from).and_then(OWord::of) {
+                let _ = label.extend_from_slice(opening.label);
+            }
+            self.refuse_held(error, line, remark, Some(&label));
             return Err(error);
         }
         if !ends {
@@ -376,7 +398,7 @@ impl FlowControl {
 
 /// Returns the number of a subprogram, without leading zeros, if the line consists of it, and of a line number or none.
 #[inline(never)]
-fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
+pub(super) fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
     let Some((b'O' | b':', number)) = behind_line_number(line).split_first() else { return None };
     let zeros = number.iter().take_while(|digit| **digit == b'0').count();
     let number = number.get(zeros.min(number.len().saturating_sub(1))..)?;
@@ -385,7 +407,7 @@ fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
 
 /// Returns the number of a program; 0 if the line is no such number.
 #[inline(never)]
-fn number_of(line: &[u8]) -> u32 {
+pub(super) fn number_of(line: &[u8]) -> u32 {
     let digits = subprogram_number(line).unwrap_or_default();
     digits.iter().fold(0, |value, digit| value * 10 + u32::from(digit - b'0'))
 }
