@@ -194,9 +194,9 @@ impl FeedMode {
     /// The word that selects the mode.
     pub const fn word(self) -> &'static str {
         match self {
-            FeedMode::PerMinute => "G94",
+            FeedMode::PerRevolution if FULL_IMAGE => "G95",
             FeedMode::InverseTime => "G93",
-            FeedMode::PerRevolution => "G95",
+            _ => "G94",
         }
     }
 }
@@ -416,7 +416,7 @@ impl Modal {
         self.plane = Plane::default();
         self.distance = Distance::default();
         self.arc_distance = ArcDistance::default();
-        if self.feed_mode != FeedMode::PerMinute {
+        if self.feed_mode == FeedMode::InverseTime || FULL_IMAGE && self.feed_mode == FeedMode::PerRevolution {
             // F of G93 is a number of moves per minute, that of G95 a distance; with G94 it would be taken for a speed.
             self.feed = Decimal::ZERO;
         }

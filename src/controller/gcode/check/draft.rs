@@ -186,8 +186,8 @@ impl<'a, const N: usize> Draft<'a, N> {
         let modal = &self.action.modal;
         match modal.feed_mode {
             FeedMode::PerMinute => Feed::PerMinute(modal.feed_per_second),
-            FeedMode::PerRevolution => Feed::PerMinute(modal.feed_per_second * modal.speed),
-            FeedMode::InverseTime => inverse_time(modal.feed),
+            FeedMode::PerRevolution if FULL_IMAGE => Feed::PerMinute(modal.feed_per_second * modal.speed),
+            _ => inverse_time(modal.feed),
         }
     }
 

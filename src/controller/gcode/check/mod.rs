@@ -139,7 +139,7 @@ impl<const N: usize> Draft<'_, N> {
                 feed
             }
             (FeedMode::PerMinute, false) if self.state.modal.feed_mode == FeedMode::PerMinute => modal.feed,
-            (FeedMode::PerRevolution, false) if self.state.modal.feed_mode == FeedMode::PerRevolution => {
+            (FeedMode::PerRevolution, false) if FULL_IMAGE && self.state.modal.feed_mode == FeedMode::PerRevolution => {
                 self.needs_speed()?;
                 modal.feed
             }
