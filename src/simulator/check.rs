@@ -97,7 +97,7 @@ impl Outcome {
     /// Says with the error of a held program by how much it is too long.
     fn measure_held(&mut self, lacking: usize, board: &str) {
         let is_of_memory = |error: &&mut LineError| error.code == Error::OutOfMemory.code();
-        if let Some(error) = self.errors.iter_mut().filter(is_of_memory).next_back() {
+        if let Some(error) = self.errors.iter_mut().rfind(is_of_memory) {
             error.advice = format!(
                 "{board} lacks {lacking} bytes for what it has to hold, from the first call on: a line takes its words and a byte. \
                  Subprograms as o1001 sub .. o1001 endsub above the program hold less."

@@ -912,10 +912,7 @@ fn calls_of(programs: &[Vec<Line>], index: usize, behind: bool) -> String {
             Line::Text(words) => text += &format!("{words}\n"),
             Line::Call(to, ..) if index + 1 + to >= programs.len() => {}
             Line::Call(to, times, None) => {
-                if behind
-                    && text.ends_with(|end: char| end == '\n')
-                    && text.lines().last().is_some_and(|last| last == "G90")
-                {
+                if behind && text.ends_with("G90\n") {
                     text.pop();
                     text.push(' ');
                 }

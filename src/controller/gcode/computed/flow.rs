@@ -20,7 +20,6 @@
 //! line by line, without recursion.
 
 use super::m_words::has_m_word;
-use super::overflow::Overflow;
 use crate::error::Error;
 use crate::gcode::program_number::behind_line_number;
 use crate::gcode::remark::split_remark;
@@ -393,8 +392,6 @@ pub(super) struct FlowControl {
     pub(super) within: u8,
     /// The present line comes from the host, which can send more lines.
     pub(super) of_host: bool,
-    /// The last held program that did not fit.
-    pub(super) overflow: Overflow,
 }
 
 impl FlowControl {
@@ -419,7 +416,6 @@ impl FlowControl {
             missing: 0,
             within: 0,
             of_host: false,
-            overflow: Overflow::default(),
         }
     }
 

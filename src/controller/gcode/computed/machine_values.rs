@@ -106,6 +106,20 @@ impl<const N: usize> Interpreter<N> {
         Ok(rest)
     }
 
+    /// Returns whether a text that consists of one bracket is not 0.
+    pub(super) fn condition(&self, text: &[u8]) -> Result<bool, Error> {
+        self.argument(text).map(|value| !value.is_zero())
+    }
+
+    /// Returns the value of a text that consists of one bracket.
+    pub(super) fn argument(&self, text: &[u8]) -> Result<Real, Error> {
+        if text.first() != Some(&b'[') {
+            return Err(Error::FlowSyntax);
+        }
+        let (value, rest) = self.value(text)?;
+        if rest.is_empty() { Ok(value) } else { Err(Error::FlowSyntax) }
+    }
+
     // Not inlined, so that the image contains this long code once.
     #[inline(never)]
     pub(super) fn value<'t>(&self, text: &'t [u8]) -> Result<(Real, &'t [u8]), Error> {

@@ -24,6 +24,7 @@ use crate::gcode::REASONS;
 use crate::lent::Lent;
 use crate::units::Coordinate;
 use flow::{FlowControl, HeldText};
+use overflow::Overflow;
 use parameters::{Cells, Parameters};
 use real::Real;
 
@@ -75,6 +76,8 @@ pub(super) struct Computed<const N: usize> {
     input_read: i8,
     /// O number of the program; 0 if it has none.
     program: u32,
+    /// The last held program that did not fit.
+    overflow: Overflow,
 }
 
 impl<const N: usize> Computed<N> {
@@ -87,6 +90,7 @@ impl<const N: usize> Computed<N> {
             probe_succeeded: false,
             input_read: 0,
             program: 0,
+            overflow: Overflow::default(),
         }
     }
 
@@ -103,13 +107,13 @@ impl<const N: usize> Computed<N> {
     /// Forgets the O number of the program.
     pub fn forget_number(&mut self) {
         self.program = 0;
-        self.flow.overflow.end();
+        self.overflow.end();
     }
 
     /// Counts a line of a held program that did not fit.
     pub fn count_refused(&mut self, line: &[u8]) {
         if REASONS {
-            self.flow.overflow.count(line, self.flow.missing);
+            self.overflow.count(line, self.flow.missing);
         }
     }
 

@@ -499,19 +499,6 @@ impl<const N: usize> Interpreter<N> {
         Err(if is_back { Error::OutOfPlace } else { Error::FlowSyntax })
     }
 
-    pub(super) fn condition(&self, text: &[u8]) -> Result<bool, Error> {
-        self.argument(text).map(|value| !value.is_zero())
-    }
-
-    /// Returns the value of a text that consists of one bracket.
-    fn argument(&self, text: &[u8]) -> Result<Real, Error> {
-        if text.first() != Some(&b'[') {
-            return Err(Error::FlowSyntax);
-        }
-        let (value, rest) = self.value(text)?;
-        if rest.is_empty() { Ok(value) } else { Err(Error::FlowSyntax) }
-    }
-
     /// Returns the values of a call. An M word gives P and Q to its macro, in this order.
     fn arguments(&self, order: &OWord) -> Result<heapless::Vec<(u8, Real), ARGUMENTS>, Error> {
         let mut values = heapless::Vec::new();

@@ -1,10 +1,10 @@
 //! Counts by how many bytes a held program is too long. The controller refuses its lines one by one and keeps none; a
 //! check of the whole file reports the sum. Only builds with the feature `reasons` count.
 
-use super::flow::{SPARE, TEXT};
+use super::flow::{PROGRAM, SPARE, TEXT};
 use super::m_words::has_m_word;
-use super::subprograms::subprogram_number;
 use crate::gcode::REASONS;
+use crate::gcode::program_number::{number_of, subprogram_number};
 
 /// Length of `ENDSUB` and `O`, which stand in the held text for M99.
 const END_OF_SUBPROGRAM: usize = 7;
@@ -45,9 +45,9 @@ impl Overflow {
             match subprogram_number(line) {
                 Some(_) if excess.is_awaited => excess.counts = false,
                 Some(number) => {
-                    excess.is_awaited = super::subprograms::number_of(line) == awaited;
+                    excess.is_awaited = number_of(line) == awaited;
                     excess.digits = number.len();
-                    excess.add(1 + line.len() + super::flow::PROGRAM.len());
+                    excess.add(1 + line.len() + PROGRAM.len());
                 }
                 // The last M99 needs no spare bytes.
                 None if has_m_word(line, &[b"99"]) => excess.held += 1 + END_OF_SUBPROGRAM + excess.digits,

@@ -18,14 +18,15 @@
 //!
 //! M98 and G65 do not call macros: a file that has a subprogram with the number of a macro would move otherwise.
 
+use super::Computed;
 use super::expression;
-use super::flow::{FlowControl, FlowState, FrameKind, Keyword, OWord, PROGRAM, Passes, SPARE, digits, ends_program};
+use super::flow::{FlowControl, FlowState, FrameKind, Keyword, OWord, PROGRAM, Passes, SPARE, ends_program};
 use super::m_words::find_m_word;
 use super::real::Real;
 use crate::error::Error;
 use crate::gcode::REASONS;
 use crate::gcode::direction::Direction;
-use crate::gcode::program_number::{behind_line_number, has_program_number};
+use crate::gcode::program_number::{behind_line_number, has_program_number, number_of, subprogram_number};
 use crate::gcode::state::{Interpreter, ProgramPlace};
 use core::fmt::Write;
 
@@ -189,18 +190,18 @@ impl<const N: usize> Interpreter<N> {
 
     /// Refuses a line of a held program or of a subprogram, and all that follow.
     fn refuse_held(&mut self, error: Error, line: &[u8], remark: &[u8], subprogram: Option<&[u8]>) {
-        let flow = &mut self.computed.flow;
+        let Computed { flow, overflow, .. } = &mut self.computed;
         if REASONS && error == Error::OutOfMemory && flow.waiting.is_some() {
             let number = |label: &[u8]| label.iter().fold(0, |value, digit| value * 10 + u32::from(digit - b'0'));
             let subprogram = subprogram.map(|label| (label, number(label) == flow.missing));
-            flow.overflow.begin(flow.text.len(), line, remark, subprogram);
+            overflow.begin(flow.text.len(), line, remark, subprogram);
         }
         self.refuse_rest();
     }
 
     /// Returns by how many bytes at least the last held program was too long that did not fit.
     pub fn lacking_bytes(&self) -> Option<usize> {
-        self.computed.flow.overflow.lacking()
+        self.computed.overflow.lacking()
     }
 
     /// Begins the definition of a subprogram.
@@ -394,22 +395,6 @@ impl FlowControl {
         }
         closes
     }
-}
-
-/// Returns the number of a subprogram, without leading zeros, if the line consists of it, and of a line number or none.
-#[inline(never)]
-pub(super) fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
-    let Some((b'O' | b':', number)) = behind_line_number(line).split_first() else { return None };
-    let zeros = number.iter().take_while(|digit| **digit == b'0').count();
-    let number = number.get(zeros.min(number.len().saturating_sub(1))..)?;
-    ((1..=8).contains(&number.len()) && digits(number) == number.len()).then_some(number)
-}
-
-/// Returns the number of a program; 0 if the line is no such number.
-#[inline(never)]
-pub(super) fn number_of(line: &[u8]) -> u32 {
-    let digits = subprogram_number(line).unwrap_or_default();
-    digits.iter().fold(0, |value, digit| value * 10 + u32::from(digit - b'0'))
 }
 
 /// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. If it is no [`OWord`], it is not supported.
