@@ -331,6 +331,12 @@ fn feed_per_revolution() {
         for (line, error) in [("X8", 22), ("G0 X8", 0), ("G1", 22), ("G81 X1 Z-1 R1", 22), ("G38.2 X1", 22)] {
             assert_eq!(program.error(line), error, "{line}");
         }
+        let [per_revolution, per_minute] = ["S2 F40 G81 X7 Z-1 R1", "G94 F80 G81 X7 Z-1 R1"].map(|line| {
+            let mut program = program.clone();
+            program.run(line).motion
+        });
+        assert!(matches!(per_minute, MotionCommand::Cycle(_)));
+        assert_eq!(per_revolution, per_minute);
         program.run("S100");
         assert_eq!(
             (program.error("G81 X1 Z-1 R1"), program.error("G94 G1 X9"), program.error("G93 G1 X9")),
