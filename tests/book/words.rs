@@ -85,7 +85,7 @@ const LETTERS: &[(&str, &str)] = &[
     ("H", "tool of G43"),
     ("I J K", "centre of an arc, first control point of a spline, factors of G51"),
     ("L", "kind of G10, repeats of a cycle, what M66 waits for"),
-    ("N", "line number, told as `Ln:`; not a label"),
+    ("N", "line number, told as `Ln:`; target of [GOTO](#subprograms)"),
     ("O", "[O words](expressions.md#o-words), number of a program"),
     (
         "P",
