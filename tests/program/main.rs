@@ -249,6 +249,13 @@ fn a_held_program_that_is_too_long_is_measured() {
     assert_eq!(error["code"], 83);
     let advice = error["advice"].as_str().expect("advice");
     assert!(advice.starts_with(&format!("nucleo_f446re lacks {lacking} bytes")), "{advice}");
+    // The lines that follow are refused, too, and say how much it is by then.
+    let errors = json(&output)["errors"].as_array().cloned().expect("a list");
+    let last = errors.last().expect("an error")["text"].as_str().expect("a text").to_owned();
+    assert_eq!(
+        last,
+        format!("M99 finds no room either: {lacking} bytes of the program are too many so far; $X ends this")
+    );
 }
 
 /// A check warns of each line with a byte that would act as a realtime command if it were sent unchanged, and of a

@@ -57,6 +57,11 @@ impl<const N: usize> Interpreter<N> {
     /// Explains a line that belongs to no program and to no subprogram.
     #[inline(never)]
     fn explain_place(&self, line: &[u8], order: Option<OWord>, out: &mut Reason) {
+        if let Some(lacking) = self.computed.overflow.so_far() {
+            say(out, "% finds no room either: ", &[line]);
+            let _ = write!(out, "{lacking} bytes of the program are too many so far; $X ends this");
+            return;
+        }
         match order.map(|order| order.keyword) {
             _ if has_m_word(line, &[b"99"]) => say(
                 out,

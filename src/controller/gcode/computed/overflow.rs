@@ -61,6 +61,11 @@ impl Overflow {
         self.0.iter_mut().for_each(|excess| excess.counts = false);
     }
 
+    /// Returns how many bytes are too many so far, while lines of the program come.
+    pub fn so_far(&self) -> Option<usize> {
+        self.0.first().filter(|excess| excess.counts).map(|excess| excess.lacking)
+    }
+
     /// Returns how many bytes the program was too long; `None` if all programs have fit.
     pub fn lacking(&self) -> Option<usize> {
         self.0.first().map(|excess| excess.lacking).filter(|lacking| *lacking > 0)
