@@ -445,6 +445,8 @@ pub struct ParserState {
     pub tool: u32,
     /// F in mm/min (or as it was written in inverse-time mode).
     pub feed: f32,
+    /// F is in mm per revolution (G95).
+    pub per_revolution: bool,
     /// S in rpm.
     pub speed: f32,
 }
@@ -490,7 +492,11 @@ pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
     put(out, b" T");
     whole(out, u64::from(state.tool));
     put(out, b" F");
-    rate(out, state.feed, inches);
+    if FULL_IMAGE && state.per_revolution {
+        real(out, if inches { state.feed / 25.4 } else { state.feed }, 4);
+    } else {
+        rate(out, state.feed, inches);
+    }
     put(out, b" S");
     real(out, state.speed, 0);
     put(out, b"]\r\n");
