@@ -132,7 +132,7 @@ def served(machine, _):
 
     if not machine.dma:
         told = [machine.expect(machine.uart, "CR1", RXNEIE=1), machine.expect(machine.uart, "CR3", DMAR=0, DMAT=0)]
-        told.append(stream("dma2", 2, DIR=0, PSIZE=1, MSIZE=1, CIRC=0))
+        told.append(stream("dma2", 5, DIR=0, PSIZE=1, MSIZE=1, CIRC=0))
     else:
         told = [machine.expect(machine.uart, "CR1", RXNEIE=0, TXEIE=0), machine.expect(machine.uart, "CR3", EIE=1, DMAR=1, DMAT=1)]
         told.append(stream(machine.dma, machine.receiver, DIR=0, PSIZE=1, MSIZE=1, CIRC=1))

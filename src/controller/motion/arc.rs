@@ -150,7 +150,7 @@ fn sine(angle: f32) -> f32 {
     const ONE: u64 = 1 << BITS;
     /// Fraction bits that are left of the factor.
     const FACTOR_BITS: u32 = 39;
-    let product = |a: u64, b: u64| (u128::from(a) * u128::from(b) >> BITS) as u64;
+    let product = |a: u64, b: u64| ((u128::from(a) * u128::from(b)) >> BITS) as u64;
     let bits = angle.abs().to_bits().min(QUARTER_BITS);
     // The angle is mantissa / 2^shift.
     let (mantissa, shift) = (u64::from(bits & 0x7F_FFFF | 0x80_0000), 150 - (bits >> 23));

@@ -62,6 +62,7 @@ impl Overflow {
     }
 
     /// Returns how many bytes are too many so far, while lines of the program come.
+    #[cfg(feature = "reasons")]
     pub fn so_far(&self) -> Option<usize> {
         self.0.first().filter(|excess| excess.counts).map(|excess| excess.lacking)
     }
