@@ -193,16 +193,13 @@ fn take_of_hal(import: &mut Import, number: u16, value: Decimal, axes: u32, entr
 fn take_of_hal_only(import: &mut Import, number: u16, value: Decimal, entry: &Entry) {
     match (number, whole(value)) {
         (HAL_PECK, _) => import.take(Key::PeckClearance.number(), value, entry),
-        (HAL_TOOL_CHANGE, Some(mode @ (0 | 3 | 4))) => {
-            // Asks for the tool, measures it at G59.3, ignores M6.
-            let here = match mode {
-                0 => 1,
-                3 => 2,
-                _ => 0,
-            };
-            import.take(Key::ToolChange.number(), decimal(here), entry);
+        // Waits for the tool.
+        (HAL_TOOL_CHANGE, Some(0)) => import.take(Key::ToolChange.number(), decimal(1), entry),
+        // Ignores M6.
+        (HAL_TOOL_CHANGE, Some(4)) => import.take(Key::ToolChange.number(), decimal(0), entry),
+        (HAL_TOOL_CHANGE, _) => {
+            import.leave(entry, "see $918: with 2 the tool is changed at G30 and measured at G59.3")
         }
-        (HAL_TOOL_CHANGE, _) => import.leave(entry, "no touch-off by hand: see $918"),
         _ if PER_AXIS.contains(&u32::from(number)) => import.leave(entry, "no axis B or C"),
         _ => import.leave(entry, "grblHAL's own: Oxmill has no such setting"),
     }

@@ -5,7 +5,6 @@ use crate::files::{self, Role};
 use crate::job::{Ending, output};
 use crate::settings_import::{Import, import as import_text};
 use anyhow::{Context, Result, anyhow};
-use std::fmt::Write;
 use std::io::{self, Read};
 use std::path::Path;
 
@@ -49,6 +48,7 @@ fn json(import: &Import) -> Result<String> {
     Ok(serde_json::to_string_pretty(import)? + "\n")
 }
 
+/// Returns the report for people: the entries in the order of the file.
 fn report(import: &Import) -> String {
     let entries = import.taken.iter().map(|taken| &taken.from).chain(import.left.iter().map(|left| &left.text));
     let width = entries.map(|entry| entry.chars().count()).max().unwrap_or_default().min(WIDEST);
@@ -56,13 +56,16 @@ fn report(import: &Import) -> String {
     let entries = if left == 1 { "entry is" } else { "entries are" };
     let settings = if taken == 1 { "setting" } else { "settings" };
     let mut text = format!("{}: {taken} {settings}, {left} {entries} not taken\n", import.what);
+    let mut rows: Vec<(usize, String)> = Vec::new();
     for taken in &import.taken {
         let unit = if taken.unit.is_empty() { String::new() } else { format!(", {}", taken.unit) };
         let setting = format!("${}={}", taken.number, taken.value);
-        let _ = writeln!(text, "  {:width$}  {setting:14} {}{unit}", taken.from, taken.name);
+        rows.push((taken.line, format!("  {:width$}  {setting:14} {}{unit}\n", taken.from, taken.name)));
     }
     for left in &import.left {
-        let _ = writeln!(text, "  {:width$}  not taken: {}", left.text, left.why);
+        rows.push((left.line, format!("  {:width$}  not taken: {}\n", left.text, left.why)));
     }
+    rows.sort_by_key(|(line, _)| *line);
+    text.extend(rows.into_iter().map(|(_, row)| row));
     text
 }
