@@ -1,9 +1,10 @@
-//! Checks that no pin of a board has two uses, and that each used pin is in the pin table of its wiring.
+//! Checks the files of the boards, and that lists of boards and images agree.
 
+use oxmill_boards::profiles;
 use oxmill_controller::{StepRates, StepTiming};
-use oxmill_images::{BOARDS, SMALL};
+use oxmill_images::{IMAGES, SMALL};
 use oxmill_simulator::{Options, Simulator};
-use std::collections::BTreeSet;
+use oxmill_tables::Board;
 use std::fs;
 use std::path::PathBuf;
 
@@ -12,67 +13,34 @@ fn board_file(name: &str) -> String {
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Returns name, code and pin table of each wiring.
-fn wirings() -> [(&'static str, String, String); 2] {
-    let pill = board_file("blackpill.rs");
-    [("blackpill", pill.clone(), pill), ("nucleo64", board_file("nucleo64.rs"), board_file("nucleo64.md"))]
-}
-
-/// Returns the pins that the code uses, such as `a.pa7`, in order.
-fn pins_of(code: &str) -> Vec<String> {
-    let code: String = code.lines().filter(|line| !line.trim_start().starts_with("//")).collect();
-    let mut found = Vec::new();
-    for port in ["a", "b", "c"] {
-        for (at, prefix) in code.match_indices(&format!("{port}.p{port}")) {
-            let number: String = code[at + prefix.len()..].chars().take_while(char::is_ascii_digit).collect();
-            if !number.is_empty() && !code[..at].ends_with(|c: char| c.is_alphanumeric()) {
-                found.push(format!("{}{number}", port.to_uppercase()));
-            }
-        }
-    }
-    found
-}
-
-/// Returns the pins in the second column of the pin table.
-fn pins_of_table(text: &str) -> BTreeSet<String> {
-    let rows = text.lines().map(|line| line.trim_start_matches("//!").trim()).filter(|line| line.starts_with('|'));
-    let cells = rows.filter_map(|row| row.split('|').nth(2).map(str::to_owned));
-    cells
-        .flat_map(|cell| {
-            let words = cell.split(|c: char| !c.is_ascii_alphanumeric()).map(str::to_owned).collect::<Vec<_>>();
-            words.into_iter().map(|word| word.strip_prefix('P').map_or(word.clone(), str::to_owned))
-        })
-        .collect()
-}
-
+/// Each file of a board is without faults, and has the name of its board. So no pin has two uses, each pin exists, and
+/// debug port, oscillator and links keep theirs: `boards/tables/check.rs`.
 #[test]
-fn no_pin_is_used_twice_and_each_stands_in_the_table() {
-    for (name, code, table) in wirings() {
-        let pins = pins_of(&code);
-        // Step, direction and limit of three axes; the other inputs and outputs of a mill; the link.
-        assert!(pins.len() >= 20, "{name}: {pins:?}");
-        let once: BTreeSet<&String> = pins.iter().collect();
-        assert_eq!(once.len(), pins.len(), "{name} uses a pin twice: {pins:?}");
-        let listed = pins_of_table(&table);
-        for pin in &pins {
-            assert!(listed.contains(pin), "{name}: the table has no {pin}, but {listed:?}");
+fn the_file_of_each_board_is_without_faults() {
+    for (name, text) in oxmill_tables::BOARDS {
+        match Board::parse(text) {
+            Ok(board) => assert_eq!(board.name, name),
+            Err(faults) => panic!("{name}.toml: {faults:?}"),
         }
     }
 }
 
-/// The owner of each timer peripheral is created in only one place.
+/// The profile of a board, which the simulator uses, has what its file has.
 #[test]
-fn no_timer_has_two_uses() {
-    for (name, code, _) in wirings() {
-        let taken: Vec<&str> = code
-            .match_indices("device.")
-            .map(|(at, prefix)| &code[at + prefix.len()..])
-            .map(|rest| &rest[..rest.find(|c: char| !c.is_ascii_alphanumeric() && c != '_').unwrap_or(rest.len())])
-            .filter(|peripheral| ["TIM", "USART", "DMA", "OTG"].iter().any(|kind| peripheral.starts_with(kind)))
-            .collect();
-        let once: BTreeSet<&&str> = taken.iter().collect();
-        assert!(once.contains(&&"TIM2") && once.contains(&&"TIM3") && once.contains(&&"TIM5"), "{name}: {taken:?}");
-        assert_eq!(once.len(), taken.len(), "{name} takes a peripheral twice: {taken:?}");
+fn profiles_are_those_of_the_files() {
+    for (name, _) in oxmill_tables::BOARDS {
+        let board = Board::named(name).expect("a board");
+        let profile = oxmill_boards::profiles::ALL.into_iter().find(|profile| profile.name == name);
+        let profile = profile.unwrap_or_else(|| panic!("profiles.rs has no {name}"));
+        let has = |function| board.pins.contains_key(function);
+        let count = |first, second| u8::from(has(first)) + u8::from(has(second));
+        assert_eq!(profile.has_at_speed, has("at_speed"), "{name}");
+        let outputs = count("program_output", "second_program_output");
+        assert_eq!(profile.program_pins, [outputs, count("program_input", "second_program_input")], "{name}");
+        let of_image = |board: profiles::Board| {
+            (board.image, board.step_clock_hz, board.core_hz, board.axes, board.blocks, board.most_baud)
+        };
+        assert_eq!(of_image(profile), of_image(board.image), "{name}");
     }
 }
 
@@ -91,44 +59,31 @@ fn no_stream_has_two_uses() {
     assert_eq!(streams, [2, 0, 5, 6]);
     // If all step pins are on one port, S1 and S4 of DMA2 make the edges and the ends of the pulses.
     assert!(board_file("stm32f4/chain.rs").contains("(0, 1) => Streams { on: 1, off: 4,"));
-    assert_eq!(number("usart_interrupt.rs", "STREAM"), 2);
+    assert_eq!(number("usart_interrupt.rs", "STREAM"), 5);
 }
 
-/// The USB pins are fixed, and VBUS sensing, which would take A9 from the USART, is off in the driver.
+/// Several files repeat the list of images, and no compiler compares them.
 #[test]
-fn usb_has_its_pins_its_clock_and_its_vector() {
-    let pill = board_file("blackpill.rs");
-    let pins = pins_of(&pill);
-    for pin in ["A11", "A12"] {
-        assert!(pins.iter().any(|taken| taken == pin), "USB has no {pin}");
-    }
-    assert!(pill.contains("require_pll48clk()"));
-    assert!(pill.contains("usb: OTG_FS"), "USB has no vector");
-    let nucleo = board_file("nucleo64.rs");
-    assert!(nucleo.contains("UsbPort = NoPort") && !nucleo.contains("OTG"));
-}
-
-/// Several files repeat the list of boards, and no compiler compares them.
-#[test]
-fn every_board_stands_in_every_list() {
+fn every_image_stands_in_every_list() {
     let ci = board_file("../.ci/run");
-    for name in BOARDS {
+    for name in IMAGES {
         let manifests = ["Cargo.toml", "../src/firmware/Cargo.toml", "../tests/on_target/Cargo.toml"];
         for file in ["../.ci/run", "sizes.txt", "profiles.rs", "lib.rs"].into_iter().chain(manifests) {
             assert!(board_file(file).contains(name), "{file} has no {name}");
         }
-        assert!(name == "qemu_mps2" || board_file("../README.md").contains(name), "README.md has no {name}");
-        let case = ci.contains(&format!("{name}) echo firmware-small"));
-        assert_eq!(case, SMALL.contains(&name), "the profile of {name} in .ci/run");
+        assert!(oxmill_images::chip(name).is_some(), "{name}");
+        let case = ci.lines().find(|line| line.contains("echo firmware-small")).expect("the profiles");
+        let is_small = case.split([' ', '|', ')']).any(|word| word == name);
+        assert_eq!(is_small, SMALL.contains(&name), "the profile of {name} in .ci/run");
     }
 }
 
 #[test]
-fn every_board_has_its_sizes_and_a_probe_profile() {
+fn every_board_has_its_name_in_the_readme_and_a_probe_profile() {
     let embed = board_file("../Embed.toml");
-    for name in BOARDS {
-        assert!(oxmill_images::chip(name).is_some(), "{name}");
-        assert!(name == "qemu_mps2" || embed.contains(&format!("[{name}.general]")), "{name}");
+    for (name, _) in oxmill_tables::BOARDS {
+        assert!(embed.contains(&format!("[{name}.general]")), "{name}");
+        assert!(board_file("../docs/boards.md").contains(name), "docs/boards.md has no {name}");
     }
 }
 
@@ -169,26 +124,23 @@ fn said(board: oxmill_boards::profiles::Board, line: &str) -> String {
 /// as up to speed, or none at all.
 #[test]
 fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
-    for (wiring, code, _) in wirings() {
-        let has_pin = code.contains("input_bits::AT_SPEED, ");
-        let boards = oxmill_boards::profiles::ALL.into_iter().filter(|board| board.name.starts_with(&wiring[..6]));
-        for board in boards {
-            let lock = "[MSG:Motion is locked until this setting is mended: $915]";
-            for value in [1, 2] {
-                assert_eq!(said(board, &format!("$915={value}")).contains(lock), !has_pin, "{} {value}", board.name);
-            }
-            assert!(!said(board, "$915=0").contains(lock), "{}", board.name);
-            assert_eq!(said(board, "$PINS").contains("[PIN:at speed,"), has_pin, "{}", board.name);
+    for board in profiles::ALL {
+        let lock = "[MSG:Motion is locked until this setting is mended: $915]";
+        for value in [1, 2] {
+            let is_locked = said(board, &format!("$915={value}")).contains(lock);
+            assert_eq!(is_locked, !board.has_at_speed, "{} {value}", board.name);
         }
+        assert!(!said(board, "$915=0").contains(lock), "{}", board.name);
+        assert_eq!(said(board, "$PINS").contains("[PIN:at speed,"), board.has_at_speed, "{}", board.name);
     }
 }
 
-/// A Black Pill's UART has an interrupt for each byte, which has to wait while the step task runs. At rates above the
+/// The UART of a board with USB has an interrupt for each byte, which has to wait while the step task runs. At rates above the
 /// one in the board's table, bytes would be lost; the fast link of this board is USB.
 #[test]
-fn a_black_pill_takes_no_rate_of_its_uart_that_it_cannot_keep() {
+fn a_uart_beside_usb_takes_no_rate_of_its_uart_that_it_cannot_keep() {
     for board in oxmill_boards::profiles::ALL {
-        let is_slow = board.name.starts_with("blackpill");
+        let is_slow = board.has_usb;
         for rate in [230_400, 1_000_000] {
             let answer = said(board, &format!("$931={rate}"));
             assert_eq!(
@@ -215,7 +167,7 @@ fn a_black_pill_takes_no_rate_of_its_uart_that_it_cannot_keep() {
 #[test]
 fn boards_have_the_words_of_their_images() {
     let manifest = include_str!("../src/firmware/Cargo.toml");
-    for board in oxmill_boards::profiles::ALL.into_iter().filter(|board| board.name != "desk") {
+    for board in profiles::IMAGES {
         let features = manifest.lines().find(|line| line.starts_with(&format!("{} = [", board.name)));
         let features = features.unwrap_or_else(|| panic!("no features of {}", board.name));
         assert_eq!(features.contains("\"oxmill-controller/full\""), board.has_all_words, "{}", board.name);

@@ -43,7 +43,10 @@ pub enum Command {
     Resume(ResumeJob),
     /// Settings of a machine.
     #[command(subcommand)]
-    Settings(Settings),
+    Settings(SettingsCommand),
+    /// Shows the pin table of a board, checks a table of your own, or writes it into an image of the firmware.
+    #[command(subcommand)]
+    Board(BoardCommand),
     /// Writes the completions for a shell to standard output.
     Completions {
         /// The shell.
@@ -54,6 +57,33 @@ pub enum Command {
         /// Writes each page to a file in this folder instead: oxmill.1, oxmill-run.1 and so on.
         #[arg(long, value_name = "FOLDER")]
         out: Option<PathBuf>,
+    },
+}
+
+/// `board`.
+#[derive(Debug, Subcommand)]
+pub enum BoardCommand {
+    /// Lists the boards: name, chip and title.
+    List,
+    /// Writes the file of a board to standard output, to begin your own table with.
+    Show {
+        /// The name of the board.
+        name: String,
+    },
+    /// Checks a table: which pin each function has, and whether the image allows it.
+    Check {
+        /// The table, a TOML file as `board show` writes it; `-` for standard input.
+        table: PathBuf,
+    },
+    /// Writes a table into an image of the firmware. Without `-o`, the image itself is changed.
+    Write {
+        /// The image: .hex, .dfu, .elf or .bin.
+        image: PathBuf,
+        /// The table, a TOML file; `-` for standard input.
+        table: PathBuf,
+        /// The file for the changed image.
+        #[arg(short, long, value_name = "FILE")]
+        output: Option<PathBuf>,
     },
 }
 
@@ -184,7 +214,7 @@ pub struct ResumeJob {
 
 /// `settings`.
 #[derive(Debug, Subcommand)]
-pub enum Settings {
+pub enum SettingsCommand {
     /// Reads settings of another controller, and reports what each of them becomes and why others are not taken.
     Import(ImportSettings),
 }

@@ -50,6 +50,8 @@ pub mod meter;
 #[cfg(feature = "program")]
 mod no_browser;
 pub mod path;
+#[cfg(feature = "program")]
+mod pin_tables;
 pub mod pins;
 #[cfg(feature = "program")]
 pub mod plot;
@@ -110,7 +112,8 @@ pub fn main() -> ExitCode {
         Command::Plot(options) => job::plot(options),
         Command::Replay(options) => job::replay(&options),
         Command::Resume(options) => job::resume(&options),
-        Command::Settings(command_line::Settings::Import(options)) => settings_command::import(&options),
+        Command::Settings(command_line::SettingsCommand::Import(options)) => settings_command::import(&options),
+        Command::Board(command) => pin_tables::run(&command),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut CommandLine::command(), "oxmill", &mut script);

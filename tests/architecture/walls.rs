@@ -54,7 +54,7 @@ fn only_the_choice_of_a_board_names_one_in_a_condition() {
     assert!(files.len() > 15);
     for (file, text) in files.iter().filter(|(file, _)| file.as_os_str() != "lib.rs") {
         let dense: String = text.split_whitespace().collect();
-        for board in oxmill_images::BOARDS {
+        for board in oxmill_images::IMAGES {
             assert!(!dense.contains(&format!("feature=\"{board}\"")), "boards/{}: {board}", file.display());
         }
     }

@@ -3,8 +3,8 @@
 use crate::{all_pages, fence, fences, read, root};
 use clap::Parser;
 use clap::error::ErrorKind;
-use oxmill_images::BOARDS;
 use oxmill_simulator::command_line::CommandLine;
+use oxmill_tables::BOARDS;
 
 /// Cargo's own commands that the pages use.
 const OF_CARGO: [&str; 9] = ["bench", "binstall", "build", "clippy", "deny", "install", "mutants", "package", "test"];
@@ -103,7 +103,7 @@ fn fault_of_cargo(words: &[&str], whole: bool) -> Option<String> {
         ["run", "--release", "--", rest @ ..] => fault_of_oxmill(&[&["oxmill"], rest].concat(), whole),
         ["xtask", name, ..] => task(name),
         ["test", rest @ ..] => fault_of_test(rest),
-        ["fw" | "flash-board", board, ..] if *board != "BOARD" && !BOARDS.contains(board) => {
+        ["fw" | "flash-board", board, ..] if *board != "BOARD" && !BOARDS.iter().any(|(name, _)| name == board) => {
             Some(format!("there is no board `{board}`"))
         }
         [name, ..] if aliases.contains(&format!("{name} = \"xtask {name}\"")) => task(name),

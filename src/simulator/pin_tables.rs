@@ -1,0 +1,97 @@
+//! `oxmill board`: shows and checks pin tables of boards, and writes them into images of the firmware.
+
+use crate::Ending;
+use crate::command_line::BoardCommand;
+use crate::files;
+use anyhow::{Context, Result, anyhow};
+use oxmill_tables::{BOARDS, Board, image_file, text_of};
+use std::fs;
+use std::io::{self, Read};
+use std::path::Path;
+
+/// Runs `oxmill board`.
+pub fn run(command: &BoardCommand) -> Result<Ending> {
+    match command {
+        BoardCommand::List => list(),
+        BoardCommand::Show { name } => show(name),
+        BoardCommand::Check { table } => Ok(read(table)?.map_or(Ending::Faulty, |board| {
+            files::remark(&format!(
+                "{}: no fault in {} pins for the image {}",
+                board.name,
+                board.pins.len(),
+                board.image.name
+            ));
+            Ending::Good
+        })),
+        BoardCommand::Write { image, table, output } => {
+            let Some(board) = read(table)? else { return Ok(Ending::Faulty) };
+            let bytes = fs::read(image).with_context(|| format!("cannot read {}", image.display()))?;
+            let changed =
+                image_file::write(&bytes, &board.table()).map_err(|why| anyhow!("{}: {why}", image.display()))?;
+            let output = output.as_ref().unwrap_or(image);
+            fs::write(output, changed).with_context(|| format!("cannot write {}", output.display()))?;
+            files::remark(&format!("{} has the pins of {} now", output.display(), board.name));
+            Ok(Ending::Good)
+        }
+    }
+}
+
+fn list() -> Result<Ending> {
+    let boards = BOARDS.iter().filter_map(|(name, _)| Board::named(name));
+    let text: String =
+        boards.map(|board| format!("{:<23} {:<11}  {}\n", board.name, board.chip.name, board.title)).collect();
+    files::print(io::stdout(), text.as_bytes()).context("cannot write the list")?;
+    Ok(Ending::Good)
+}
+
+fn show(name: &str) -> Result<Ending> {
+    let Some((_, text)) = BOARDS.iter().find(|(own, _)| *own == name) else {
+        let names: Vec<&str> = BOARDS.iter().map(|(name, _)| *name).collect();
+        return Err(anyhow!("there is no board {name}; there are {}", names.join(", ")));
+    };
+    files::print(io::stdout(), text.as_bytes()).context("cannot write the table")?;
+    Ok(Ending::Good)
+}
+
+/// Reads a table and tells its faults. Returns `None` if it has some.
+fn read(path: &Path) -> Result<Option<Board>> {
+    let mut bytes = Vec::new();
+    let result = match path.as_os_str() == "-" {
+        true => io::stdin().read_to_end(&mut bytes).map(|_| ()),
+        false => fs::read(path).map(|read| bytes = read),
+    };
+    result.with_context(|| format!("cannot read {}", path.display()))?;
+    let text = String::from_utf8(bytes).map_err(|_| anyhow!("{} is no text", path.display()))?;
+    match Board::parse(&text) {
+        Ok(board) => {
+            tell_weak_inputs(&board);
+            Ok(Some(board))
+        }
+        Err(faults) => {
+            for fault in faults {
+                let place = if fault.line > 0 { format!(":{}", fault.line) } else { String::new() };
+                files::remark(&format!("{}{place}: {}", path.display(), fault.text));
+            }
+            Ok(None)
+        }
+    }
+}
+
+/// Functions of inputs begin with these words.
+const INPUTS: [&str; 9] = ["limit", "probe", "door", "hold", "start", "reset", "driver", "at_speed", "program_input"];
+
+/// Tells which inputs do not bear 5 V, which is no fault of a table (data sheets, "TTa" pins).
+fn tell_weak_inputs(board: &Board) {
+    let weak: Vec<String> = board
+        .pins
+        .iter()
+        .filter(|(name, used)| {
+            let is_input = INPUTS.iter().any(|input| name.trim_start_matches("second_").starts_with(input));
+            is_input && ["A4", "A5"].contains(&text_of(used.pin).as_str())
+        })
+        .map(|(name, used)| format!("{name} ({})", text_of(used.pin)))
+        .collect();
+    if !weak.is_empty() {
+        files::remark(&format!("note: no more than 3.3 V on {}", weak.join(", ")));
+    }
+}
