@@ -1,7 +1,7 @@
 //! Imports the output of `$$` of Grbl, grblHAL or Oxmill. Most numbers have the same meaning. In a dump of grblHAL, masks
 //! become the settings that have the meaning of their bits, and grblHAL's own settings are left with the reason.
 
-use crate::import_list::{Entry, Import, NO_SETTING, decimal, number, row, values_of, whole};
+use crate::import_list::{FileEntry, Import, NO_SETTING, decimal, number, row, values_of, whole};
 use oxmill_controller::axes::LINEAR;
 use oxmill_controller::settings::{AxisKey, GrblHalMask, Key, Kind};
 use oxmill_controller::units::Decimal;
@@ -67,7 +67,7 @@ pub fn import(text: &str) -> Option<Import> {
         match assignment(written, index + 1) {
             Some(line) => found.push(line),
             None if is_blank(written) || is_said_around_settings(written) => {}
-            None => others.push(Entry::new(written, index + 1)),
+            None => others.push(FileEntry::new(written, index + 1)),
         }
     }
     if found.is_empty() {
@@ -87,7 +87,7 @@ pub fn import(text: &str) -> Option<Import> {
     let value_of = |number: u16| found.iter().rfind(|line| line.number == u32::from(number))?.value;
     let has_masks = is_hal || value_of(Key::Dialect.number()) == Some(GRBLHAL);
     for line in &found {
-        let entry = Entry::new(line.written, line.at);
+        let entry = FileEntry::new(line.written, line.at);
         let Some(value) = line.value else {
             import.leave(&entry, "no number");
             continue;
@@ -141,7 +141,7 @@ fn axes(found: &[Line]) -> u32 {
 }
 
 /// Takes a mask: the bits of the setting itself, and the bit of `$932`. Bits that nothing does are left.
-fn take_mask(import: &mut Import, number: u16, mask: &GrblHalMask, bits: u32, entry: &Entry) {
+fn take_mask(import: &mut Import, number: u16, mask: &GrblHalMask, bits: u32, entry: &FileEntry) {
     import.take(number, decimal(bits & mask.own), entry);
     if let Some(on) = mask.zero_at_pull_off(bits).filter(|_| import.what == "grblHAL") {
         import.take(Key::ZeroAtPullOff.number(), decimal(on.into()), entry);
@@ -149,14 +149,14 @@ fn take_mask(import: &mut Import, number: u16, mask: &GrblHalMask, bits: u32, en
     leave_bits(import, bits & !mask.bits(), "nothing does what they mean", entry);
 }
 
-fn leave_bits(import: &mut Import, bits: u32, why: &str, entry: &Entry) {
+fn leave_bits(import: &mut Import, bits: u32, why: &str, entry: &FileEntry) {
     if bits != 0 {
         import.leave(entry, format!("bits with the sum {bits}: {why}"));
     }
 }
 
 /// Takes a setting of grblHAL that is not one of the masks of `$900=3`. `axes`: the mask of the machine's axes.
-fn take_of_hal(import: &mut Import, number: u16, value: Decimal, axes: u32, entry: &Entry) {
+fn take_of_hal(import: &mut Import, number: u16, value: Decimal, axes: u32, entry: &FileEntry) {
     const ENABLE_INVERT: u16 = Key::EnableInvert.number();
     const LIMIT_INVERT: u16 = Key::LimitInvert.number();
     const SINGLE_BITS: [u16; 3] = [Key::ProbeInvert.number(), Key::HardLimits.number(), Key::Parking.number()];
@@ -190,7 +190,7 @@ fn take_of_hal(import: &mut Import, number: u16, value: Decimal, axes: u32, entr
 }
 
 /// Takes a setting of grblHAL that has another number here, or leaves it.
-fn take_of_hal_only(import: &mut Import, number: u16, value: Decimal, entry: &Entry) {
+fn take_of_hal_only(import: &mut Import, number: u16, value: Decimal, entry: &FileEntry) {
     match (number, whole(value)) {
         (HAL_PECK, _) => import.take(Key::PeckClearance.number(), value, entry),
         // Waits for the tool.
@@ -209,6 +209,6 @@ fn take_of_hal_only(import: &mut Import, number: u16, value: Decimal, entry: &En
 fn use_a(import: &mut Import, found: &[Line]) {
     let line = found.iter().find(|line| line.number == u32::from(RESOLUTION_OF_A));
     if let Some(line) = line.filter(|_| import.has(RESOLUTION_OF_A)) {
-        import.take(Key::Axes.number(), WITH_A, &Entry::new(line.written, line.at));
+        import.take(Key::Axes.number(), WITH_A, &FileEntry::new(line.written, line.at));
     }
 }

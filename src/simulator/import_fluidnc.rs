@@ -1,7 +1,7 @@
 //! Imports a configuration file of FluidNC. Of YAML, FluidNC reads lines `key: value` with the sections given by the
 //! indentation, and this module reads the same; a tab in the indentation is an error there, too.
 
-use crate::import_list::{Entry, Import, decimal, number};
+use crate::import_list::{FileEntry, Import, decimal, number};
 use oxmill_controller::axes::{Axis, LINEAR};
 use oxmill_controller::settings::{AxisKey, Key};
 use oxmill_controller::units::Decimal;
@@ -28,7 +28,7 @@ pub fn is_configuration(text: &str) -> bool {
 /// # Errors
 /// If a tab is in the indentation of a line. The text names the line.
 pub fn import(text: &str) -> Result<Import, String> {
-    let mut reader = Reader { import: Import::of("FluidNC"), machine: Machine::default() };
+    let mut reader = Reader { import: Import::of("FluidNC"), machine: ConfiguredMachine::default() };
     let mut sections: Vec<(usize, &str)> = Vec::new();
     for (index, written) in text.lines().enumerate() {
         let line = without_comment(written).trim_end();
@@ -43,11 +43,11 @@ pub fn import(text: &str) -> Result<Import, String> {
         let is_key = |key: &&str| key.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
         let Some((key, value)) = key_and_value.split_once(':').map(|(key, value)| (key.trim_end(), value.trim()))
         else {
-            reader.import.leave(&Entry::new(written, index + 1), "not of the form key: value");
+            reader.import.leave(&FileEntry::new(written, index + 1), "not of the form key: value");
             continue;
         };
         if !is_key(&key) {
-            reader.import.leave(&Entry::new(written, index + 1), "not of the form key: value");
+            reader.import.leave(&FileEntry::new(written, index + 1), "not of the form key: value");
             continue;
         }
         while sections.last().is_some_and(|(outer, _)| *outer >= indent) {
@@ -56,7 +56,7 @@ pub fn import(text: &str) -> Result<Import, String> {
         sections.push((indent, key));
         let keys: Vec<&str> = sections.iter().map(|(_, key)| *key).collect();
         let value = value.trim_matches(['"', '\'']);
-        let entry = Entry::new(&format!("{}: {value}", keys.join("/")), index + 1);
+        let entry = FileEntry::new(&format!("{}: {value}", keys.join("/")), index + 1);
         if !value.is_empty() {
             reader.value(&keys, value, entry);
         } else if let ["kinematics", kind] = keys[..] {
@@ -74,35 +74,35 @@ fn without_comment(line: &str) -> &str {
 
 /// Entries that become settings only together with others.
 #[derive(Default)]
-struct Machine {
+struct ConfiguredMachine {
     core_xy: bool,
     /// Homing cycle of each axis.
-    cycles: Vec<(Axis, i32, Entry)>,
+    cycles: Vec<(Axis, i32, FileEntry)>,
     /// Axes that are homed in the negative direction.
-    to_negative: Vec<(Axis, Entry)>,
-    soft_limits: Vec<(bool, Entry)>,
-    hard_limits: Vec<(bool, Entry)>,
-    /// Machine coordinate after homing, by axis.
-    place: Vec<(Decimal, Entry)>,
-    step_low: Vec<(Axis, Entry)>,
+    to_negative: Vec<(Axis, FileEntry)>,
+    soft_limits: Vec<(bool, FileEntry)>,
+    hard_limits: Vec<(bool, FileEntry)>,
+    /// ConfiguredMachine coordinate after homing, by axis.
+    place: Vec<(Decimal, FileEntry)>,
+    step_low: Vec<(Axis, FileEntry)>,
     /// Axis, number of the motor, whether the direction is low.
-    directions: Vec<(Axis, usize, bool, Entry)>,
+    directions: Vec<(Axis, usize, bool, FileEntry)>,
     /// Axes with a second motor.
-    second_motors: Vec<(Axis, Entry)>,
-    second_switches: Vec<(Axis, Entry)>,
+    second_motors: Vec<(Axis, FileEntry)>,
+    second_switches: Vec<(Axis, FileEntry)>,
     /// Section of the first spindle.
     spindle: Option<String>,
-    a: Option<Entry>,
+    a: Option<FileEntry>,
 }
 
 struct Reader {
     import: Import,
-    machine: Machine,
+    machine: ConfiguredMachine,
 }
 
 impl Reader {
     /// Reads a value at a path of keys.
-    fn value(&mut self, keys: &[&str], value: &str, entry: Entry) {
+    fn value(&mut self, keys: &[&str], value: &str, entry: FileEntry) {
         match *keys {
             ["axes", axis, ref rest @ ..] if !rest.is_empty() => match LETTERS.find(axis).filter(|_| axis.len() == 1) {
                 Some(index) if index <= LINEAR => self.of_axis(Axis::ALL[index], rest, value, entry),
@@ -128,18 +128,18 @@ impl Reader {
         }
     }
 
-    fn take(&mut self, key: Key, value: &str, entry: Entry) {
+    fn take(&mut self, key: Key, value: &str, entry: FileEntry) {
         self.take_number(key.number(), value, &entry);
     }
 
-    fn take_number(&mut self, to: u16, value: &str, entry: &Entry) {
+    fn take_number(&mut self, to: u16, value: &str, entry: &FileEntry) {
         match number(value) {
             Some(value) => self.import.take(to, value, entry),
             None => self.import.leave(entry, "no number"),
         }
     }
 
-    fn take_switch(&mut self, key: Key, value: &str, entry: Entry) {
+    fn take_switch(&mut self, key: Key, value: &str, entry: FileEntry) {
         match switch(value) {
             Some(on) => self.import.take(key.number(), decimal(on.into()), &entry),
             None => self.import.leave(&entry, "neither true nor false"),
@@ -147,7 +147,7 @@ impl Reader {
     }
 
     /// Takes a value that each axis has in FluidNC. Here the first one counts for all.
-    fn take_for_all(&mut self, key: Key, value: &str, entry: Entry) {
+    fn take_for_all(&mut self, key: Key, value: &str, entry: FileEntry) {
         let taken = self.import.taken.iter().find(|taken| taken.number == key.number()).map(|taken| taken.value.0);
         if taken.is_none() || number(value).is_none() {
             self.take(key, value, entry);
@@ -156,7 +156,7 @@ impl Reader {
         }
     }
 
-    fn of_axis(&mut self, axis: Axis, keys: &[&str], value: &str, entry: Entry) {
+    fn of_axis(&mut self, axis: Axis, keys: &[&str], value: &str, entry: FileEntry) {
         let number_of = |key: AxisKey| key.number() + axis.index() as u16;
         match *keys {
             ["steps_per_mm"] => {
@@ -184,7 +184,7 @@ impl Reader {
         }
     }
 
-    fn homing(&mut self, axis: Axis, key: &str, value: &str, entry: Entry) {
+    fn homing(&mut self, axis: Axis, key: &str, value: &str, entry: FileEntry) {
         match key {
             "cycle" => match value.parse() {
                 Ok(cycle) => self.machine.cycles.push((axis, cycle, entry)),
@@ -208,7 +208,7 @@ impl Reader {
         }
     }
 
-    fn motor(&mut self, axis: Axis, motor: usize, key: &str, value: &str, entry: Entry) {
+    fn motor(&mut self, axis: Axis, motor: usize, key: &str, value: &str, entry: FileEntry) {
         if value == NO_PIN {
             return;
         }
@@ -226,7 +226,7 @@ impl Reader {
         }
     }
 
-    fn kinematics(&mut self, kind: &str, entry: Entry) {
+    fn kinematics(&mut self, kind: &str, entry: FileEntry) {
         if kind.eq_ignore_ascii_case("CoreXY") {
             self.machine.core_xy = true;
             self.import.take(Key::Kinematics.number(), decimal(1), &entry);
@@ -237,7 +237,7 @@ impl Reader {
         }
     }
 
-    fn parking(&mut self, key: &str, value: &str, entry: Entry) {
+    fn parking(&mut self, key: &str, value: &str, entry: FileEntry) {
         match key {
             "enable" => self.take_switch(Key::Parking, value, entry),
             "axis" => match LETTERS.find(&value.to_ascii_lowercase()).filter(|_| value.len() == 1) {
@@ -252,7 +252,7 @@ impl Reader {
         }
     }
 
-    fn spindle(&mut self, section: &str, key: &str, value: &str, entry: Entry) {
+    fn spindle(&mut self, section: &str, key: &str, value: &str, entry: FileEntry) {
         if self.machine.spindle.is_none() {
             self.machine.spindle = Some(section.to_owned());
             if section.eq_ignore_ascii_case("Laser") {
@@ -275,7 +275,7 @@ impl Reader {
         }
     }
 
-    fn take_seconds(&mut self, key: Key, milliseconds: &str, entry: &Entry) {
+    fn take_seconds(&mut self, key: Key, milliseconds: &str, entry: &FileEntry) {
         match number(milliseconds) {
             Some(value) => self.import.take(key.number(), Decimal(value.0 / 1000), entry),
             None => self.import.leave(entry, "no number"),
@@ -283,7 +283,7 @@ impl Reader {
     }
 
     /// Takes the ends of a map such as `0=0.000% 1000=100.000%`.
-    fn speeds(&mut self, map: &str, entry: &Entry) {
+    fn speeds(&mut self, map: &str, entry: &FileEntry) {
         let point = |text: &str| {
             let (speed, part) = text.split_once('=')?;
             number(speed).zip(number(part.trim_end_matches('%')))
@@ -303,7 +303,7 @@ impl Reader {
     }
 
     /// Leaves an entry that has no counterpart.
-    fn other(&mut self, keys: &[&str], value: &str, entry: Entry) {
+    fn other(&mut self, keys: &[&str], value: &str, entry: FileEntry) {
         if value == NO_PIN {
             return;
         }
@@ -345,14 +345,14 @@ impl Reader {
     }
 
     /// Takes a mask of axes from the first of its entries, if there is one.
-    fn mask(&mut self, key: Key, axes: &[(Axis, &Entry)]) {
+    fn mask(&mut self, key: Key, axes: &[(Axis, &FileEntry)]) {
         if let Some((_, entry)) = axes.first() {
             self.import.take(key.number(), decimal(axes.iter().fold(0, |mask, (axis, _)| mask | bit(*axis))), entry);
         }
     }
 
     /// Takes homing, its cycles and its directions. Returns whether any axis is homed.
-    fn homing_cycles(&mut self, machine: &Machine) -> bool {
+    fn homing_cycles(&mut self, machine: &ConfiguredMachine) -> bool {
         let Some((_, _, first)) = machine.cycles.first() else { return false };
         let mut order: Vec<i32> =
             machine.cycles.iter().map(|(_, cycle, _)| *cycle).filter(|cycle| *cycle > 0).collect();
@@ -363,7 +363,7 @@ impl Reader {
             return false;
         }
         for index in 0..order.len().max(LINEAR) {
-            let in_cycle = |(_, cycle, _): &&(Axis, i32, Entry)| order.get(index) == Some(cycle);
+            let in_cycle = |(_, cycle, _): &&(Axis, i32, FileEntry)| order.get(index) == Some(cycle);
             let axes: Vec<_> = machine.cycles.iter().filter(in_cycle).collect();
             let mask = axes.iter().fold(0, |mask, (axis, ..)| mask | bit(*axis));
             let entry = axes.first().map_or(first, |(.., entry)| entry);
@@ -388,7 +388,7 @@ impl Reader {
     }
 
     /// Takes limits, which have one switch for all axes here.
-    fn limits(&mut self, axes: &[(bool, Entry)], key: Key, is_possible: bool) {
+    fn limits(&mut self, axes: &[(bool, FileEntry)], key: Key, is_possible: bool) {
         let is_on = is_possible && axes.iter().any(|(on, _)| *on);
         for (index, (on, entry)) in axes.iter().enumerate() {
             if !is_possible && *on {
@@ -403,7 +403,7 @@ impl Reader {
     }
 
     /// Takes the axis with a second motor.
-    fn second_motor(&mut self, machine: &Machine) {
+    fn second_motor(&mut self, machine: &ConfiguredMachine) {
         let mut ganged = None;
         for (axis, entry) in &machine.second_motors {
             match axis {

@@ -23,14 +23,14 @@ pub struct Import {
     /// The controller whose settings they are: `Grbl`, `grblHAL`, `FluidNC` or `Oxmill`.
     pub what: &'static str,
     /// Settings, in the order of the file. Each number appears once.
-    pub taken: Vec<Taken>,
+    pub taken: Vec<TakenSetting>,
     /// Entries that are not taken, in the order of the file.
-    pub left: Vec<Left>,
+    pub left: Vec<LeftEntry>,
 }
 
 /// A setting, and the entry from which it comes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Taken {
+pub struct TakenSetting {
     /// Number after `$`.
     pub number: u16,
     /// Value in the setting's unit. The setting accepts it, outside Grbl's dialect.
@@ -47,7 +47,7 @@ pub struct Taken {
 
 /// An entry that is not taken.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Left {
+pub struct LeftEntry {
     /// The entry.
     pub text: String,
     /// The reason.
@@ -58,12 +58,12 @@ pub struct Left {
 
 /// An entry of the file: its text and its line, from 1.
 #[derive(Clone, Debug)]
-pub struct Entry {
+pub struct FileEntry {
     text: String,
     line: usize,
 }
 
-impl Entry {
+impl FileEntry {
     /// Makes an entry. Control characters in its text are replaced, as a file may contain terminal escape sequences.
     pub fn new(text: &str, line: usize) -> Self {
         let text = text.trim().chars().take(LONGEST).map(|c| if c.is_control() { '?' } else { c }).collect();
@@ -134,7 +134,7 @@ impl Import {
     }
 
     /// Takes a setting if its row accepts the value. Otherwise its entry is left, with the values that are accepted.
-    pub fn take(&mut self, number: u16, value: Decimal, entry: &Entry) {
+    pub fn take(&mut self, number: u16, value: Decimal, entry: &FileEntry) {
         let Some(row) = row(number) else { return self.leave(entry, NO_SETTING) };
         match Settings::<AXES>::default().accepted(number, value) {
             Ok(_) => {}
@@ -143,7 +143,7 @@ impl Import {
         }
         let mut name = Text::new();
         descriptions::name(&mut name, &row);
-        self.taken.push(Taken {
+        self.taken.push(TakenSetting {
             number,
             value: Value(value),
             name: String::from_utf8_lossy(&name).into_owned(),
@@ -154,19 +154,19 @@ impl Import {
     }
 
     /// Lists an entry as not taken.
-    pub fn leave(&mut self, entry: &Entry, why: impl Into<String>) {
-        self.left.push(Left { text: entry.text.clone(), why: why.into(), line: entry.line });
+    pub fn leave(&mut self, entry: &FileEntry, why: impl Into<String>) {
+        self.left.push(LeftEntry { text: entry.text.clone(), why: why.into(), line: entry.line });
     }
 
     /// Ends an import. Of several values for a setting the last counts, as on a board; the others are left.
     pub fn finish(mut self) -> Self {
-        let mut taken: Vec<Taken> = Vec::new();
+        let mut taken: Vec<TakenSetting> = Vec::new();
         for next in self.taken {
             if let Some(at) = taken.iter().position(|before| before.number == next.number) {
                 let before = taken.remove(at);
                 if before.value != next.value {
                     let why = format!("line {} sets ${} again", next.line, next.number);
-                    self.left.push(Left { text: before.from, why, line: before.line });
+                    self.left.push(LeftEntry { text: before.from, why, line: before.line });
                 }
             }
             taken.push(next);
@@ -181,7 +181,7 @@ impl Import {
     pub fn assignments(&self) -> String {
         const SOFT_LIMITS: u16 = Key::SoftLimits.number();
         const HOMING: u16 = Key::Homing.number();
-        let mut taken: Vec<&Taken> = self.taken.iter().collect();
+        let mut taken: Vec<&TakenSetting> = self.taken.iter().collect();
         taken.sort_by_key(|taken| if taken.number == SOFT_LIMITS { (HOMING, true) } else { (taken.number, false) });
         taken.iter().map(|taken| format!("${}={}\n", taken.number, taken.value)).collect()
     }

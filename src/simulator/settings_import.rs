@@ -4,7 +4,7 @@
 
 use crate::{import_dump, import_fluidnc};
 
-pub use crate::import_list::{Import, Left, Taken, Value};
+pub use crate::import_list::{Import, LeftEntry, TakenSetting, Value};
 
 /// Imports a text. Line ends of all systems and a byte order mark are accepted.
 ///

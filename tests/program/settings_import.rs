@@ -286,6 +286,7 @@ fn the_page_shows_what_is_printed() {
     let shown = page.split("```text\n").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");
     let mut entries: Vec<&str> = shown.lines().skip(1).filter_map(|line| line.split_whitespace().next()).collect();
     entries.dedup();
-    let printed = run(&["settings", "import", text(&file("import_page.txt", &entries.join("\n")))]);
+    let dump = format!("GrblHAL 1.1f ['$' or '$HELP' for help]\n{}\n", entries.join("\n"));
+    let printed = run(&["settings", "import", text(&file("import_page.txt", &dump))]);
     assert_eq!(String::from_utf8_lossy(&printed.stdout), shown);
 }
