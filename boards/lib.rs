@@ -147,6 +147,7 @@ const fn profile_of(board: &profiles::Board, has_second_motor: bool) -> oxmill_c
         has_at_speed: board.has_at_speed,
         program_pins: board.program_pins,
         most_baud: board.most_baud,
+        oscillator_mhz: 0,
         has_store: true,
     }
 }

@@ -146,11 +146,14 @@ pub const NUCLEO_F401RE: Board = Board {
 };
 
 /// Control boards with STM32F446 and USB: 168 MHz instead of 180, because USB needs 48 MHz from the same PLL. The step
-/// timer is on the 84 MHz bus clock. The boards are [`OCTOPUS_F446`] and its neighbours.
+/// timer is on the 84 MHz bus clock. The image is built for size, except the step task: at 1 MHz the events would run out
+/// behind turns. The boards are [`OCTOPUS_F446`] and its neighbours.
 pub const CONTROL_F446: Board = Board {
     name: "control_f446",
     step_clock_hz: 84_000_000,
     core_hz: 168_000_000,
+    safe_step_hz: 490_000,
+    least_pulse_tenths: 10,
     image: 6,
     has_usb: true,
     ports: 7,

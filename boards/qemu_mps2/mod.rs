@@ -92,6 +92,8 @@ pub struct Parts {
     pub settings_flash: SettingsFlash,
     /// For `inputs`.
     pub watchdog: Watchdog,
+    /// 0: the emulator has no oscillator.
+    pub oscillator_mhz: u8,
     /// None: nothing of this board can be missing.
     pub fault: Option<&'static str>,
 }
@@ -156,6 +158,7 @@ pub fn setup(mut device: pac::Peripherals, _low_voltage: fn() -> !) -> Parts {
         slow_pins: SlowPins,
         settings_flash: SettingsFlash::new(),
         watchdog: Watchdog(device.WATCHDOG),
+        oscillator_mhz: 0,
         fault: None,
     }
 }

@@ -358,6 +358,8 @@ pub struct Parts<I, S: Port, L: Port, const P: usize> {
     pub settings_flash: SettingsFlash,
     /// For `inputs`.
     pub watchdog: Watchdog,
+    /// Frequency of the external oscillator, MHz; 0 if the chip runs on its internal one.
+    pub oscillator_mhz: u8,
     /// Why the machine must stay locked, found at the start.
     pub fault: Option<&'static str>,
 }

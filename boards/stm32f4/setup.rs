@@ -121,6 +121,7 @@ pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {
         slow_pins,
         settings_flash: SettingsFlash::new(device.FLASH, uart::before_stall, uart::after_stall),
         watchdog: stm32f4::Watchdog::new(device.IWDG, &device.DBGMCU),
+        oscillator_mhz: oscillator_mhz.unwrap_or(0) as u8,
         fault: match oscillator_mhz {
             _ if !table.is_intact() => Some("no pin table in this firmware, or a damaged one: load it again"),
             None => Some("no crystal of 8, 12, 16 or 25 MHz found, runs on the internal clock"),

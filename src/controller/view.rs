@@ -191,6 +191,11 @@ impl<const N: usize> Controller<N> {
         self.m.interpreter.open_since()
     }
 
+    /// By how many bytes at least a program was too long that had to be held for a subprogram behind it.
+    pub fn lacking_bytes(&self) -> Option<usize> {
+        self.m.interpreter.lacking_bytes()
+    }
+
     /// The active alarm, if any.
     pub fn alarm(&self) -> Option<Alarm> {
         self.state.alarm()

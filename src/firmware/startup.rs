@@ -16,7 +16,6 @@ use crate::step_timer::Step;
 use crate::watchdog::Supervisor;
 use core::mem::MaybeUninit;
 use cortex_m::peripheral::{SYST, syst::SystClkSource};
-use oxmill_controller::Controller;
 use oxmill_controller::memory::Memory;
 use oxmill_controller::messages::{
     Chunk, Crash, CrashKind, EVENTS_DEPTH, LINE_MESSAGES, LineBytes, REALTIME_DEPTH, REPLIES_DEPTH, Realtime, Restart,
@@ -24,6 +23,7 @@ use oxmill_controller::messages::{
 };
 use oxmill_controller::recorder::Recorder;
 use oxmill_controller::settings::Key;
+use oxmill_controller::{Controller, Profile};
 use rtic_sync::channel::Channel;
 use rtic_sync::signal::Signal;
 
@@ -82,8 +82,9 @@ pub fn start(
     controller: &'static mut MaybeUninit<BoardController>,
     memory: Memory<AXES>,
 ) -> Tasks {
-    let controller = controller.write(Controller::new(boards::profile(), memory));
     let mut parts = boards::setup(device, failure::low_voltage);
+    let profile = Profile { oscillator_mhz: parts.oscillator_mhz, ..boards::profile() };
+    let controller = controller.write(Controller::new(profile, memory));
     let (realtime_in, realtime) = channels.realtime.split();
     let (lines_in, lines) = channels.lines.split();
     let (replies, replies_out) = channels.replies.split();

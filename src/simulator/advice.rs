@@ -4,19 +4,18 @@
 use oxmill_controller::error::{Alarm, Error};
 
 /// Rejected words, and what to write instead.
-const INSTEAD: [(&[&str], &str); 14] = [
+const INSTEAD: [(&[&str], &str); 13] = [
     (
         &["G33", "G33.1", "G74", "G76", "G84"],
         "The machine does not measure the spindle's rotation, so it cannot cut threads in step with it: drill the hole (G81), then mill the thread with G2 or G3 and Z, or tap by hand.",
     ),
-    (&["G95"], "Write the feed per minute: G94, and F as feed per revolution times revolutions per minute."),
     (&["G96"], "Write the speed of the spindle in revolutions per minute: G97 S1000."),
     (&["G7", "G8"], "Remove the word, and write X as a radius: there is no lathe mode."),
-    (&["G12", "G13"], "Write the circle as an arc: G2 or G3 with I and J."),
     (
-        &["G15", "G16"],
-        "Write X and Y; with expressions, X[#1*COS[#2]] Y[#1*SIN[#2]] is the point at radius #1 and angle #2.",
+        &["G12", "G13"],
+        "Write a line out, the circle, a line back: G91 G1 X5, G3 I-5, G1 X-5, G90. I of G12 is the radius of the path on Mach, and that of the wall on Haas, whose D is the radius of the tool.",
     ),
+    (&["G16"], "Write X and Y; with expressions, X[#1*COS[#2]] Y[#1*SIN[#2]] is the point at radius #1 and angle #2."),
     (
         &["G41", "G41.1", "G42", "G42.1"],
         "Let the CAM program offset the path by the radius of the cutter, and remove the word.",

@@ -94,6 +94,17 @@ impl Outcome {
         }
     }
 
+    /// Says with the error of a held program by how much it is too long.
+    fn measure_held(&mut self, lacking: usize, board: &str) {
+        let is_of_memory = |error: &&mut LineError| error.code == Error::OutOfMemory.code();
+        if let Some(error) = self.errors.iter_mut().rfind(is_of_memory) {
+            error.advice = format!(
+                "{board} lacks {lacking} bytes for what it has to hold, from the first call on: a line takes its words and a byte. \
+                 Subprograms as o1001 sub .. o1001 endsub above the program hold less."
+            );
+        }
+    }
+
     fn note(&mut self, note: String) {
         if self.notes.len() < KEPT_MESSAGES {
             self.notes.push(note);
@@ -222,6 +233,9 @@ impl Check {
         self.simulator.take_output();
         let open_since = self.simulator.controller().open_since();
         let long_lines = self.simulator.meter().times().long_lines();
+        if let Some(lacking) = self.simulator.controller().lacking_bytes() {
+            self.outcome.measure_held(lacking, self.simulator.board().name);
+        }
         if let Some(job) = self.simulator.job_mut() {
             self.outcome.hear(job);
             self.outcome.look_for_open_block(open_since, job);

@@ -203,7 +203,8 @@ fn modes(modal: &Modal, is_fed: bool) -> Vec<String> {
 /// have set a feed rate; it is cleared if the state has none.
 fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
     let is_linear = modal.straight == MotionMode::Linear;
-    let feed = (modal.feed_mode == FeedMode::PerMinute).then_some(modal.feed).filter(|feed| *feed > Decimal::ZERO);
+    let feed_in = |mode| (modal.feed_mode == mode).then_some(modal.feed).filter(|feed| *feed > Decimal::ZERO);
+    let feed = feed_in(FeedMode::PerMinute);
     // G1 needs a feed rate, even if it is cleared afterwards.
     let needed = feed.or(is_linear.then_some(Decimal::from_int(1)));
     let mut words = vec![modal.straight.word().to_owned()];
@@ -221,8 +222,15 @@ fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
         units = Units::Inch;
         words.push(format!("G20 F{}", exact(feed.0.saturating_mul(10) / 254)));
     }
+    words.extend((modal.feed_mode != FeedMode::PerMinute).then(|| modal.feed_mode.word().to_owned()));
+    if let Some(feed) = feed_in(FeedMode::PerRevolution) {
+        units = if modal.feed_in_inches { Units::Inch } else { Units::Mm };
+        words.push(match units {
+            Units::Mm => format!("F{}", exact(feed.0)),
+            Units::Inch => format!("G20 F{}", exact(feed.0.saturating_mul(10) / 254)),
+        });
+    }
     words.extend((modal.units != units).then(|| modal.units.word().to_owned()));
-    words.extend((modal.feed_mode == FeedMode::InverseTime).then(|| "G93".to_owned()));
     words
 }
 

@@ -95,6 +95,7 @@ impl Simulator {
             has_at_speed: board.has_at_speed,
             program_pins: board.program_pins,
             most_baud: board.most_baud,
+            oscillator_mhz: 0,
             has_store: true,
         };
         let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS)));

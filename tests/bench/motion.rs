@@ -39,6 +39,7 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
         name: "bench",
         step_clock_hz: STEP_CLOCK_HZ,
         rates: StepRates { safe_hz: 200_000, least_pulse_tenths: 10 },
+        oscillator_mhz: 0,
         has_store: false,
         axes: 3,
         has_second_motor: false,

@@ -178,6 +178,7 @@ impl Board {
             has_at_speed: true,
             program_pins: [0; 2],
             most_baud: 1_000_000,
+            oscillator_mhz: 0,
             has_store: true,
         };
         let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS)));

@@ -238,6 +238,27 @@ fn nothing_falls_into_a_subprogram_behind_the_end() {
     }
 }
 
+/// A program that does not fit into the memory for held lines says how much is too long, and for which board.
+#[test]
+fn a_held_program_that_is_too_long_is_measured() {
+    let program = format!("G21 G0 X1\nM98 P1\n{}M30\nO1\nX3\nM99\n", "X2.25 Y-1\n".repeat(700));
+    let job = file("too_long.nc", &program);
+    let output = run(&["check", text(&job), "--json", "--board", "nucleo_f446re"]);
+    let error = &json(&output)["errors"][0];
+    // 700 lines of 10 bytes, and M98P1, M30, O1 with its keyword, X3, less than 64 bytes free.
+    let lacking = 700 * 9 + 6 + 4 + 6 + 3 + 64 - 6144;
+    assert_eq!(error["code"], 83);
+    let advice = error["advice"].as_str().expect("advice");
+    assert!(advice.starts_with(&format!("nucleo_f446re lacks {lacking} bytes")), "{advice}");
+    // The lines that follow are refused, too, and say how much it is by then.
+    let errors = json(&output)["errors"].as_array().cloned().expect("a list");
+    let last = errors.last().expect("an error")["text"].as_str().expect("a text").to_owned();
+    assert_eq!(
+        last,
+        format!("M99 finds no room either: {lacking} bytes of the program are too many so far; $X ends this")
+    );
+}
+
 /// A check warns of each line with a byte that would act as a realtime command if it were sent unchanged, and of a
 /// line that takes hours.
 #[test]

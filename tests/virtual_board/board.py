@@ -59,6 +59,7 @@ class Image:
     """An ELF file: the contents for flash, and the names of addresses."""
 
     def __init__(self, path):
+        self.path = path
         with open(path, "rb") as file:
             elf = ELFFile(file)
             self.segments = [

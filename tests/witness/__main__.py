@@ -20,16 +20,16 @@ KEY, CHANNEL_6, CHANNEL_5 = 0x4567_0123, 0x0C03_5100, 0x0A03_5100
 STREAMS = {"usart2": 0x0800_0450, "usart1": 0x0800_2C00}
 """For each UART, the value of CR, with channel 4, of a DMA stream that serves it: the sending stream, or the
 stream that receives while flash is written."""
-CRYSTALS = {8_000_000: 25_000_000, 25_000_000: 8_000_000}
 
 
 def faults(place):
-    """Yields (name, constant in the image, replacement, belief that must fail, beliefs to check up to that one)."""
-    crystal, stream = place.board.hse_hz, STREAMS[place.uart]
-    yield "a crystal of another board", crystal, CRYSTALS[crystal], clock, (greets, clock)
-    yield "a wrong flash key", KEY, KEY ^ 1, keys, (keys,)
-    yield "steps by the requests of channel 5", CHANNEL_6, CHANNEL_5, moments, (greets, moments)
-    yield "the UART by the requests of channel 5", stream, stream ^ 1 << 25, served, (greets, served)
+    """Yields (name, image, (constant in it, replacement) or None, belief that must fail, beliefs to check up to that
+    one)."""
+    stream, own = STREAMS[place.uart], place.elf
+    yield "a crystal of another board", own.with_stem(f"{own.stem}-crystal"), None, clock, (greets, clock)
+    yield "a wrong flash key", own, (KEY, KEY ^ 1), keys, (keys,)
+    yield "steps by the requests of channel 5", own, (CHANNEL_6, CHANNEL_5), moments, (greets, moments)
+    yield "the UART by the requests of channel 5", own, (stream, stream ^ 1 << 25), served, (greets, served)
 
 
 class Place:
@@ -46,9 +46,9 @@ class Place:
             "keys": chip.write(folder, "keys", chip.with_plain_registers(whole, "flash_ctrl"), buttons),
         }
 
-    def fit(self, fault=None):
-        """Writes the image, optionally with a fault. Returns the numbers of replacements."""
-        return image.fitted(self.elf, self.folder / "firmware.elf", fault)
+    def fit(self, elf=None, fault=None):
+        """Writes the image, or another one, optionally with a fault. Returns the numbers of replacements."""
+        return image.fitted(elf or self.elf, self.folder / "firmware.elf", fault)
 
     def machine(self, check):
         """Returns a chip, not started yet, that suits this check."""
@@ -82,8 +82,8 @@ def try_faults(place):
     """Tries each fault. Returns how many are not detected."""
     titles = {check: title for title, _, _, check in BELIEFS}
     missed = 0
-    for name, old, new, wanted, checks in faults(place):
-        _, sites = place.fit((old, new))
+    for name, elf, fault, wanted, checks in faults(place):
+        _, sites = place.fit(elf, fault)
         seen = None
         with place.machine(checks[0]) as machine:
             for check in checks:
@@ -92,7 +92,7 @@ def try_faults(place):
                 except Broken as why:
                     seen = check, why
                     break
-        what = f"fault: {name} ({old:#x} becomes {new:#x}, {sites} times):"
+        what = f"fault: {name}" + (f" ({fault[0]:#x} becomes {fault[1]:#x}, {sites} times):" if fault else ":")
         if seen and seen[0] is wanted:
             print(f"{what} seen, {titles[wanted]}: {seen[1]}", flush=True)
         else:

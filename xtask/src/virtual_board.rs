@@ -11,12 +11,16 @@ use std::thread;
 
 /// Boards whose chips are modelled, each with the cases that a run of all boards takes; a case with `-` is left out. A
 /// board without cases runs only if it is named, as in `.ci/nightly`. A named board runs all cases.
-const BOARDS: [(&str, &[&str]); 5] = [
+const BOARDS: [(&str, &[&str]); 9] = [
     ("blackpill_f411", LEFT_OUT_ON_F411),
     ("nucleo_f446re", LEFT_OUT_ON_F446),
     ("blackpill_f401", ON_F401),
     ("nucleo_f411re", &[]),
     ("nucleo_f401re", &[]),
+    ("octopus_f446", ON_CONTROL_F446),
+    ("octopus_pro_f446", &[]),
+    ("spider_f446", ON_OTHER_PINS),
+    ("blackpill_f411_grblhal", ON_OTHER_PINS),
 ];
 
 /// Long cases, which this board runs only if it is named, except that a Nucleo runs `uart lines`.
@@ -43,6 +47,8 @@ const LEFT_OUT_ON_F446: &[&str] = &[
 /// Cases for the slowest chip. They cover what may still differ: clocks, rates and memory.
 const ON_F401: &[&str] = &[
     "boot",
+    "crystals",
+    "own pins",
     "tasks",
     "stream axes.nc",
     "pulses",
@@ -55,6 +61,34 @@ const ON_F401: &[&str] = &[
     "fault",
     "lost clock",
 ];
+
+/// Cases for the image of control boards: other ports, a clock of its own, USB with a newer core.
+const ON_CONTROL_F446: &[&str] = &[
+    "boot",
+    "crystals",
+    "own pins",
+    "tasks",
+    "stream axes.nc",
+    "pulses",
+    "safe rate",
+    "turns at full rate",
+    "stops on the ring",
+    "probe",
+    "trips",
+    "inverted outputs",
+    "fourth axis",
+    "spindle PWM",
+    "settings write",
+    "power cut",
+    "usb",
+    "usb flood",
+    "usb lines",
+    "lost clock",
+];
+
+/// Cases for boards that share an image and have other pins.
+const ON_OTHER_PINS: &[&str] =
+    &["boot", "pulses", "trips", "probe", "inverted outputs", "program outputs", "program inputs"];
 
 /// Boards that also run the loop-back suite with its wires: one per chip.
 const LOOPBACK: [&str; 3] = ["blackpill_f411", "nucleo_f446re", "blackpill_f401"];

@@ -11,7 +11,9 @@ use std::process::Command;
 
 const TARGET: &str = "thumbv7m-none-eabi";
 /// A Nucleo, whose host is on `USART2`, and a Black Pill, whose host is here on `USART1` and not on USB.
-const BOARDS: [&str; 2] = ["nucleo_f411re", "blackpill_f411"];
+/// Each with the frequency of its oscillator in MHz, and with a wrong one: labwired does not model the timer by which
+/// the firmware measures it.
+const BOARDS: [(&str, u8, u8); 2] = [("nucleo_f411re", 8, 25), ("blackpill_f411", 25, 8)];
 
 /// Checks every belief on both boards; or, depending on the options, puts faults into the image, each of which must be
 /// detected.
@@ -19,8 +21,8 @@ pub fn witness(options: &[&str]) -> Result<(), Failure> {
     require_target()?;
     let python = environment("witness", "witness")?;
     let mut failed = Vec::new();
-    for board in BOARDS {
-        let image = build(board)?;
+    for (board, mhz, wrong_mhz) in BOARDS {
+        let image = build(board, mhz, wrong_mhz)?;
         let folder = root().join("target/witness").join(board);
         if let Err(why) = run(module(&python, "witness").arg(board).arg(image).arg(folder).args(options)) {
             failed.push(format!("{board}: {why}"));
@@ -29,17 +31,22 @@ pub fn witness(options: &[&str]) -> Result<(), Failure> {
     if failed.is_empty() { Ok(()) } else { Err(format!("see above:\n{}", failed.join("\n"))) }
 }
 
-/// Builds the firmware for a Cortex-M3; returns the path of the ELF file.
-fn build(board: &str) -> Result<PathBuf, Failure> {
+/// Builds the firmware for a Cortex-M3, with the frequency of its oscillator in its pin table; returns the path of the
+/// ELF file. Beside it is a file `BOARD-crystal.elf` with the wrong frequency.
+fn build(board: &str, mhz: u8, wrong_mhz: u8) -> Result<PathBuf, Failure> {
     let profile = boards::FAST;
     run(cargo_for("build", profile, TARGET)?.args(["--locked", "--package", "oxmill-firmware", "--features", board]))?;
     let built = root().join("target").join(TARGET).join(profile).join("oxmill-firmware");
     // Every board links to the same file name.
     let folder = root().join("target/witness");
-    let path = folder.join(format!("{board}.elf"));
-    let copy = fs::create_dir_all(&folder).and_then(|()| fs::copy(&built, &path));
-    copy.map_err(|error| format!("{}: {error}", built.display()))?;
-    Ok(path)
+    let fail = |error: std::io::Error| format!("{}: {error}", built.display());
+    let image = fs::create_dir_all(&folder).and_then(|()| fs::read(&built)).map_err(fail)?;
+    for (ending, mhz) in [("", mhz), ("-crystal", wrong_mhz)] {
+        let described = oxmill_tables::Board { oscillator_mhz: Some(mhz), ..boards::described(board)? };
+        let image = oxmill_tables::image_file::write(&image, &described.table())?;
+        fs::write(folder.join(format!("{board}{ending}.elf")), image).map_err(fail)?;
+    }
+    Ok(folder.join(format!("{board}.elf")))
 }
 
 /// Checks that the target's standard library is installed.

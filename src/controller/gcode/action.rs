@@ -91,6 +91,8 @@ pub enum Notice {
     RigidTapping,
     /// A comment contains parentheses.
     NestedRemark,
+    /// G54.1 P3, the system of the tool setter.
+    SystemOfSetter,
 }
 
 impl Notice {
@@ -103,6 +105,7 @@ impl Notice {
             Notice::LookAhead => "Switches of the look-ahead (G5.1 Q, G8 P, G187) do nothing: G64 P sets a tolerance",
             Notice::RigidTapping => "M29 does nothing: there is no rigid tapping",
             Notice::NestedRemark => "Parentheses within a remark are part of it; Grbl ends it at the first one",
+            Notice::SystemOfSetter => "P3 is G59.3, where tool changes with $918=2 look for the tool setter",
         }
     }
 }

@@ -68,7 +68,7 @@ impl<const N: usize> Interpreter<N> {
 /// Returns the modal state without the parts that affect no later line. The last F of G94 has no effect with G93, nor
 /// with G94 while F is undefined.
 fn meant(modal: &Modal) -> Modal {
-    let is_speed = modal.feed_mode == FeedMode::PerMinute && modal.feed > Decimal::ZERO;
+    let is_speed = modal.feed_mode != FeedMode::InverseTime && modal.feed > Decimal::ZERO;
     let feed_per_second = if is_speed { modal.feed_per_second } else { 0.0 };
     Modal { feed_per_second, feed_in_inches: is_speed && modal.feed_in_inches, ..*modal }
 }

@@ -1,6 +1,7 @@
 //! The modal state: one type for each modal group, the state after a reset, and what the end of a program resets.
 
 use crate::axes::Axis;
+use crate::image::FULL_IMAGE;
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::Decimal;
 
@@ -185,14 +186,17 @@ pub enum FeedMode {
     PerMinute,
     /// G93: F is the number of moves like this one per minute.
     InverseTime,
+    /// G95: F is the distance per revolution of the spindle at the programmed S.
+    PerRevolution,
 }
 
 impl FeedMode {
     /// The word that selects the mode.
     pub const fn word(self) -> &'static str {
         match self {
-            FeedMode::PerMinute => "G94",
+            FeedMode::PerRevolution if FULL_IMAGE => "G95",
             FeedMode::InverseTime => "G93",
+            _ => "G94",
         }
     }
 }
@@ -342,9 +346,9 @@ pub struct Modal {
     pub overrides_held: OverridesHeld,
     /// T: the number of the selected tool.
     pub tool: u32,
-    /// F, exact: mm/min with G94, moves per minute with G93; 0 while undefined.
+    /// F, exact: mm/min with G94, moves per minute with G93, mm per revolution with G95; 0 while undefined.
     pub feed: Decimal,
-    /// F of G94 in mm/s, as moves use it. It is stored because most lines keep the F in force and so need not convert
+    /// F of G94 in mm/s, as moves use it; with G95 it is multiplied by S. It is stored because most lines keep the F in force and so need not convert
     /// it again.
     pub feed_per_second: f32,
     /// F was written in inches per minute. For a move of rotary axes alone, the written number means degrees per
@@ -383,6 +387,9 @@ impl Modal {
     /// Returns F for a move of rotary axes alone, in degrees per minute.
     pub(super) fn rotary_feed(&self) -> f32 {
         let feed = if self.feed_in_inches { Decimal(self.feed.0.saturating_mul(10) / 254) } else { self.feed };
+        if FULL_IMAGE && self.feed_mode == FeedMode::PerRevolution {
+            return feed.to_f32() * self.speed;
+        }
         feed.to_f32()
     }
 
@@ -392,6 +399,10 @@ impl Modal {
         self.arc_distance = ArcDistance::default();
         self.path = PathControl::default();
         self.overrides_held = OverridesHeld::default();
+        if FULL_IMAGE && self.feed_mode == FeedMode::PerRevolution {
+            self.feed_mode = FeedMode::default();
+            self.feed = Decimal::ZERO;
+        }
         if self.coordinate_system as u8 > CoordinateSystem::G59 as u8 {
             self.coordinate_system = CoordinateSystem::default();
         }
@@ -405,8 +416,8 @@ impl Modal {
         self.plane = Plane::default();
         self.distance = Distance::default();
         self.arc_distance = ArcDistance::default();
-        if self.feed_mode == FeedMode::InverseTime {
-            // This F of G93 is a number of moves per minute; with G94 it would be taken for a speed.
+        if self.feed_mode == FeedMode::InverseTime || FULL_IMAGE && self.feed_mode == FeedMode::PerRevolution {
+            // F of G93 is a number of moves per minute, that of G95 a distance; with G94 it would be taken for a speed.
             self.feed = Decimal::ZERO;
         }
         self.feed_mode = FeedMode::default();

@@ -1,7 +1,8 @@
 //! Decides on lines after the end of a program (M2, M30): they belong to the next program, or to subprograms (`O1001` ..
 //! `M99`), which are held for calls by M98 and G65 (see `computed/subprograms.rs`) and never executed one after another.
 //! A build without them refuses their lines. An O number (`O1001` .. `M30`) begins the next program only if it follows
-//! a tape mark, a reset, `$X`, or a rest of the machine right after the end of the program.
+//! a tape mark, a reset, `$X`, or a rest of the machine right after the end of the program; among subprograms after a
+//! rest, if it is the number of the program before them, because then the same file begins again.
 //!
 //! ```text
 //!  Program ──M2, M30──▶ End ──O number──▶ Subprogram ──words outside of a subprogram, an error, $X,──▶ Refused
@@ -44,6 +45,7 @@ impl<const N: usize> Interpreter<N> {
         if self.is_held() {
             self.abandon_program();
         }
+        self.computed.forget_number();
         self.place = ProgramPlace::Program;
     }
 
@@ -76,8 +78,11 @@ impl<const N: usize> Interpreter<N> {
             ProgramPlace::End if !has_program_number(line) => return Ok(()),
             ProgramPlace::End => rested,
             #[cfg(feature = "full")]
-            ProgramPlace::Subprogram => rested && !has_program_number(line),
-            ProgramPlace::Refused => false,
+            ProgramPlace::Subprogram => rested && (!has_program_number(line) || self.begins_again(line)),
+            ProgramPlace::Refused => {
+                self.computed.count_refused(line);
+                false
+            }
         };
         if begins {
             self.begin_program();

@@ -21,6 +21,24 @@ pub(super) fn has_program_number(line: &[u8]) -> bool {
     is_program_number(line.strip_prefix(b"N").map_or(line, from_next_word))
 }
 
+/// Returns the number of a subprogram, without leading zeros, if the line consists of it, and of a line number or none.
+#[inline(never)]
+#[cfg(feature = "full")]
+pub(super) fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
+    let Some((b'O' | b':', number)) = behind_line_number(line).split_first() else { return None };
+    let zeros = number.iter().take_while(|digit| **digit == b'0').count();
+    let number = number.get(zeros.min(number.len().saturating_sub(1))..)?;
+    ((1..=8).contains(&number.len()) && behind_digits(number).is_empty()).then_some(number)
+}
+
+/// Returns the number of a program; 0 if the line is no such number.
+#[inline(never)]
+#[cfg(feature = "full")]
+pub(super) fn number_of(line: &[u8]) -> u32 {
+    let digits = subprogram_number(line).unwrap_or_default();
+    digits.iter().fold(0, |value, digit| value * 10 + u32::from(digit - b'0'))
+}
+
 /// Whether a refused line may have the number of a program or subprogram, anywhere in it.
 pub(super) fn may_have_program_number(line: &[u8]) -> bool {
     let mut before = b' ';

@@ -185,8 +185,12 @@ pub enum Group {
     Rotation,
     /// G97, M29.
     SpindleMode,
-    /// G8, G187.
+    /// G8, G103, G187.
     LookAhead,
+    /// G15.
+    Polar,
+    /// G67.
+    ModalCall,
 }
 
 /// Returns the modal group of the word `G` or `M` with a number, in a dialect.
@@ -327,9 +331,10 @@ pub(super) enum GWord {
     ProbeOnce,
     /// G54.1, G154: selects a coordinate system by P.
     SystemByNumber,
-    /// G8, G187, with the number of the word. On other controls these words switch the look-ahead.
+    /// G8, G103, G187, with the number of the word. On other controls these words switch the look-ahead.
     LookAhead(u8),
-    /// Selects the only mode that exists: G97 (S in revolutions per minute).
+    /// Selects the only mode that exists: G97 (S in revolutions per minute), G15 (no polar coordinates), G67 (no modal
+    /// call).
     AsItIs(Group),
 }
 
@@ -381,7 +386,11 @@ impl GWord {
             (70, 0) => GWord::Units(Units::Inch),
             (71, 0) => GWord::Units(Units::Mm),
             (54, 10) | (154, 0) => GWord::SystemByNumber,
-            (8 | 187, 0) => GWord::LookAhead(code.whole),
+            (8 | 103 | 187, 0) => GWord::LookAhead(code.whole),
+            (95, 0) => GWord::FeedMode(FeedMode::PerRevolution),
+            // Nothing that these words end can be active.
+            (15, 0) => GWord::AsItIs(Group::Polar),
+            (67, 0) => GWord::AsItIs(Group::ModalCall),
             _ => return None,
         })
     }
@@ -455,9 +464,10 @@ impl GWord {
             (93, 0) => GWord::FeedMode(FeedMode::InverseTime),
             (94, 0) => GWord::FeedMode(FeedMode::PerMinute),
             (8, 0) if more => return Err(Error::NotSupported),
-            (7 | 12 | 13 | 15 | 16 | 31 | 33 | 51 | 65 | 66 | 68 | 74 | 76 | 84 | 87 | 95 | 96, _) if more => {
+            (7 | 12 | 13 | 16 | 31 | 33 | 51 | 65 | 66 | 68 | 74 | 76 | 84 | 87 | 96, _) if more => {
                 return Err(Error::NotSupported);
             }
+            (15 | 95, _) if more && !FULL_IMAGE => return Err(Error::NotSupported),
             (54 | 59, _) if more => return Err(Error::UnsupportedCoordinateSystem),
             (0..=4 | 10 | 17..=21 | 40 | 49 | 53..=59 | 80 | 93 | 94, _) => return Err(Error::IntegerRequired),
             _ => return Err(Error::UnsupportedCommand),

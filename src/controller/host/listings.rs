@@ -3,7 +3,7 @@
 
 use crate::axes::{Axis, LINEAR};
 use crate::dispatch::Controller;
-use crate::gcode::{Angle, CoordinateSystem, Dialect, StoredOffset, TOOLS};
+use crate::gcode::{Angle, CoordinateSystem, Dialect, FeedMode, StoredOffset, TOOLS};
 use crate::host::stored::STORED_TEXT;
 use crate::image::FULL_IMAGE;
 use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, input};
@@ -189,6 +189,9 @@ impl<const N: usize> Controller<N> {
         if with_options {
             let axes = self.m.settings.axes_in_use();
             self.say(|out| reply_texts::more_options(out, axes, OPTIONS));
+            let lock = &self.m.settings_lock;
+            let (board, oscillator_mhz) = (lock.board(), lock.oscillator_mhz());
+            self.say(|out| reply_texts::board(out, board, oscillator_mhz));
         }
         self.say_ok();
     }
@@ -256,6 +259,7 @@ impl<const N: usize> Controller<N> {
             parking: self.m.settings.is_on(Key::Parking) && !modal.no_parking && self.dialect() != Dialect::Grbl,
             tool: modal.tool,
             feed: modal.feed.to_f32(),
+            per_revolution: modal.feed_mode == FeedMode::PerRevolution,
             speed: modal.speed,
         };
         let inches = self.m.settings.is_on(Key::ReportInches);

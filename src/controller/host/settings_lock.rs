@@ -7,15 +7,15 @@
 //! into a locked machine, would get it at each line.
 
 use crate::dispatch::Profile;
-use crate::image::FULL_IMAGE;
 use crate::settings::{Key, Settings};
 use crate::step_rates::StepRates;
 
 /// The setting that locks motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SettingsLock {
-    /// Name of the board. Takes no memory in the small image, which never tells it.
-    board: [&'static str; FULL_IMAGE as usize],
+    /// Name of the board, and frequency of its oscillator, MHz.
+    board: &'static str,
+    oscillator_mhz: u8,
     /// Step rates of the board.
     rates: StepRates,
     has_second_motor: bool,
@@ -35,10 +35,12 @@ pub(crate) struct SettingsLock {
 impl SettingsLock {
     /// Creates the lock for a board; no settings have been examined.
     pub(crate) const fn new(profile: &Profile) -> Self {
-        let Profile { name, rates, has_second_motor, has_at_speed, program_pins, most_baud, .. } = *profile;
+        let Profile { name, rates, has_second_motor, has_at_speed, program_pins, most_baud, oscillator_mhz, .. } =
+            *profile;
         let (revision, setting, named, refused) = (None, None, None, false);
         Self {
-            board: [name; FULL_IMAGE as usize],
+            board: name,
+            oscillator_mhz,
             rates,
             has_second_motor,
             has_at_speed,
@@ -51,9 +53,14 @@ impl SettingsLock {
         }
     }
 
-    /// Returns the name of the board; empty in the small image.
+    /// Returns the name of the board.
     pub(crate) fn board(&self) -> &'static str {
-        self.board.first().copied().unwrap_or_default()
+        self.board
+    }
+
+    /// Returns the frequency of the board's oscillator, MHz; 0 if it has none.
+    pub(crate) fn oscillator_mhz(&self) -> u8 {
+        self.oscillator_mhz
     }
 
     /// Returns the maximum step rate with the step pulse of the settings, in Hz.
@@ -134,6 +141,7 @@ mod tests {
             has_at_speed,
             program_pins,
             most_baud: 0,
+            oscillator_mhz: 0,
             has_store,
         });
         for (revision, setting) in settings.iter().enumerate() {

@@ -343,6 +343,18 @@ pub fn more_options(out: &mut Text, axes: usize, options: &[&str]) {
     put(out, b"]\r\n");
 }
 
+/// `[BOARD:...]` of `$I+`, as in grblHAL, and `[CRYSTAL:...]`: the frequency of the oscillator as measured at the start.
+pub fn board(out: &mut Text, name: &str, oscillator_mhz: u8) {
+    put(out, b"[BOARD:");
+    put(out, name.as_bytes());
+    if oscillator_mhz > 0 {
+        put(out, b"]\r\n[CRYSTAL:");
+        whole(out, oscillator_mhz.into());
+        put(out, b" MHz");
+    }
+    put(out, b"]\r\n");
+}
+
 /// Format of printed positions: number of axes, and unit of lengths. Angles stay in degrees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlaceForm {
@@ -433,6 +445,8 @@ pub struct ParserState {
     pub tool: u32,
     /// F in mm/min (or as it was written in inverse-time mode).
     pub feed: f32,
+    /// F is in mm per revolution (G95).
+    pub per_revolution: bool,
     /// S in rpm.
     pub speed: f32,
 }
@@ -478,7 +492,11 @@ pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
     put(out, b" T");
     whole(out, u64::from(state.tool));
     put(out, b" F");
-    rate(out, state.feed, inches);
+    if FULL_IMAGE && state.per_revolution {
+        real(out, if inches { state.feed / 25.4 } else { state.feed }, 4);
+    } else {
+        rate(out, state.feed, inches);
+    }
     put(out, b" S");
     real(out, state.speed, 0);
     put(out, b"]\r\n");

@@ -2,7 +2,7 @@
 #![cfg(feature = "full")]
 
 use crate::program::{Program, in_mm, target, via};
-use oxmill_controller::gcode::{CoordinateSystem, Dialect, MotionCommand, MotionMode, Notice};
+use oxmill_controller::gcode::{Action, CoordinateSystem, Dialect, Feed, MotionCommand, MotionMode, Notice};
 
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
@@ -293,4 +293,103 @@ fn what_programs_ask() {
         program.run_all("G98 M50 P0\nG0 X[#<_FEED_OVERRIDE>] Y[#<_SPEED_OVERRIDE>] Z[#<_RETRACT_OLD_Z>]");
         assert_eq!(program.machine(), [0.0, 1.0, 1.0]);
     }
+}
+
+/// Returns the speed of a straight feed move or an arc, mm/min.
+fn speed(checked: &Action<3>) -> f32 {
+    match &checked.motion {
+        MotionCommand::Line { feed: Feed::PerMinute(feed), .. } => feed * 60.0,
+        MotionCommand::Arc(arc) => match arc.feed {
+            Feed::PerMinute(feed) => feed * 60.0,
+            feed => panic!("{feed:?}"),
+        },
+        motion => panic!("{motion:?}"),
+    }
+}
+
+/// G95: F is the distance per revolution, at the programmed S.
+#[test]
+fn feed_per_revolution() {
+    each(&[("G95", 20), ("G95 F1", 20)], |program| {
+        let near = |program: &mut Program, line: &str, expected: f32| {
+            let found = speed(&program.run(line));
+            assert!((found - expected).abs() < 1.0e-3 * expected, "{line}: {found}");
+        };
+        program.run("S1000 M3");
+        // F of G94 means nothing with G95, and the other way round.
+        assert_eq!((program.error("G95 G1 X1"), program.error("G95 G93 G1 X1 F1")), (22, 21));
+        near(program, "G95 G1 X1 F0.2", 200.0);
+        near(program, "X2", 200.0);
+        near(program, "X3 S500", 100.0);
+        near(program, "G2 X5 I1", 100.0);
+        program.run("S2000");
+        near(program, "G1 X6", 400.0);
+        near(program, "G20 X1 F0.01", 508.0);
+        near(program, "G21 X7", 508.0);
+        assert_eq!(program.error("X8 S0"), 22);
+        program.run("S0");
+        for (line, error) in [("X8", 22), ("G0 X8", 0), ("G1", 22), ("G81 X1 Z-1 R1", 22), ("G38.2 X1", 22)] {
+            assert_eq!(program.error(line), error, "{line}");
+        }
+        let [per_revolution, per_minute] = ["S2 F40 G81 X7 Z-1 R1", "G94 F80 G81 X7 Z-1 R1"].map(|line| {
+            let mut program = program.clone();
+            program.run(line).motion
+        });
+        assert!(matches!(per_minute, MotionCommand::Cycle(_)));
+        assert_eq!(per_revolution, per_minute);
+        program.run("S100");
+        assert_eq!(
+            (program.error("G81 X1 Z-1 R1"), program.error("G94 G1 X9"), program.error("G93 G1 X9")),
+            (0, 22, 22)
+        );
+        near(program, "G94 G1 X9 F300", 300.0);
+        // M70 keeps the mode with its F; the end of the program selects G94, without F.
+        program.run_all("G95 F0.5\nM70\nG94 F100\nM72");
+        near(program, "G1 X10", 50.0);
+        assert_eq!(program.interpreter.modal().feed_mode.word(), "G95");
+        program.run("M2");
+        assert_eq!((program.interpreter.modal().feed_mode.word(), program.error("G1 X9")), ("G94", 22));
+        // A jog has its own F, per minute.
+        program.run_all("G95 F0.5");
+        let jog = program.interpreter.check_jog(b"G91X1F600", program.dialect).unwrap();
+        assert_eq!(speed(&jog), 600.0);
+        program.interpreter.change_dialect();
+        assert_eq!(program.interpreter.modal().feed_mode.word(), "G94");
+    });
+}
+
+/// P of G30 numbers the stored positions of other controls, the first of which is that of G28.
+#[test]
+fn second_stored_position() {
+    each(&[("G30 P2", 36)], |program| {
+        program.run_all("G0 X5 Y6\nG30.1\nG0 X0 Y0");
+        let checked = program.run("G30 P2");
+        assert_eq!(target(&checked), [5.0, 6.0, 0.0]);
+        program.run("G0 X1 Y1");
+        assert_eq!(target(&program.run("G91 G30 P2 Y0")), [1.0, 6.0, 0.0]);
+        for (line, error) in [("G30 P1", 39), ("G30 P3 Z0", 39), ("G30 P2.5", 39), ("G28 P2", 36), ("G30 P-2", 4)] {
+            assert_eq!(program.error(line), error, "{line}");
+        }
+    });
+}
+
+/// G15 and G67 end modes that are never active. What would begin them is refused.
+#[test]
+fn modes_that_are_never_active() {
+    each(&[("G15", 20), ("G67", 20)], |program| {
+        program.run("G0 G15 G17 G40 G49 G50 G67 G69 G80 G90 X3");
+        assert_eq!(program.machine()[0], 3.0);
+        for (line, error) in [("G16", 121), ("G66 P1", 121), ("G15 G15", 21), ("G15.1", 20), ("G67.1", 20)] {
+            assert_eq!(program.error(line), error, "{line}");
+        }
+    });
+}
+
+#[test]
+fn the_system_of_the_setter() {
+    each(&[], |program| {
+        assert_eq!(program.run("G54.1 P3").notice(), Some(Notice::SystemOfSetter));
+        assert_eq!(program.run("G154 P2").notice(), None);
+        assert_eq!(program.run("G59.3").notice(), None);
+    });
 }

@@ -74,6 +74,16 @@ fn f_of_a_move_that_only_turns_is_degrees_per_minute_as_written() {
     near(program.speed("G20 X1 A25.4 F10"), 254.0 * core::f32::consts::SQRT_2);
 }
 
+/// With G95 F is in degrees per revolution if only the axis turns.
+#[test]
+fn f_per_revolution_turns_it() {
+    let mut program = Program::new("G21 G90 G95 S100");
+    near(program.speed("G1 X10 F0.5"), 50.0);
+    near(program.speed("A90 F2"), 200.0);
+    near(program.speed("G20 A0 F2"), 200.0);
+    near(program.speed("G21 X20 A10 F0.5"), 50.0 * core::f32::consts::SQRT_2);
+}
+
 #[test]
 fn inverse_time_is_for_all_axes() {
     let mut program = Program::new("G21 G91 G93");

@@ -16,6 +16,8 @@ struct Sender {
     rested: bool,
     /// X targets of moves in lines that ran as they came.
     at_once: Vec<i64>,
+    /// What the lines do, if it is wanted.
+    acts: Option<Vec<String>>,
 }
 
 impl Sender {
@@ -28,6 +30,7 @@ impl Sender {
             sent: 0,
             rested: false,
             at_once: Vec::new(),
+            acts: None,
         }
     }
 
@@ -39,6 +42,9 @@ impl Sender {
     fn carry_out(&mut self, line: &[u8]) -> bool {
         match self.check(line) {
             Ok(checked) => {
+                if let Some(acts) = &mut self.acts {
+                    acts.push(format!("{:?} {:?} {:?}", checked.motion, checked.dwell, checked.modal()));
+                }
                 if let MotionCommand::Line { target, .. } = checked.motion {
                     self.went.push(target.0[0].0 / 10_000_000);
                 }
@@ -296,7 +302,7 @@ fn definitions_end_with_their_file() {
 #[test]
 fn a_refused_subprogram_is_no_program_after_a_rest() {
     for program in ["G0 X1\nM30\n", "G0 X1\nM98 P1\nM30\n"] {
-        for error in ["o7 sub", "o8 endsub", "M99 P5", "GOTO 5", "M30", "O2 X5", "o7 if", "o1"] {
+        for error in ["o7 sub", "o8 endsub", "M99 P5", "GOTO", "M30", "O2 X5", "o7 if", "o1"] {
             let mut sender = Sender::new();
             sender.send_all(&format!("{program}O1\nG0 X-2\n{error}"));
             let errors = sender.errors.len();
@@ -583,13 +589,108 @@ fn nothing_falls_into_a_subprogram() {
     // An error within a call ends the program, and everything behind it is refused.
     fails("G0 X1\nM98 P1\nX5\nM30\nO1\nX2\nX\nX3\nM99\nO2\nX4\nM99\nX6\n%\nX9", &[2, 203, 203, 203, 203], &[1, 2, 9]);
     fails("G0 X1 X2\nM98 P1\nM98 P2 Q1\nX5\nM30\nO1\nX3\nM99\n%", &[25, 36], &[3]);
-    // Words of Fanuc's macros.
-    for jump in ["IF[#1EQ1]M99", "N5 IF[#1EQ1]GOTO5", "WHILE[#1LT5]DO1", "GOTO 10", "END1"] {
+    // Words of Fanuc's macros in other forms.
+    for jump in ["IF[#1EQ1]M99", "N5 IF#1EQ1GOTO5", "WHILE[#1LT5]DO", "GOTO", "END"] {
         fails(&format!("G0 X1\nM98 P1\nX2\nM30\nO1\nX3\n{jump}\n%\nX9"), &[121], &[1, 9]);
         fails(&format!("G0 X1\nM98 P1\n{jump}\n%\nX9"), &[121], &[1, 9]);
     }
     // Calls without an end.
     fails("M98 P1\nM30\nO1\nG0 X1\nM98 P1\nM99", &[82], &[1; 48]);
+}
+
+/// Returns a file whose program goes to X1, calls O1, and goes to X9.
+fn calling(body: &str) -> String {
+    format!("G0 X1\nM98 P1\nX9\nM30\nO1\n{body}\nM99\n%")
+}
+
+#[test]
+fn loops_of_fanuc() {
+    let count = "#1=0\nWHILE [#1 LT 3] DO1\n#1=[#1+1]\nX#1\nEND1";
+    goes(&calling(count), &[1, 1, 2, 3, 9]);
+    // In the stream they are held like the loops of O words.
+    goes(&format!("G0 X7\n{count}\nX9\nM30"), &[7, 1, 2, 3, 9]);
+    goes("G0 X7\nN10 WHILE [1 EQ 2] DO 3\nX1\nN20 END 3\nX9\nM30", &[7, 9]);
+    // Within each other, and one after the other with the same number.
+    let nested = "#1=0\nWHILE [#1 LT 2] DO1\n#2=0\nWHILE [#2 LT 2] DO2\nX[#1*10+#2]\n#2=[#2+1]\nEND2\n#1=[#1+1]\nEND1";
+    goes(&calling(nested), &[1, 0, 1, 10, 11, 9]);
+    goes(&calling(&format!("{count}\n{count}")), &[1, 1, 2, 3, 1, 2, 3, 9]);
+    goes(&format!("{nested}\nG0 X9\nM30").replacen('#', "G0 X4\n#", 1), &[4, 0, 1, 10, 11, 9]);
+    // M99 within a loop returns; the subprogram ends at the one behind it.
+    goes(&calling("WHILE [1] DO1\nX5\nM99\nEND1\nX6"), &[1, 5, 9]);
+    fails("G0 X1\nEND1\nX2\nM30", &[81], &[1, 2]);
+    fails("G0 X1\nWHILE [#1 LT 2] DO1\nX5\nEND2\nM30\n%\nX2", &[81], &[1, 2]);
+    fails("G0 X1\nWHILE [1] DO1\n#1=[#1+1]\nEND1\nX2\nM30", &[202], &[1, 2]);
+}
+
+#[test]
+fn conditions_of_fanuc() {
+    let body = "IF [#1 EQ 0] THEN #1=5\nIF [#1 EQ 0] THEN #1=6\nN7 IF [#1 GT 4] THEN G0 X#1\nIF [0] THEN X8";
+    goes(&format!("G0 X7\n{body}\nX9\nM30"), &[7, 5, 9]);
+    goes(&calling(body), &[1, 5, 9]);
+    goes(&format!("G0 X7\no1 repeat [2]\n{body}\no1 endrepeat\nX9\nM30"), &[7, 5, 5, 9]);
+    fails("G0 X1\nIF [1/0] THEN X3\nX2\nM30", &[72], &[1, 2]);
+    fails("G0 X1\nIF [1] THEN X3 X4\nX2\nM30", &[25], &[1, 2]);
+    for line in ["IF [1] THEN", "IF [1] THEN M98 P1", "IF [1] THEN X5 M99", "IF [1] THEN M30", "IF [1] THEN o1 if [1]"]
+    {
+        let mut sender = Sender::new();
+        sender.send_all(&format!("G0 X1\n{line}"));
+        assert_eq!((sender.went, sender.errors.len(), sender.ends), (vec![1], 1, 0), "{line}");
+    }
+}
+
+#[test]
+fn jumps_of_fanuc() {
+    goes(&calling("#1=0\nN10 #1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 10\nX8"), &[1, 1, 2, 3, 8, 9]);
+    goes(&calling("GOTO 020\nX5\nN20 X6\nX7"), &[1, 6, 7, 9]);
+    goes(&calling("#2=20\nGOTO #2\nX5\nN20 GOTO [#2+10]\nX6\nN30 X7"), &[1, 7, 9]);
+    // The next line with the number, not the first one of the subprogram.
+    goes(&calling("N5 #1=[#1+1]\nX#1\nIF [#1 GE 2] GOTO 6\nGOTO 5\nX4\nN5 X5\nN6 X6"), &[1, 1, 5, 6, 9]);
+    // Out of loops, to the end of a pass, and to the beginning of a loop.
+    goes(&calling("WHILE [1] DO1\n#1=[#1+1]\nX#1\nIF [#1 EQ 2] GOTO 50\nEND1\nN50 X8"), &[1, 1, 2, 8, 9]);
+    let twice = "WHILE [1] DO1\nWHILE [1] DO2\nX4\nGOTO 50\nEND2\nEND1\nN50 X8\nWHILE [#1 LT 2] DO1\n#1=[#1+1]\nEND1";
+    goes(&calling(twice), &[1, 4, 8, 9]);
+    let pass = "WHILE [#1 LT 3] DO1\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 5\nX#1\nN5 END1";
+    goes(&calling(pass), &[1, 1, 3, 9]);
+    let again = "N3 WHILE [#1 LT 3] DO1\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 3\nX#1\nEND1";
+    goes(&calling(again), &[1, 1, 3, 9]);
+    goes(&calling("o7 repeat [3]\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 5\nX#1\nN5 o7 endrepeat"), &[1, 1, 3, 9]);
+    goes(&calling("o7 do\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 5\nX#1\nN5 o7 while [#1 LT 3]"), &[1, 1, 3, 9]);
+    // In the held part of the program, in a loop of the stream, and in a macro call with its own parameters.
+    goes("G0 X1\nM98 P1\nN5 #1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 5\nM30\nO1\nX9\nM99\n%", &[1, 9, 1, 2, 3]);
+    goes("G0 X7\nWHILE [1] DO1\n#1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 5\no1 break\nN5 END1\nM30", &[7, 1, 2, 3]);
+    goes("G0 X1\nG65 P1 A2\nX9\nM30\nO1\nIF [#1 EQ 2] GOTO 6\nX5\nN6 X6\nM99\n%", &[1, 6, 9]);
+    // A number in another subprogram, in the program, above the call that holds it, or nowhere.
+    for body in ["GOTO 5", "GOTO 7", "GOTO 8", "GOTO 1.5", "GOTO -5"] {
+        let file = format!("N8 G0 X1\nM98 P1\nN5 X9\nM30\nO1\n{body}\nM99\nO2\nN7 X7\nM99\n%");
+        fails(&file, &[81, 203, 203, 203], &[1]);
+    }
+    // Into a loop or a condition.
+    fails(&calling("GOTO 5\nWHILE [1] DO1\nN5 X5\nEND1"), &[81], &[1, 5]);
+    fails(&calling("o1 if [1]\nGOTO 5\no1 endif\nN5 X5\nM99\nX6"), &[203, 203], &[1, 5, 9]);
+    fails(&calling("o1 if [1]\nGOTO 5\nX4\nN5 X5\no1 endif"), &[81], &[1, 5]);
+    fails(&calling("N5 GOTO 5"), &[202], &[1]);
+    fails("G0 X1\nGOTO 5\nX2\nN5 X3\nIF [1] GOTO 5\nM30", &[121, 121], &[1, 2, 3]);
+}
+
+/// M10, M11 and M100 to M199 run a macro with their number, if there is one.
+#[test]
+fn m_words_of_macros() {
+    let macros = ["O10SUB", "G0X3", "O10ENDSUB", "O150SUB", "X#1", "X#2", "O150ENDSUB"];
+    let send = |text: &str| {
+        let mut sender = with_macro(&macros);
+        sender.send_all(text);
+        (sender.went, sender.errors)
+    };
+    assert_eq!(send("G0 X1\nM10\nX2\nM150 P7 Q[2*4]\nN5 M150P6\nM30"), (vec![1, 3, 2, 7, 8, 6, 0], vec![]));
+    assert_eq!(send("G0 X1\no1 repeat [2]\nM010\no1 endrepeat\nM30"), (vec![1, 3, 3], vec![]));
+    assert_eq!(send(&calling("M10\nM150 P5 Q6")), (vec![1, 3, 5, 6, 9], vec![]));
+    // No macro of the number, other words in the line, and a subroutine of the program.
+    for (line, error) in [("M11", 20), ("M151", 20), ("M10.1", 23), ("M10 X5", 36), ("X5 M10", 20), ("M150 Q2 P1", 36)]
+    {
+        assert_eq!(send(&format!("G0 X1\n{line}\nX2\nM30")), (vec![1, 2], vec![error]), "{line}");
+    }
+    assert_eq!(send("o11 sub\nG0 X5\no11 endsub\nM11\nG0 X2\nM30"), (vec![2], vec![20]));
+    assert_eq!(send("o10 sub\nG0 X5\no10 endsub\nM10\no10 call\nM30"), (vec![3, 5], vec![]));
 }
 
 /// Forms of numbers that are none of a subprogram, behind a program that is held or not.
@@ -625,6 +726,17 @@ fn the_next_program() {
     let mut sender = Sender::new();
     sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
     sender.send_after_rest("G0 X2\nO1000\nG0 X3\nM30");
+    assert_eq!((sender.went, sender.errors), (vec![1, 2, 3], vec![]));
+    // The same file again, without tape marks: its number tells it from a subprogram.
+    let file = "O1000\nG0 X1\nM98 P1\nM30\nO1\nX2\nM99\n";
+    let mut sender = Sender::new();
+    sender.send_all(file).send_after_rest(file).send_after_rest(&file.replace("O1000", ":01000"));
+    assert_eq!((sender.went.clone(), sender.errors.clone()), ([1, 2].repeat(3), vec![]));
+    sender.send_all(file);
+    assert_eq!((sender.went.len(), sender.errors), (6, vec![203; 4]), "without a rest");
+    // Not if another program has begun since then.
+    let mut sender = Sender::new();
+    sender.send_all(file).send_after_rest("G0 X3\nM30\nO2\nX4\nM99").send_after_rest("O1000\nG0 X5\nM99");
     assert_eq!((sender.went, sender.errors), (vec![1, 2, 3], vec![]));
     // A number is that of a subprogram, even behind a rest.
     let mut sender = Sender::new();
@@ -668,6 +780,21 @@ fn memory_for_programs() {
         }
         sender.interpreter.reset();
         assert!(!sender.interpreter.is_within_block());
+    }
+    // The count of what is too long is exact, wherever the text ends: in the program, in the subprogram for which it waits, or
+    // in another one before that.
+    for body in ["{}M30\nO1\nX2\nM99", "M30\nO1\n{}M99", "M30\nO2\n{}M99\nO1\nX3\nM99\nO3\nX4\nM99"] {
+        let send = |lines: usize| {
+            let mut sender = Sender::new();
+            let body = body.replace("{}", &"X5\n".repeat(lines));
+            sender.send_all(&format!("G0 X1\nM98 P1\n{body}\n%\n"));
+            assert_eq!(sender.interpreter.lacking_bytes().is_some(), !sender.errors.is_empty(), "{lines}");
+            sender.interpreter.lacking_bytes()
+        };
+        let lacking = send(2500).unwrap();
+        let fits = 2500 - lacking.div_ceil(3);
+        assert_eq!((send(fits), send(fits + 1).is_some()), (None, true), "{body}");
+        assert_eq!(send(1500 + fits).unwrap() - send(fits + 500).unwrap(), 3000, "{body}");
     }
     // However full the memory is, no line of a subprogram runs by itself, and none of the held program before its call.
     for free in 0..200 {
@@ -736,7 +863,92 @@ fn written_out(programs: &[Vec<Step>], index: usize, one: &mut i64, went: &mut V
     }
 }
 
+/// A line of a program, or a call of a program behind it: which, how often, and with which arguments.
+#[derive(Clone, Debug)]
+enum Line {
+    Text(&'static str),
+    Call(usize, u16, Option<[i64; 3]>),
+}
+
+/// Parameters that the arguments A, B and Z of G65 set.
+const ARGUMENTS: [&str; 3] = ["#1", "#2", "#26"];
+
+/// Lines that are valid in any order.
+const TEXTS: [&str; 18] = [
+    "G90 G0 X[3+#1] Y#2 Z[5+#26]",
+    "G91 G1 X#1 Y1.5",
+    "G90",
+    "G91",
+    "G17 G91 G2 X2 Y0 I1 J0",
+    "G91 G3 X0 Y-4 R2.5 Z#26",
+    "G90 G99 G81 X[10+#2] Y1 Z-3 R2",
+    "G0 X4",
+    "G80 G0 Z[#26+1]",
+    "G4 P[ABS[#1]/10]",
+    "M3 S[1000+#2]",
+    "G1 X1 F[100+ABS[#1]]",
+    "G20 G1 X0.5",
+    "G21",
+    "G52 X#1",
+    "G55 G0 Y2",
+    "G54",
+    "#100=[#100+#1] G0 X#100",
+];
+
+fn line() -> impl Strategy<Value = Line> {
+    prop_oneof![
+        3 => prop::sample::select(&TEXTS[..]).prop_map(Line::Text).boxed(),
+        2 => (0_usize..3, 1_u16..4, prop::option::of([-9_i64..9, -9_i64..9, -9_i64..9]))
+            .prop_map(|(to, times, with)| Line::Call(to, times, with))
+            .boxed(),
+    ]
+}
+
+/// Returns the lines of a program with its calls. `behind`: a call by M98 follows a line with words in the same line.
+fn calls_of(programs: &[Vec<Line>], index: usize, behind: bool) -> String {
+    let mut text = String::new();
+    for line in &programs[index] {
+        match line {
+            Line::Text(words) => text += &format!("{words}\n"),
+            Line::Call(to, ..) if index + 1 + to >= programs.len() => {}
+            Line::Call(to, times, None) => {
+                if behind && text.ends_with("G90\n") {
+                    text.pop();
+                    text.push(' ');
+                }
+                text += &format!("M98 P{} L{times}\n", index + 1 + to);
+            }
+            Line::Call(to, times, Some([a, b, z])) => {
+                text += &format!("G65 P{} A{a} B{b} Z{z} L{times}\n", index + 1 + to);
+            }
+        }
+    }
+    text
+}
+
+/// Appends the lines of a program with those of its calls in their places, and with numbers for `ARGUMENTS`.
+fn expand(programs: &[Vec<Line>], index: usize, values: &[i64; 3], lines: &mut Vec<String>) {
+    for line in &programs[index] {
+        match line {
+            Line::Text(words) => {
+                // The longest name first: #26 begins with #2.
+                let number = |text: String, (name, value): (&&str, &i64)| text.replace(*name, &format!("[{value}]"));
+                let words = words.replace("#100", "#_100");
+                let words = ARGUMENTS.iter().zip(values).rev().fold(words, number);
+                lines.push(words.replace("#_100", "#100"));
+            }
+            Line::Call(to, ..) if index + 1 + to >= programs.len() => {}
+            Line::Call(to, times, with) => {
+                for _ in 0..*times {
+                    expand(programs, index + 1 + to, with.as_ref().unwrap_or(values), lines);
+                }
+            }
+        }
+    }
+}
+
 proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
     /// A program with subprograms makes the same moves as the program written out, in whatever order its subprograms
     /// follow it.
     #[test]
@@ -756,18 +968,42 @@ proptest! {
         prop_assert_eq!((sender.went, sender.errors, sender.ends), (went, vec![], 1), "{}", text);
     }
 
+    /// The same for all kinds of lines: arcs, cycles, modes, dwells and arguments.
+    #[test]
+    fn calls_act_as_their_lines(
+        programs in prop::collection::vec(prop::collection::vec(line(), 0..7), 2..5),
+        lone in prop::collection::vec(prop::bool::ANY, 4),
+    ) {
+        let mut lines = vec!["O1000".to_owned(), "G21 G90 F300".to_owned()];
+        expand(&programs, 0, &[0, 0, 0], &mut lines);
+        let mut text = format!("O1000\nG21 G90 F300\n{}M30\n", calls_of(&programs, 0, false));
+        for index in 1..programs.len() {
+            text += &format!("O{index}\n{}M99\n", calls_of(&programs, index, lone[index - 1]));
+        }
+        let acts = |text: &str| {
+            let mut sender = Sender::new();
+            sender.acts = Some(Vec::new());
+            sender.send_all(text);
+            let position = sender.interpreter.position().0;
+            (sender.acts.unwrap(), position, sender.errors, sender.ends)
+        };
+        let (called, written) = (acts(&text), acts(&format!("{}\nM30", lines.join("\n"))));
+        prop_assert_eq!(called, written, "{}\n---\n{}", text, lines.join("\n"));
+    }
+
     /// However the lines behind a program are mixed, and wherever the machine rests while lines are held, those behind
     /// the first number run in calls only, and never in the next job.
     #[test]
     fn no_mixture_falls_into_a_subprogram(
         program in prop::collection::vec(
             "M98P[123]|G65P[12]A1|M98P[12]L2|G0X1|G0X1M98P1|o1 if \\[[01]\\]|o1 endif|o1 repeat \\[2\\]|o1 endrepeat|M2|X|o9 sub\
-             |o9 endsub|M98P1M30|XM30",
+             |o9 endsub|M98P1M30|XM30|WHILE\\[0\\]DO1|END1|IF\\[1\\]THENG0X1|GOTO7",
             0..8,
         ),
         lines in prop::collection::vec(
             ("M98P[123]|G65P[12]A1|M98P1L2|M30|O[123]|M99|G0X-1|G0X-1|G0X-1M99|G0X-1M98P1|o1 if \\[1\\]|o1 endif\
-              |o1 repeat \\[2\\]|o1 endrepeat|X|o9 sub|o9 endsub|M99P2|O1G0X-1", prop::bool::weighted(0.1)),
+              |o1 repeat \\[2\\]|o1 endrepeat|X|o9 sub|o9 endsub|M99P2|O1G0X-1\
+              |WHILE\\[0\\]DO1|END1|IF\\[[01]\\]THENG0X-1|IF\\[#9LT2\\]GOTO7|N7#9=\\[#9\\+1\\]", prop::bool::weighted(0.1)),
             0..30,
         ),
         next in 0_usize..5,
@@ -776,7 +1012,7 @@ proptest! {
         sender.send_all(&program.join("\n"));
         if sender.interpreter.is_within_block() {
             // An open block is no concern of subprograms, and a held program is ended here.
-            sender.send_all("o1 endif\no1 endrepeat\no9 endsub");
+            sender.send_all("o1 endif\no1 endrepeat\no9 endsub\nEND1");
         }
         sender.send_all("M30\nO5");
         for (line, rests) in &lines {

@@ -315,6 +315,7 @@ fn any_line(dice: &mut impl FnMut(usize) -> usize, retracts: bool) -> String {
         34 => ["G59.1", "G59.2", "G59.3"][dice(3)].into(),
         35 => format!("G53 G0 X{x} Z{z}"),
         36 => ["G28", "G28 Z0", "G30 X1"][dice(3)].into(),
+        37 if dice(2) == 0 => format!("G95 G1 X{x} F0.{}", 1 + dice(9)),
         37 => format!("G93 G1 X{x} F{}", 20 + dice(30)),
         38 => format!("X{x} F{}", 20 + dice(30)),
         39 => "G94".into(),

@@ -56,6 +56,7 @@ mod boards {
         has_at_speed: true,
         program_pins: [0; 2],
         most_baud: 1_000_000,
+        oscillator_mhz: 0,
         has_store: false,
     };
     // Addresses of large objects in memory that nothing else uses.

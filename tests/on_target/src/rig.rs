@@ -57,6 +57,7 @@ impl Rig {
             has_at_speed: true,
             program_pins: [0; 2],
             most_baud: 115_200,
+            oscillator_mhz: 0,
             has_store: false,
         };
         static mut STORAGE: Storage<AXES, BLOCKS> = Storage::EMPTY;

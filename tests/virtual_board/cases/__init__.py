@@ -18,7 +18,7 @@ from .failures import (
 )
 from .flash import power_cut, settings_write
 from .inputs import emergency_stop, noise, probe, trips
-from .jobs import boot, crystals, streamed, tasks, waiting_line
+from .jobs import boot, crystals, own_pins, streamed, tasks, waiting_line
 from .outputs import fourth_axis, inverted_outputs, program_inputs, program_outputs, second_motor, spindle_pwm
 from .stepping import (
     called_at_turns,
@@ -49,6 +49,7 @@ def all_cases(root):
     return [
         ("boot", boot),
         ("crystals", crystals),
+        ("own pins", own_pins),
         ("tasks", tasks),
         ("waiting line", waiting_line),
         ("stream axes.nc", lambda bench: streamed(bench, jobs / "axes.nc")),

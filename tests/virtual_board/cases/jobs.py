@@ -1,12 +1,15 @@
 """The start of a board, and whole jobs, compared step by step with the simulator."""
 
+import re
+import subprocess
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from ..board import Failure
+from ..board import Failure, Image
 from ..models.nvic import HARD_FAULT, NMI
 from ..models.rcc import PLLCFGR
-from ..parts import MHZ
+from ..parts import MHZ, TABLES
 from ..scope import Scope
 from .bench import JOB_SETTINGS, LeftOut, duty, simulated, us
 
@@ -56,8 +59,49 @@ def crystals(bench):
             if fault and not bench.status().startswith("<Alarm"):
                 raise Failure("the machine is not locked")
             if error == 0:
-                yield f"{mhz or 'no'} MHz: {'locked, and told' if fault else 'exact clock'} after {board.seconds() * 1e3:.1f} ms"
+                yield f"{mhz or 'no'} MHz: {'locked, and told' if fault else 'exact clock'}, also with the internal oscillator up to 2.5 % off"
     bench.wiring = own
+
+
+def own_pins(bench):
+    """A table with other pins, written into the image: the outputs move with it. A damaged table: no pin is driven, and
+    the link tells why."""
+    own, image = bench.wiring, bench.image
+    text = (TABLES / f"{own.name}.toml").read_text()
+    changes = {"step_x": own.step[1], "step_y": own.step[0], "flood": own.limits[0], "limit_x": own.flood}
+    for function, pin in changes.items():
+        text = re.sub(rf'^{function} = ".*"$', f'{function} = "{pin}"', text, flags=re.MULTILINE)
+    with tempfile.TemporaryDirectory() as folder:
+        table, changed = Path(folder) / "mine.toml", Path(folder) / "mine.elf"
+        table.write_text(text.replace(f'name = "{own.name}"', 'name = "mine"'))
+        subprocess.run([bench.oxmill, "board", "write", image.path, table, "-o", changed], check=True, capture_output=True)
+        bench.image = Image(changed)
+        bytes_ = bytearray(changed.read_bytes())
+        bytes_[bytes_.index(b"mine\0")] ^= 1
+        changed.write_bytes(bytes_)
+        damaged = Image(changed)
+    steps = (own.step[1], own.step[0], own.step[2])
+    bench.wiring = replace(own, step=steps, flood=own.limits[0], limits=(own.flood, *own.limits[1:]))
+    bench.boot()
+    board, scope = bench.board, Scope(bench.board)
+    bench.ask("$J=G91X1F600")
+    bench.wait_state("Idle", 5)
+    moved = {step.axes for step in scope.steps()}
+    bench.ask("M8")
+    board.run(seconds=0.05)
+    if moved != {1} or not board.shown(own.limits[0]) or "[VER:" not in "".join(bench.ask("$I")):
+        raise Failure(f"moved {moved}, flood {board.shown(own.limits[0])}")
+    yield f"steps of X at {steps[0]}, flood at {own.limits[0]}"
+    bench.image, bench.wiring = damaged, own
+    board = bench.fresh()
+    bench.wait_text("[MSG:Board: no pin table", 1.5)
+    driven = {f"{port}{pin}" for _, port, pin, level in board.edges if level in (0, 1)}
+    if driven & {*own.step, *own.direction, own.enable, own.spindle, own.flood, own.pwm}:
+        raise Failure(f"without a table {driven} are driven")
+    if not bench.status().startswith("<Alarm"):
+        raise Failure("the machine is not locked")
+    bench.image, bench.wiring = image, own
+    yield "damaged: told, locked, no pin driven"
 
 
 def tasks(bench):

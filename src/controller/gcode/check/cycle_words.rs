@@ -58,7 +58,7 @@ impl<const N: usize> Draft<'_, N> {
             peck,
             reached: r,
             next: CyclePhase::Rise,
-            feed: modal.feed_per_second,
+            feed: self.feed_per_second(),
             spindle: modal.spindle,
             words,
         };

@@ -182,11 +182,21 @@ impl<'a, const N: usize> Draft<'a, N> {
         along(&self.action.tool_length, axis)
     }
 
+    /// Returns F of G94 or G95, mm/s.
+    pub(super) fn feed_per_second(&self) -> f32 {
+        let modal = &self.action.modal;
+        if FULL_IMAGE && modal.feed_mode == FeedMode::PerRevolution {
+            return modal.feed_per_second * modal.speed;
+        }
+        modal.feed_per_second
+    }
+
     pub(super) fn feed_of_motion(&self) -> Feed {
         let modal = &self.action.modal;
         match modal.feed_mode {
             FeedMode::PerMinute => Feed::PerMinute(modal.feed_per_second),
-            FeedMode::InverseTime => inverse_time(modal.feed),
+            FeedMode::PerRevolution if FULL_IMAGE => Feed::PerMinute(self.feed_per_second()),
+            _ => inverse_time(modal.feed),
         }
     }
 

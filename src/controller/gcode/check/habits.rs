@@ -9,7 +9,7 @@ use crate::gcode::modal::{CoordinateSystem, Distance, MotionMode, SplineKind};
 use crate::gcode::values::whole;
 use crate::gcode::word::{Group, Groups, Letters};
 use crate::image::FULL_IMAGE;
-use crate::units::Coordinate;
+use crate::units::{Coordinate, Decimal};
 
 /// Number of Grbl's systems, which precede the first system that G54.1 selects.
 const BEFORE_THE_FIRST: usize = CoordinateSystem::OF_GRBL;
@@ -23,6 +23,9 @@ impl<const N: usize> Draft<'_, N> {
         }
         if extended.system_by_number {
             self.action.modal.coordinate_system = self.system_by_number()?;
+            if self.action.modal.coordinate_system == CoordinateSystem::G59_3 {
+                self.action.after.notice = Some(Notice::SystemOfSetter);
+            }
         }
         if let Some(number) = extended.look_ahead {
             // G8 without P is a word of lathes: radius programming.
@@ -45,6 +48,12 @@ impl<const N: usize> Draft<'_, N> {
         let number = usize::try_from(whole(self.line.value(b'P'))?).unwrap_or(0);
         let system = number.checked_sub(1).and_then(|index| CoordinateSystem::ALL.get(BEFORE_THE_FIRST + index));
         system.copied().ok_or(Error::UnsupportedCoordinateSystem)
+    }
+
+    /// P of G30: other controls have further stored positions.
+    #[inline(never)]
+    pub(super) fn second_position(&self) -> Result<(), Error> {
+        if self.line.value(b'P') == Decimal::from_int(2) { Ok(()) } else { Err(Error::ValueOutOfRange) }
     }
 
     /// Returns the intermediate point of G28 and G30. U, V and W give it as distances from the present position.

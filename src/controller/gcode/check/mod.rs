@@ -129,15 +129,37 @@ impl<const N: usize> Draft<'_, N> {
                 }
                 Decimal::ZERO
             }
-            (FeedMode::PerMinute, true) => {
+            (mode, true) => {
                 self.action.modal.feed_in_inches = modal.units == Units::Inch;
                 let feed = Decimal(self.length(self.line.value(b'F')).0);
                 self.action.modal.feed_per_second = per_second(feed.to_f32());
+                if FULL_IMAGE && mode == FeedMode::PerRevolution {
+                    self.needs_speed()?;
+                }
                 feed
             }
             (FeedMode::PerMinute, false) if self.state.modal.feed_mode == FeedMode::PerMinute => modal.feed,
-            (FeedMode::PerMinute, false) => Decimal::ZERO,
+            (FeedMode::PerRevolution, false) if FULL_IMAGE && self.state.modal.feed_mode == FeedMode::PerRevolution => {
+                self.needs_speed()?;
+                modal.feed
+            }
+            (_, false) => Decimal::ZERO,
         };
+        Ok(())
+    }
+
+    /// With G95 a motion needs S, because F is the distance per revolution.
+    #[inline(never)]
+    fn needs_speed(&self) -> Result<(), Error> {
+        let line = self.line;
+        let is_zero = match line.values.has(b'S') {
+            true => line.value(b'S') == Decimal::ZERO,
+            false => self.state.modal.speed == 0.0,
+        };
+        let is_fed = !matches!(self.action.modal.motion, MotionMode::Rapid | MotionMode::Cancelled);
+        if is_zero && is_fed && self.claim == Claim::Motion {
+            return Err(Error::UndefinedFeed);
+        }
         Ok(())
     }
 

@@ -162,6 +162,9 @@ impl<const N: usize> Draft<'_, N> {
     /// G28, G30: moves the named axes to the stored position by way of the given point. Without axis words it moves all
     /// axes, and directly.
     fn go_to_stored(&mut self, which: StoredOffset) -> Result<(), Error> {
+        if FULL_IMAGE && which == StoredOffset::G30 && self.dialect != Dialect::Grbl && self.take(b'P') {
+            self.second_position()?;
+        }
         let stored = self.state.offsets.stored(which);
         let (via, target) = if self.line.axes.is_empty() {
             // An axis that the machine had when the position was stored, but does not have now, does not move.

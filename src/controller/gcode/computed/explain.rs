@@ -8,7 +8,7 @@ use super::m_words::has_m_word;
 use super::subprograms::{is_jump, split_call};
 use crate::error::Error;
 use crate::gcode::Reason;
-use crate::gcode::program_number::has_program_number;
+use crate::gcode::program_number::{behind_line_number, has_program_number};
 use crate::gcode::refusal::say;
 use crate::gcode::state::{Interpreter, ProgramPlace};
 use crate::number::{Digits, read};
@@ -30,13 +30,20 @@ impl<const N: usize> Interpreter<N> {
             (_, Error::OutOfMemory) if self.place == ProgramPlace::Refused && self.computed.flow.missing > 0 => {
                 self.say_missing("no room to hold the program up to O%: write O% SUB .. O% ENDSUB above its call", out);
             }
+            (Some(order), _) if matches!(order.keyword, Keyword::CallMacroOfM | Keyword::Then | Keyword::GoTo) => {
+                return self.explain_jump(line, &order, error, out);
+            }
             (Some(order), _) if order.label.is_empty() => self.explain_call(line, &order, error, out),
             (Some(order), _) => self.explain_order(line, &order, error, out),
             (None, Error::OutOfMemory) => {
                 say(out, "no room to hold this line: subroutines and loops are too long", &[])
             }
-            (None, Error::NotSupported) if is_jump(line) => {
-                say(out, "IF, WHILE and GOTO are not supported: write o1 if .. o1 endif, o1 while .. o1 endwhile", &[]);
+            (None, Error::NotSupported | Error::BadNumber) if is_jump(line) => {
+                say(
+                    out,
+                    "% is not supported: IF with THEN or GOTO, WHILE with DO and END, values in brackets",
+                    &[line],
+                );
             }
             (None, _) if is_refused_block => {
                 say(out, "the sub or loop of this line is refused as a whole: correct its first refused line", &[]);
@@ -50,6 +57,11 @@ impl<const N: usize> Interpreter<N> {
     /// Explains a line that belongs to no program and to no subprogram.
     #[inline(never)]
     fn explain_place(&self, line: &[u8], order: Option<OWord>, out: &mut Reason) {
+        if let Some(lacking) = self.computed.overflow.so_far() {
+            say(out, "% finds no room either: ", &[line]);
+            let _ = write!(out, "{lacking} bytes of the program are too many so far; $X ends this");
+            return;
+        }
         match order.map(|order| order.keyword) {
             _ if has_m_word(line, &[b"99"]) => say(
                 out,
@@ -105,6 +117,36 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
+    /// Explains M words that call macros, `IF [..] THEN` and GOTO. Returns `false` if the words of the line are the cause.
+    #[inline(never)]
+    fn explain_jump(&self, line: &[u8], order: &OWord, error: Error, out: &mut Reason) -> bool {
+        let name: &[u8] = match order.keyword {
+            Keyword::CallMacroOfM => order.label,
+            Keyword::Then => b"IF",
+            _ => b"GOTO",
+        };
+        match (order.keyword, error) {
+            (Keyword::CallMacroOfM, Error::UnusedWords) => {
+                say(out, "M% takes P and Q, in this order: write other words on a line of their own", &[name]);
+            }
+            (Keyword::GoTo, Error::NotSupported) => {
+                say(out, "GOTO is for subprograms and loops: the lines around this one are not held", &[]);
+            }
+            (Keyword::GoTo, Error::FlowSyntax) => {
+                say(out, "no line N% in this subprogram, or in the held part of the program", &[order.label]);
+            }
+            (_, Error::InvalidArgument) if self.unset_parameter(line).is_some() => {
+                say(out, "% is not set above this line", &[self.unset_parameter(line).unwrap_or_default()]);
+            }
+            (Keyword::CallMacroOfM, _) if self.computed.flow.find_macro(order.label).is_none() => return false,
+            (_, error) => {
+                say(out, "%: ", &[name]);
+                let _ = out.extend_from_slice(error.text().as_bytes());
+            }
+        }
+        true
+    }
+
     /// Writes a sentence with the number of the missing subprogram in place of each `%`.
     #[inline(never)]
     fn say_missing(&self, sentence: &str, out: &mut Reason) {
@@ -117,7 +159,14 @@ impl<const N: usize> Interpreter<N> {
     fn explain_order(&self, line: &[u8], order: &OWord, error: Error, out: &mut Reason) {
         let mut name = heapless::Vec::<u8, 48>::new();
         let keyword = KEYWORDS.iter().find(|(_, keyword)| *keyword == order.keyword);
-        for part in [b"O".as_slice(), order.label, b" ", keyword.map_or(b"", |(word, _)| word)] {
+        let word = keyword.map_or(b"".as_slice(), |(word, _)| word);
+        let parts: [&[u8]; 4] = match behind_line_number(line).first() {
+            Some(b'O') => [b"O", order.label, b" ", word],
+            // A loop of Fanuc's macros.
+            _ if order.keyword == Keyword::While => [b"WHILE", b" DO", order.label, b""],
+            _ => [b"END", order.label, b"", b""],
+        };
+        for part in parts {
             let _ = name.extend_from_slice(part.get(..24).unwrap_or(part));
         }
         let name = name.trim_ascii_end();
@@ -173,10 +222,19 @@ impl<const N: usize> Interpreter<N> {
             }
             Keyword::ElseIf | Keyword::Else | Keyword::EndIf => b"IF",
             Keyword::EndSub | Keyword::Return => b"SUB",
+            Keyword::EndWhile if name.first() == Some(&b'E') => {
+                return say(out, "% has no WHILE .. DO% before it", &[name, label]);
+            }
             Keyword::EndWhile => b"WHILE",
             Keyword::EndRepeat => b"REPEAT",
             Keyword::Break | Keyword::Continue => return say(out, "% is within no loop of this number", &[name]),
-            Keyword::Program | Keyword::CallProgram | Keyword::CallMacro | Keyword::Back => {
+            Keyword::Program
+            | Keyword::CallProgram
+            | Keyword::CallMacro
+            | Keyword::CallMacroOfM
+            | Keyword::Then
+            | Keyword::GoTo
+            | Keyword::Back => {
                 return say(out, "a sub, loop or condition was not ended before this line", &[]);
             }
         };

@@ -27,7 +27,7 @@ use crate::lent::Lent;
 
 /// Capacity of the held text, in bytes. A line takes one byte more than its length. This is enough for a probing
 /// subroutine of 150 lines and the loop that calls it.
-const TEXT: usize = 6144;
+pub(super) const TEXT: usize = 6144;
 /// Maximum number of bytes of the held text that macros may take; the rest is for programs.
 pub(super) const MOST_MACROS: usize = 3072;
 /// Bytes of held text that are reserved for the first line of a subroutine or loop. So its label is recorded and its
@@ -72,6 +72,12 @@ pub(super) enum Keyword {
     CallMacro,
     /// M99.
     Back,
+    /// M10, M11, M100 to M199, which call a macro.
+    CallMacroOfM,
+    /// `IF [..] THEN`: the rest of the line is executed under a condition.
+    Then,
+    /// `GOTO n`, alone or under a condition.
+    GoTo,
     /// Any other word.
     Unknown,
 }
@@ -112,7 +118,7 @@ impl<'a> OWord<'a> {
     pub(super) fn of(line: &'a [u8]) -> Option<OWord<'a>> {
         let (line, _) = split_remark(line);
         let line = behind_line_number(line);
-        let Some(mut text) = line.strip_prefix(b"O") else { return Self::of_call(line) };
+        let Some(mut text) = line.strip_prefix(b"O") else { return Self::without_o(line) };
         // Leading zeros do not count: O0100 is O100.
         while let [b'0', b'0'..=b'9', ..] = text {
             text = text.get(1..)?;
@@ -129,19 +135,70 @@ impl<'a> OWord<'a> {
         Some(OWord { label, keyword: *keyword, arguments: text.get(name.len()..)? })
     }
 
-    /// Reads M98, M99 and G65 at the beginning of a line.
+    /// Reads a word at the beginning of a line that acts like an O word.
+    fn without_o(line: &'a [u8]) -> Option<OWord<'a>> {
+        match line.first()? {
+            b'M' | b'G' => Self::of_call(line),
+            b'W' | b'E' | b'I' => Self::of_macro(line),
+            _ => None,
+        }
+    }
+
+    /// Reads M98, M99, G65, and M words that call macros.
     fn of_call(line: &'a [u8]) -> Option<OWord<'a>> {
         let (letter, number) = line.split_first()?;
         let zeros = number.iter().take_while(|digit| **digit == b'0').count();
-        let (number, arguments) = number.get(zeros..)?.split_at_checked(2)?;
+        let number = number.get(zeros..)?;
+        let (number, arguments) = number.split_at_checked(digits(number))?;
         let keyword = match (letter, number) {
+            (b'G', []) => return Self::of_jump(&[], line),
             (b'M', b"98") => Keyword::CallProgram,
             (b'M', b"99") => Keyword::Back,
+            (b'M', b"10" | b"11" | [b'1', _, _]) => Keyword::CallMacroOfM,
             (b'G', b"65") => Keyword::CallMacro,
             _ => return None,
         };
-        let is_whole = !matches!(arguments.first(), Some(b'0'..=b'9' | b'.'));
-        is_whole.then_some(OWord { label: &[], keyword, arguments })
+        let label = if keyword == Keyword::CallMacroOfM { number } else { &[] };
+        (arguments.first() != Some(&b'.')).then_some(OWord { label, keyword, arguments })
+    }
+
+    /// Reads `WHILE [..] DO1`, `END1`, `IF [..] THEN` and `IF [..] GOTO 20`, which are words of Fanuc's macros.
+    #[inline(never)]
+    fn of_macro(line: &'a [u8]) -> Option<OWord<'a>> {
+        if let Some(label) = line.strip_prefix(b"END") {
+            return Self::of_loop(label, Keyword::EndWhile, &[]);
+        }
+        let is_loop = line.starts_with(b"WHILE[");
+        let text = line.strip_prefix(if is_loop { b"WHILE".as_slice() } else { b"IF" })?;
+        let (condition, rest) = text.split_at_checked(label_length(text).filter(|length| *length > 1)?)?;
+        if is_loop {
+            return Self::of_loop(rest.strip_prefix(b"DO")?, Keyword::While, condition);
+        }
+        match rest.strip_prefix(b"THEN") {
+            Some(words) => {
+                let then = OWord { label: words, keyword: Keyword::Then, arguments: condition };
+                // A line that begins a block, calls, returns or ends the program cannot be a part of another one.
+                let is_plain =
+                    !words.is_empty() && OWord::of(words).is_none() && !has_m_word(words, &[b"2", b"30", b"98", b"99"]);
+                (is_plain && condition.first() == Some(&b'[')).then_some(then)
+            }
+            None => Self::of_jump(condition, rest),
+        }
+    }
+
+    /// `label`: the number of the loop, and nothing behind it.
+    fn of_loop(label: &'a [u8], keyword: Keyword, arguments: &'a [u8]) -> Option<OWord<'a>> {
+        (!label.is_empty() && digits(label) == label.len()).then_some(OWord { label, keyword, arguments })
+    }
+
+    /// Reads `GOTO n`. The number, which can be computed, is in place of the label.
+    fn of_jump(condition: &'a [u8], line: &'a [u8]) -> Option<OWord<'a>> {
+        let label = line.strip_prefix(b"GOTO").filter(|label| !label.is_empty())?;
+        (condition.is_empty() || condition.first() == Some(&b'[')).then_some(OWord {
+            label,
+            keyword: Keyword::GoTo,
+            arguments: condition,
+        })
     }
 
     /// Whether `other` ends the block that this O word begins.
@@ -165,10 +222,15 @@ impl<'a> OWord<'a> {
         let bracket = self.arguments.first() == Some(&b'[');
         match self.keyword {
             Keyword::Unknown => false,
+            Keyword::CallProgram
+            | Keyword::CallMacro
+            | Keyword::CallMacroOfM
+            | Keyword::Back
+            | Keyword::Then
+            | Keyword::GoTo => true,
             keyword if keyword != Keyword::Call && self.has_computed_label() => false,
             Keyword::If | Keyword::ElseIf | Keyword::While | Keyword::Repeat => bracket,
             Keyword::Call | Keyword::Return | Keyword::EndSub => bracket || self.arguments.is_empty(),
-            Keyword::CallProgram | Keyword::CallMacro | Keyword::Back => true,
             _ => self.arguments.is_empty(),
         }
     }
@@ -179,7 +241,16 @@ impl<'a> OWord<'a> {
 
     /// Whether the line can still belong to a program whose M2 or M30 is in a block before it: calls cannot.
     pub(super) fn may_follow_end(&self) -> bool {
-        !matches!(self.keyword, Keyword::Call | Keyword::CallProgram | Keyword::CallMacro | Keyword::Back)
+        !matches!(
+            self.keyword,
+            Keyword::Call
+                | Keyword::CallProgram
+                | Keyword::CallMacro
+                | Keyword::CallMacroOfM
+                | Keyword::Back
+                | Keyword::Then
+                | Keyword::GoTo
+        )
     }
 
     /// Whether this O word can end the skipping of lines.
@@ -417,11 +488,14 @@ impl FlowControl {
     /// Finds a subroutine of the program or, if it has none with this label, a complete subroutine among the macros.
     /// Returns the positions of its first and second line.
     pub(super) fn find(&self, label: &[u8]) -> Option<(u16, u16)> {
-        self.find_own(label).or_else(|| {
-            let (at, behind) = self.find_sub(0, label)?;
-            self.end_of_sub(behind, label).filter(|end| *end <= self.macros)?;
-            Some((at, behind))
-        })
+        self.find_own(label).or_else(|| self.find_macro(label))
+    }
+
+    /// Like `find`, but only among the macros.
+    pub(super) fn find_macro(&self, label: &[u8]) -> Option<(u16, u16)> {
+        let (at, behind) = self.find_sub(0, label)?;
+        self.end_of_sub(behind, label).filter(|end| *end <= self.macros)?;
+        Some((at, behind))
     }
 
     /// Like `find`, but only among the subroutines of the program.
@@ -435,8 +509,14 @@ impl FlowControl {
 
     /// Returns the position after the `endsub` line of a subroutine.
     fn end_of_sub(&self, from: u16, label: &[u8]) -> Option<u16> {
-        let is_end = |order: &OWord| order.keyword == Keyword::EndSub && order.label == label;
-        self.find_from(from, is_end).map(|(_, behind)| behind)
+        self.find_order(from, Keyword::EndSub, label).map(|(_, behind)| behind)
+    }
+
+    /// Finds the first line from a position on with this O word. Returns the positions of this line and of the line after
+    /// it.
+    #[inline(never)]
+    pub(super) fn find_order(&self, from: u16, keyword: Keyword, label: &[u8]) -> Option<(u16, u16)> {
+        self.find_from(from, |order| order.keyword == keyword && order.label == label)
     }
 
     /// Finds the first line from a position on whose O word satisfies `is_it`. Returns the positions of this line and
@@ -492,6 +572,11 @@ impl FlowControl {
     /// Whether the innermost frame has this label.
     pub(super) fn is_of_last(&self, label: &[u8]) -> bool {
         self.last_label() == label
+    }
+
+    /// Returns the labels of all frames, one behind the other.
+    pub(super) fn labels(&self) -> &[u8] {
+        &self.labels
     }
 
     /// Returns the label of the innermost frame.

@@ -106,6 +106,20 @@ impl<const N: usize> Interpreter<N> {
         Ok(rest)
     }
 
+    /// Returns whether a text that consists of one bracket is not 0.
+    pub(super) fn condition(&self, text: &[u8]) -> Result<bool, Error> {
+        self.argument(text).map(|value| !value.is_zero())
+    }
+
+    /// Returns the value of a text that consists of one bracket.
+    pub(super) fn argument(&self, text: &[u8]) -> Result<Real, Error> {
+        if text.first() != Some(&b'[') {
+            return Err(Error::FlowSyntax);
+        }
+        let (value, rest) = self.value(text)?;
+        if rest.is_empty() { Ok(value) } else { Err(Error::FlowSyntax) }
+    }
+
     // Not inlined, so that the image contains this long code once.
     #[inline(never)]
     pub(super) fn value<'t>(&self, text: &'t [u8]) -> Result<(Real, &'t [u8]), Error> {
@@ -173,6 +187,7 @@ impl<const N: usize> Interpreter<N> {
             b"IJK_ABSOLUTE_MODE" => truth(modal.arc_distance == ArcDistance::Absolute),
             b"INVERSE_TIME" => truth(modal.feed_mode == FeedMode::InverseTime),
             b"UNITS_PER_MINUTE" => truth(modal.feed_mode == FeedMode::PerMinute),
+            b"UNITS_PER_REV" => truth(modal.feed_mode == FeedMode::PerRevolution),
             b"TOOL_OFFSET" => truth(self.offsets.tool_length != PerAxis::all(Coordinate::ZERO)),
             b"SPINDLE_ON" => truth(modal.spindle != SpindleDirection::Off),
             b"SPINDLE_CW" => truth(modal.spindle == SpindleDirection::Clockwise),
@@ -184,7 +199,10 @@ impl<const N: usize> Interpreter<N> {
             b"SPEED_OVERRIDE" => truth(!modal.overrides_held.spindle),
             // These values never change. (In LinuxCNC `#<_task>` is 0 in the preview.)
             b"TASK" | b"METRIC_MACHINE" | b"SPINDLE_RPM_MODE" | b"LATHE_RADIUS_MODE" | b"FEED_HOLD" => truth(true),
-            b"UNITS_PER_REV" | b"SPINDLE_CSS_MODE" | b"LATHE_DIAMETER_MODE" | b"ADAPTIVE_FEED" => truth(false),
+            b"SPINDLE_CSS_MODE" | b"LATHE_DIAMETER_MODE" | b"ADAPTIVE_FEED" => truth(false),
+            // The version of LinuxCNC whose words these are.
+            b"VMAJOR" => Ok(Some(Real::from_decimal(Decimal(DECIMAL_ONE * 29 / 10)))),
+            b"VMINOR" => Ok(Some(Real::ZERO)),
             b"FEED" => Ok(Some(self.feed())),
             b"RPM" => Ok(Some(Real::from_f32(modal.speed))),
             b"VALUE" => Ok(Some(self.computed.returned.unwrap_or(Real::ZERO))),
@@ -211,7 +229,8 @@ impl<const N: usize> Interpreter<N> {
     fn feed(&self) -> Real {
         let feed = Real::from_decimal(self.modal.feed);
         match self.modal.feed_mode {
-            FeedMode::PerMinute if self.modal.units == Units::Inch => inches(feed),
+            FeedMode::InverseTime => feed,
+            _ if self.modal.units == Units::Inch => inches(feed),
             _ => feed,
         }
     }

@@ -7,10 +7,12 @@ mod calls;
 mod explain;
 mod expression;
 mod flow;
+mod jumps;
 mod m_words;
 mod machine_values;
 mod macros;
 mod o_words;
+mod overflow;
 mod parameters;
 mod real;
 mod subprograms;
@@ -18,9 +20,11 @@ mod subprograms;
 mod tests;
 
 use crate::axes::PerAxis;
+use crate::gcode::REASONS;
 use crate::lent::Lent;
 use crate::units::Coordinate;
 use flow::{FlowControl, HeldText};
+use overflow::Overflow;
 use parameters::{Cells, Parameters};
 use real::Real;
 
@@ -70,6 +74,10 @@ pub(super) struct Computed<const N: usize> {
     probe_succeeded: bool,
     /// Last input read by M66: 1 (active), 0 (inactive), or -1 (timeout).
     input_read: i8,
+    /// O number of the program; 0 if it has none.
+    program: u32,
+    /// The last held program that did not fit.
+    overflow: Overflow,
 }
 
 impl<const N: usize> Computed<N> {
@@ -81,6 +89,8 @@ impl<const N: usize> Computed<N> {
             probed: PerAxis::all(Coordinate::ZERO),
             probe_succeeded: false,
             input_read: 0,
+            program: 0,
+            overflow: Overflow::default(),
         }
     }
 
@@ -92,6 +102,19 @@ impl<const N: usize> Computed<N> {
         self.probed = PerAxis::all(Coordinate::ZERO);
         self.probe_succeeded = false;
         self.input_read = 0;
+    }
+
+    /// Forgets the O number of the program.
+    pub fn forget_number(&mut self) {
+        self.program = 0;
+        self.overflow.end();
+    }
+
+    /// Counts a line of a held program that did not fit.
+    pub fn count_refused(&mut self, line: &[u8]) {
+        if REASONS {
+            self.overflow.count(line, self.flow.missing);
+        }
     }
 
     /// Whether programs have left no state that another program could read, except macros and the last probe position.

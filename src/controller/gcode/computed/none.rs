@@ -44,6 +44,10 @@ impl<const N: usize> Computed<N> {
 
     pub fn reset(&mut self) {}
 
+    pub fn forget_number(&mut self) {}
+
+    pub fn count_refused(&mut self, _: &[u8]) {}
+
     pub fn begin(&mut self) {}
 
     pub fn assigns(&self) -> bool {
@@ -114,6 +118,11 @@ impl<const N: usize> Interpreter<N> {
 
     pub(super) fn look_among_subprograms(&mut self, _: &[u8]) -> bool {
         false
+    }
+
+    /// Returns `None`: no program is held.
+    pub fn lacking_bytes(&self) -> Option<usize> {
+        None
     }
 
     /// Returns `false`: no program is held.

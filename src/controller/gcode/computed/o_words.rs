@@ -31,15 +31,17 @@ impl<const N: usize> Interpreter<N> {
         flow.line = number;
         let plain = flow.state == FlowState::Streaming && !flow.skipping;
         let may_direct = match line.first() {
-            Some(b'O' | b'N' | b':' | b'M') => true,
-            Some(b'G') => matches!(line, [_, b'6', b'5', ..] | [_, b'0', b'6', b'5', ..]),
+            Some(b'O' | b'N' | b':' | b'M' | b'W' | b'E') => true,
+            Some(b'G') => matches!(line, [_, b'6', b'5', ..] | [_, b'0', b'6', b'5', ..] | [_, b'O', ..]),
+            Some(b'I') => matches!(line, [_, b'F', ..]),
             _ => false,
         };
         if plain && !may_direct {
             return Ok(Direction::Check);
         }
         flow.of_host = true;
-        self.direct_order(line, remark, OWord::of(line))
+        let order = flow.order_of(line);
+        self.direct_order(line, remark, order)
     }
 
     /// Begins the call of a subroutine from a line that does not belong to the program. The lines of the subroutine
@@ -140,17 +142,25 @@ impl<const N: usize> Interpreter<N> {
             flow.skipped = flow.skipped.saturating_add(1);
             return Ok(Direction::LeftOut);
         }
-        let Some(order) = order else { return Ok(Direction::Check) };
+        let Some(order) = order else {
+            if let Some(b'O' | b':') = line.first() {
+                self.note_number(line);
+            }
+            return Ok(Direction::Check);
+        };
         match order.keyword {
             Keyword::If | Keyword::ElseIf | Keyword::Else | Keyword::EndIf => self.branch(order)?,
-            Keyword::Call => {
+            Keyword::Call | Keyword::CallMacroOfM => {
                 let (label, at) = self.called(&order)?;
-                let arguments = self.arguments(order.arguments)?;
+                let arguments = self.arguments(&order)?;
                 self.computed.flow.run(at, None);
                 self.call(FrameKind::Call, &label, STREAM, &arguments)?;
                 return Ok(Direction::Call);
             }
-            Keyword::CallProgram | Keyword::CallMacro => return self.run_call(&[], line, remark, &order),
+            Keyword::CallProgram | Keyword::CallMacro | Keyword::Then => {
+                return self.run_call(&[], line, remark, &order);
+            }
+            Keyword::GoTo => return Err(Error::NotSupported),
             Keyword::Back => return Err(self.refuse_rest()),
             Keyword::Sub | Keyword::Do | Keyword::While | Keyword::Repeat => {
                 let from = flow.text.len() as u16;
@@ -257,7 +267,7 @@ impl<const N: usize> Interpreter<N> {
         line.extend_from_slice(text).map_err(|_| Error::OutOfMemory)?;
         let at = flow.next;
         flow.next += 1 + text.len() as u16;
-        let Some(order) = OWord::of(line) else {
+        let Some(order) = flow.order_of(line) else {
             if !flow.skipping {
                 return Ok(Held::Line);
             }
@@ -274,10 +284,10 @@ impl<const N: usize> Interpreter<N> {
         }
         match order.keyword {
             Keyword::If | Keyword::ElseIf | Keyword::Else | Keyword::EndIf => self.branch(order)?,
-            Keyword::Call => {
+            Keyword::Call | Keyword::CallMacroOfM => {
                 let back = flow.next;
                 let (label, begin) = self.called(&order)?;
-                let arguments = self.arguments(order.arguments)?;
+                let arguments = self.arguments(&order)?;
                 self.call(FrameKind::Call, &label, back, &arguments)?;
                 self.computed.flow.go_back(begin)?;
             }
@@ -287,6 +297,8 @@ impl<const N: usize> Interpreter<N> {
                     return Ok(Held::End);
                 }
             }
+            Keyword::Then => return self.then(line),
+            Keyword::GoTo => self.go_to(&order)?,
             Keyword::Return | Keyword::EndSub | Keyword::Back => return self.leave_call(line),
             Keyword::Sub | Keyword::Program => return Err(Error::FlowSyntax),
             _ => self.go_round(order, at)?,
@@ -434,7 +446,9 @@ impl<const N: usize> Interpreter<N> {
         } else {
             label.extend_from_slice(order.label).map_err(|_| Error::FlowSyntax)?;
         }
-        let (_, begin) = self.computed.flow.find(&label).ok_or(Error::FlowSyntax)?;
+        let flow = &self.computed.flow;
+        let found = if order.keyword == Keyword::Call { flow.find(&label) } else { flow.find_macro(&label) };
+        let (_, begin) = found.ok_or(Error::FlowSyntax)?;
         Ok((label, begin))
     }
 
@@ -485,28 +499,19 @@ impl<const N: usize> Interpreter<N> {
         Err(if is_back { Error::OutOfPlace } else { Error::FlowSyntax })
     }
 
-    fn condition(&self, text: &[u8]) -> Result<bool, Error> {
-        self.argument(text).map(|value| !value.is_zero())
-    }
-
-    /// Returns the value of a text that consists of one bracket.
-    fn argument(&self, text: &[u8]) -> Result<Real, Error> {
-        if text.first() != Some(&b'[') {
-            return Err(Error::FlowSyntax);
-        }
-        let (value, rest) = self.value(text)?;
-        if rest.is_empty() { Ok(value) } else { Err(Error::FlowSyntax) }
-    }
-
-    fn arguments(&self, text: &[u8]) -> Result<heapless::Vec<(u8, Real), ARGUMENTS>, Error> {
+    /// Returns the values of a call. An M word gives P and Q to its macro, in this order.
+    fn arguments(&self, order: &OWord) -> Result<heapless::Vec<(u8, Real), ARGUMENTS>, Error> {
         let mut values = heapless::Vec::new();
-        let mut rest = text;
+        let mut rest = order.arguments;
         let mut number = 1;
-        while !rest.is_empty() {
-            if rest.first() != Some(&b'[') {
-                return Err(Error::FlowSyntax);
-            }
-            let (value, behind) = self.value(rest)?;
+        while let Some((letter, text)) = rest.split_first() {
+            let value = match (order.keyword, letter, number) {
+                (Keyword::Call, b'[', _) => rest,
+                (Keyword::CallMacroOfM, b'P', 1) | (Keyword::CallMacroOfM, b'Q', 2) => text,
+                (Keyword::Call, ..) => return Err(Error::FlowSyntax),
+                _ => return Err(Error::UnusedWords),
+            };
+            let (value, behind) = self.value(value)?;
             values.push((number, value)).map_err(|_| Error::FlowSyntax)?;
             number += 1;
             rest = behind;

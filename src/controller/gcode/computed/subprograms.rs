@@ -18,13 +18,15 @@
 //!
 //! M98 and G65 do not call macros: a file that has a subprogram with the number of a macro would move otherwise.
 
+use super::Computed;
 use super::expression;
-use super::flow::{FlowControl, FlowState, FrameKind, Keyword, OWord, PROGRAM, Passes, SPARE, digits, ends_program};
+use super::flow::{FlowControl, FlowState, FrameKind, Keyword, OWord, PROGRAM, Passes, SPARE, ends_program};
 use super::m_words::find_m_word;
 use super::real::Real;
 use crate::error::Error;
+use crate::gcode::REASONS;
 use crate::gcode::direction::Direction;
-use crate::gcode::program_number::{behind_line_number, has_program_number};
+use crate::gcode::program_number::{behind_line_number, has_program_number, number_of, subprogram_number};
 use crate::gcode::state::{Interpreter, ProgramPlace};
 use core::fmt::Write;
 
@@ -100,8 +102,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Executes M98 or G65 in a line of the host (`call`), after the words in front of it. The line is held and runs
-    /// like a loop. If the subprogram is unknown, the program is held from the call on.
+    /// Executes M98, G65 or `IF [..] THEN` in a line of the host (`call`), after the words in front of it. The line is held
+    /// and runs like a loop. If the subprogram is unknown, the program is held from the call on.
     #[inline(never)]
     pub(super) fn run_call(
         &mut self,
@@ -110,7 +112,9 @@ impl<const N: usize> Interpreter<N> {
         remark: &[u8],
         order: &OWord,
     ) -> Result<Direction, Error> {
-        self.read_call(order)?;
+        if order.keyword != Keyword::Then {
+            self.read_call(order)?;
+        }
         let flow = &mut self.computed.flow;
         let from = flow.text.len();
         let mut held = Ok(());
@@ -147,6 +151,20 @@ impl<const N: usize> Interpreter<N> {
         belongs
     }
 
+    /// Takes note of the number of the program.
+    #[inline(never)]
+    pub(super) fn note_number(&mut self, line: &[u8]) {
+        if self.place == ProgramPlace::Program {
+            self.computed.program = number_of(line);
+        }
+    }
+
+    /// Whether a line among subprograms has the number of the program before them, so that the same file begins again.
+    #[inline(never)]
+    pub(in crate::gcode) fn begins_again(&self, line: &[u8]) -> bool {
+        self.computed.program > 0 && number_of(line) == self.computed.program
+    }
+
     /// Holds a line of the program that comes after the call of an unknown subprogram.
     #[inline(never)]
     fn hold_line(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
@@ -161,13 +179,29 @@ impl<const N: usize> Interpreter<N> {
             return Err(self.refuse_rest());
         }
         if let Err(error) = flow.hold_order(line, remark, order) {
-            self.refuse_rest();
+            self.refuse_held(error, line, remark, None);
             return Err(error);
         }
         if !line.is_empty() {
             flow.after_end = order.is_none() && ends_program(line);
         }
         Ok(Direction::LeftOut)
+    }
+
+    /// Refuses a line of a held program or of a subprogram, and all that follow.
+    fn refuse_held(&mut self, error: Error, line: &[u8], remark: &[u8], subprogram: Option<&[u8]>) {
+        let Computed { flow, overflow, .. } = &mut self.computed;
+        if REASONS && error == Error::OutOfMemory && flow.waiting.is_some() {
+            let number = |label: &[u8]| label.iter().fold(0, |value, digit| value * 10 + u32::from(digit - b'0'));
+            let subprogram = subprogram.map(|label| (label, number(label) == flow.missing));
+            overflow.begin(flow.text.len(), line, remark, subprogram);
+        }
+        self.refuse_rest();
+    }
+
+    /// Returns by how many bytes at least the last held program was too long that did not fit.
+    pub fn lacking_bytes(&self) -> Option<usize> {
+        self.computed.overflow.lacking()
     }
 
     /// Begins the definition of a subprogram.
@@ -186,7 +220,8 @@ impl<const N: usize> Interpreter<N> {
             flow.missing = 0;
         }
         if let Err(error) = held {
-            self.refuse_rest();
+            let line = if REASONS { line_of(label, PROGRAM) } else { ShortLine::new() };
+            self.refuse_held(error, &line, &[], Some(label));
             return Err(error);
         }
         flow.within = 0;
@@ -222,7 +257,11 @@ impl<const N: usize> Interpreter<N> {
             }
         };
         if let Err(error) = held {
-            self.refuse_rest();
+            let mut label = ShortLine::new();
+            if REASONS && let Some(opening) = self.computed.flow.line(from).and_then(OWord::of) {
+                let _ = label.extend_from_slice(opening.label);
+            }
+            self.refuse_held(error, line, remark, Some(&label));
             return Err(error);
         }
         if !ends {
@@ -358,16 +397,7 @@ impl FlowControl {
     }
 }
 
-/// Returns the number of a subprogram, without leading zeros, if the line consists of it, and of a line number or none.
-#[inline(never)]
-fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
-    let Some((b'O' | b':', number)) = behind_line_number(line).split_first() else { return None };
-    let zeros = number.iter().take_while(|digit| **digit == b'0').count();
-    let number = number.get(zeros.min(number.len().saturating_sub(1))..)?;
-    ((1..=8).contains(&number.len()) && digits(number) == number.len()).then_some(number)
-}
-
-/// Whether a line begins with a word of Fanuc's macros that is known to be missing here: IF, WHILE, END, GOTO.
+/// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. If it is no [`OWord`], it is not supported.
 pub(super) fn is_jump(line: &[u8]) -> bool {
     let line = behind_line_number(line);
     [b"IF".as_slice(), b"WHILE", b"END", b"GOTO"].iter().any(|word| line.starts_with(word))

@@ -207,9 +207,16 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             say(out, "F is missing: each jog needs its own", &[]);
         } else if self.modal.feed_mode == FeedMode::InverseTime {
             say(out, "F is missing: G93 needs one in each line that moves", &[]);
+        } else if self.modal.feed_mode == FeedMode::PerRevolution && self.lacks_speed() {
+            say(out, "S is missing: the feed of G95 is F times S", &[]);
         } else {
             say(out, "F is missing: no feed has been set for %", &[self.motion()]);
         }
+    }
+
+    /// Whether S is 0, which makes the feed of G95 undefined.
+    fn lacks_speed(&self) -> bool {
+        if self.parsed.values.has(b'S') { self.value(b'S') == Decimal::ZERO } else { self.state.modal.speed == 0.0 }
     }
 
     #[inline(never)]
@@ -419,6 +426,9 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
                 true => say(out, "% in % must be above 0: seconds to wait", &[self.word(b'Q'), word]),
                 false => say(out, "% in % is not known: L0 to L4", &[self.word(b'L'), word]),
             };
+        }
+        if let Some(word) = self.text.code(b'G', &[300]) {
+            return say(out, "% in % is not stored: there are G28 and G30, which is P2", &[self.word(b'P'), word]);
         }
         if extended.scaling == Some(true) {
             let z = value(b'K').filter(|factor| *factor < Decimal::ZERO);

@@ -107,25 +107,30 @@ pub(super) fn end_of(line: &[u8], start: usize) -> usize {
 }
 
 /// Refused words, by their numbers in tenths, and what to write instead.
-const INSTEAD_OF_G: [(&[u16], &str); 13] = [
+const INSTEAD_OF_G: [(&[u16], &str); 14] = [
     (
-        &[330, 331, 740, 760, 840],
+        &[330, 331, 760, 840],
         "% is not supported: nothing measures the spindle. Drill (G81), mill the thread (G3 with Z)",
     ),
-    (&[950], "% is not supported: write G94, and F as feed per revolution times S"),
+    (&[740], "% is not supported: tapping needs a measured spindle, and pecking is G73. Mill the thread (G2 with Z)"),
     (&[960], "% is not supported: write G97 and S in revolutions per minute"),
     (&[70, 80], "% is not supported: there is no lathe mode, X is no diameter"),
-    (&[120, 130], "% is not supported: write the circle as G2 or G3 with I and J"),
-    (&[150, 160], "% is not supported: write X and Y instead of angle and radius"),
+    (&[120, 130], "% is not supported: I is the path on Mach, the wall on Haas. Write G1 out, G3 with I, G1 back"),
+    (&[160], "% is not supported: write X and Y instead of angle and radius"),
     (&[410, 411, 420, 421], "% is not supported: let the CAM program offset the path by the radius of the cutter"),
     (&[511], "% is not supported: G51 with a negative I or J mirrors"),
     (&[650], "% calls a subprogram only at the beginning of its line, as a plain number: G65 P1001"),
-    (&[660, 670], "% is not supported: write G65 on each line that calls"),
-    (&[870], "% is not supported: write the back boring as single moves"),
+    (&[660], "% is not supported: write G65 on each line that calls"),
+    (&[870], "% is not supported: it needs a spindle that stops at an angle. Write the back boring as single moves"),
+    (&[682], "% is not supported: tilted planes need five axes"),
     (&[290], "% is a word of 3-D printers: choose a post-processor for Grbl"),
     (&[380], "% lacks its digit: G38.2 to G38.5 are probing moves"),
 ];
-const INSTEAD_OF_M: [(&[u16], &str); 4] = [
+const INSTEAD_OF_M: [(&[u16], &str); 5] = [
+    (
+        &[100, 110],
+        "% runs the macro o10 sub or o11 sub, if $M0= has it, and alone in its line. M64 and M65 switch outputs",
+    ),
     (&[980, 990], "% must be written as a plain number: M98 P1001, M99"),
     (&[970], "% is not supported: write O1000 .. M99 behind M30, and call it with M98 P1000"),
     (&[190], "% is not supported: the spindle cannot be turned to an angle"),
@@ -500,6 +505,13 @@ fn explain_unknown<const N: usize>(text: &Text, word: &[u8], before: &[u8], erro
         }
         Error::NotSupported if letter == b'M' && number.is_none() => {
             say(out, "a computed M word is none that is supported: write its number, such as M98 P1001", &[]);
+        }
+        _ if letter == b'M' && !grbl && matches!(tenths, Some(1000..=1990)) => {
+            say(
+                out,
+                "% runs the macro of its number ($M0=o150 sub for M150), if there is one, and alone in its line",
+                &[word],
+            );
         }
         _ if letter == b'M' => say(out, "% is no M word that is known", &[word]),
         _ => say(out, "% is no G word that is known", &[word]),

@@ -16,6 +16,7 @@ pub const PROFILE: Profile = Profile {
     has_at_speed: true,
     program_pins: [0; 2],
     most_baud: 1_000_000,
+    oscillator_mhz: 0,
     has_store: false,
 };
 

@@ -1,0 +1,80 @@
+//! Counts by how many bytes a held program is too long. The controller refuses its lines one by one and keeps none; a
+//! check of the whole file reports the sum. Only builds with the feature `reasons` count.
+
+use super::flow::{PROGRAM, SPARE, TEXT};
+use super::m_words::has_m_word;
+use crate::gcode::REASONS;
+use crate::gcode::program_number::{number_of, subprogram_number};
+
+/// Length of `ENDSUB` and `O`, which stand in the held text for M99.
+const END_OF_SUBPROGRAM: usize = 7;
+
+/// A held program that did not fit.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Excess {
+    /// Length of the text that would be held by now.
+    held: usize,
+    /// How much longer the text is than the memory.
+    lacking: usize,
+    /// Length of the number of the present subprogram; 0 in the program.
+    digits: usize,
+    /// In the subprogram for which the program waited.
+    is_awaited: bool,
+    /// The lines that come are those of the program or its subprograms.
+    counts: bool,
+}
+
+/// The last held program that did not fit; takes no memory in a build that does not count.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Overflow([Excess; REASONS as usize]);
+
+impl Overflow {
+    /// Begins with the line that did not fit. `held`: length of the text before it; `subprogram`: the number of the
+    /// subprogram to which the line belongs, and whether the program waits for this one.
+    pub fn begin(&mut self, held: usize, line: &[u8], remark: &[u8], subprogram: Option<(&[u8], bool)>) {
+        for excess in &mut self.0 {
+            let (number, is_awaited) = subprogram.unwrap_or_default();
+            *excess = Excess { held, lacking: 0, digits: number.len(), is_awaited, counts: true };
+            excess.add(1 + line.len() + remark.len());
+        }
+    }
+
+    /// Counts a line that follows. The number that comes after the awaited subprogram ends the count.
+    pub fn count(&mut self, line: &[u8], awaited: u32) {
+        for excess in self.0.iter_mut().filter(|excess| excess.counts) {
+            match subprogram_number(line) {
+                Some(_) if excess.is_awaited => excess.counts = false,
+                Some(number) => {
+                    excess.is_awaited = number_of(line) == awaited;
+                    excess.digits = number.len();
+                    excess.add(1 + line.len() + PROGRAM.len());
+                }
+                // The last M99 needs no spare bytes.
+                None if has_m_word(line, &[b"99"]) => excess.held += 1 + END_OF_SUBPROGRAM + excess.digits,
+                None => excess.add(1 + line.len()),
+            }
+        }
+    }
+
+    /// Ends the count: another program begins.
+    pub fn end(&mut self) {
+        self.0.iter_mut().for_each(|excess| excess.counts = false);
+    }
+
+    /// Returns how many bytes are too many so far, while lines of the program come.
+    pub fn so_far(&self) -> Option<usize> {
+        self.0.first().filter(|excess| excess.counts).map(|excess| excess.lacking)
+    }
+
+    /// Returns how many bytes the program was too long; `None` if all programs have fit.
+    pub fn lacking(&self) -> Option<usize> {
+        self.0.first().map(|excess| excess.lacking).filter(|lacking| *lacking > 0)
+    }
+}
+
+impl Excess {
+    fn add(&mut self, length: usize) {
+        self.held += length;
+        self.lacking = (self.held + SPARE).saturating_sub(TEXT);
+    }
+}
