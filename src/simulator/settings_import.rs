@@ -64,10 +64,12 @@ mod tests {
         #[test]
         fn what_is_written_is_read_again(text in lines(), is_file in any::<bool>()) {
             let text = if is_file { format!("axes:\n{text}") } else { text };
-            if let Ok(first) = import(&text) {
-                let again = import(&first.assignments()).unwrap_or_default();
+            let Ok(first) = import(&text) else { return Ok(()) };
+            let again = import(&first.assignments()).unwrap_or_default();
+            prop_assert!(again.left.is_empty());
+            // Without one of its own settings, a dump of Oxmill looks like one of Grbl, where A puts `$930=4` in use.
+            if first.what != "Oxmill" || first.taken.iter().any(|taken| taken.number >= 900) {
                 prop_assert_eq!(settings(&again), settings(&first));
-                prop_assert!(again.left.is_empty());
             }
         }
     }
