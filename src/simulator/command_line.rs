@@ -12,7 +12,7 @@ use std::path::PathBuf;
 pub const EXIT_STATUS: &str = "\
 Exit status:
   0  all went well
-  1  the job has refused lines, ended in an alarm, or was not taken to its end
+  1  the job has refused lines, ended in an alarm, or was not taken to its end; `settings import`: an entry was not taken
   2  it could not be begun, or a file could not be read to its end or written
   3  `replay`: steps, outputs or times are not those of the recording, or cannot be compared with them";
 
@@ -41,6 +41,9 @@ pub enum Command {
     /// Writes the rest of a job, from one of its lines on, as a separate program: modal state, tool, offsets, the move to the
     /// position, spindle and coolant, and the lines.
     Resume(ResumeJob),
+    /// Settings of a machine.
+    #[command(subcommand)]
+    Settings(SettingsCommand),
     /// Shows the pin table of a board, checks a table of your own, or writes it into an image of the firmware.
     #[command(subcommand)]
     Board(BoardCommand),
@@ -207,6 +210,26 @@ pub struct ResumeJob {
     /// The machine.
     #[command(flatten)]
     pub machine: MachineOptions,
+}
+
+/// `settings`.
+#[derive(Debug, Subcommand)]
+pub enum SettingsCommand {
+    /// Reads settings of another controller, and reports what each of them becomes and why others are not taken.
+    Import(ImportSettings),
+}
+
+/// `settings import`.
+#[derive(Debug, Args)]
+pub struct ImportSettings {
+    /// The output of $$ of Grbl 1.1 or grblHAL, or a configuration file (YAML) of FluidNC; `-` for standard input.
+    pub file: PathBuf,
+    /// Prints the result as a JSON object.
+    #[arg(long)]
+    pub json: bool,
+    /// Writes the settings into this file, as lines $n=v for `--settings` or a board.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: Option<PathBuf>,
 }
 
 /// Exactly one of them.

@@ -7,6 +7,7 @@ use crate::command_line::{CheckJob, MachineOptions, Millimetres, PlotJob, Replay
 use crate::file_kind;
 use crate::files::{self, Output, Role};
 use crate::homed::home;
+use crate::import_dump::is_said_around_settings;
 use crate::machine::linear;
 use crate::path::Drawing;
 use crate::plot;
@@ -172,13 +173,6 @@ fn apply(
         check_power(simulator)?;
     }
     Ok(applied)
-}
-
-/// Returns whether a line is `$$` itself or machine output before or after its reply: text copied from a terminal may
-/// contain both.
-fn is_said_around_settings(line: &str) -> bool {
-    let line = line.trim();
-    matches!(line, "ok" | "$$") || ["Grbl ", "GrblHAL ", "[", "<"].iter().any(|begin| line.starts_with(begin))
 }
 
 /// How a command ended.
@@ -469,7 +463,11 @@ pub fn machine_roles<'a>(machine: &'a MachineOptions, record: Option<&'a Path>) 
     files.into_iter().filter_map(|(path, name, written)| Some(Role { path: path?, name, written })).collect()
 }
 
-fn output(path: &Path, name: &str) -> Result<Output> {
+/// Opens a file for output. `name`: its content, for the error.
+///
+/// # Errors
+/// If it cannot be opened.
+pub fn output(path: &Path, name: &str) -> Result<Output> {
     Output::open(path).with_context(|| format!("cannot write the {name} {}", path.display()))
 }
 

@@ -36,6 +36,9 @@ pub mod fittings;
 mod flash_file;
 pub mod homed;
 pub mod host_link;
+mod import_dump;
+mod import_fluidnc;
+mod import_list;
 pub mod input_task;
 #[cfg(feature = "program")]
 pub mod job;
@@ -64,6 +67,9 @@ pub mod recording;
 pub mod resume;
 #[cfg(feature = "program")]
 pub mod server;
+#[cfg(feature = "program")]
+mod settings_command;
+pub mod settings_import;
 #[cfg(feature = "program")]
 pub mod short_report;
 pub mod simulator;
@@ -106,6 +112,7 @@ pub fn main() -> ExitCode {
         Command::Plot(options) => job::plot(options),
         Command::Replay(options) => job::replay(&options),
         Command::Resume(options) => job::resume(&options),
+        Command::Settings(command_line::SettingsCommand::Import(options)) => settings_command::import(&options),
         Command::Board(command) => pin_tables::run(&command),
         Command::Completions { shell } => {
             let mut script = Vec::new();

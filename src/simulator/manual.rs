@@ -4,7 +4,7 @@
 use crate::command_line::CommandLine;
 use crate::files;
 use anyhow::{Context, Result};
-use clap::CommandFactory;
+use clap::{Command, CommandFactory};
 use clap_mangen::Man;
 use std::path::Path;
 use std::{fs, io, iter};
@@ -21,7 +21,13 @@ pub fn write(folder: Option<&Path>) -> Result<()> {
     }
     let mut program = CommandLine::command().disable_help_subcommand(true);
     program.build();
-    let (mut pages, mut text) = (iter::once(&program).chain(program.get_subcommands()), Vec::new());
-    let written = pages.try_for_each(|page| Man::new(page.clone()).render(&mut text));
+    let mut text = Vec::new();
+    let written = pages(&program).into_iter().try_for_each(|page| Man::new(page.clone()).render(&mut text));
     written.and_then(|()| files::print(io::stdout(), &text)).context("cannot write the manual")
+}
+
+/// Returns a command and the commands within it, at any depth.
+fn pages(command: &Command) -> Vec<&Command> {
+    let within = command.get_subcommands().filter(|command| command.get_name() != "help").flat_map(pages);
+    iter::once(command).chain(within).collect()
 }

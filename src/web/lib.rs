@@ -30,6 +30,7 @@
 //! | `oxmill_stream_advance(ms)` | | as `oxmill_check_advance` | |
 //! | `oxmill_stream_summary()` | | status | JSON: `baud`, `forecast_s`, `complete`, `errors`, `lost: [{line, seconds}]` |
 //! | `oxmill_resume()` | order with `resume`, 0, job | status | JSON: `program`, `line`, `lines`, `prologue`: the rest of a job, as from `oxmill resume` |
+//! | `oxmill_import()` | settings of another controller | status | JSON: what `oxmill settings import --json` prints |
 //! | `oxmill_machine_begin()` | order | status | the machine's output at power-up |
 //! | `oxmill_machine_turn(us)` | bytes of the host | status | the machine's output within the next `us` microseconds |
 //! | `oxmill_machine_pin()` | a line such as `probe 1` | status | `ok`, or the fault |
@@ -56,6 +57,7 @@ pub mod engine;
 use engine::Order;
 use oxmill_simulator::Simulator;
 use oxmill_simulator::check::Check;
+use oxmill_simulator::settings_import;
 use oxmill_simulator::streaming::Streaming;
 use std::cell::RefCell;
 use std::sync::Once;
@@ -267,6 +269,12 @@ pub extern "C" fn oxmill_resume() -> u32 {
         let (order, job) = order(input)?;
         json(&engine::resume(&order, job)?)
     })
+}
+
+/// Outputs what the settings of another controller become.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_import() -> u32 {
+    answer(|_, text| json(&settings_import::import(&String::from_utf8_lossy(text))?))
 }
 
 /// Powers a machine up and connects a host to it.

@@ -55,12 +55,14 @@ fn the_manual_has_the_options_of_each_command() {
         ("serve", &["--web", "--page", "--pins", "--reset-on-connect"]),
         ("replay", &["--json", "--trace"]),
         ("resume", &["--line", "--number", "--clearance", "--plunge", "--spin-up", "--output"]),
+        ("settings-import", &["--json", "--output"]),
         ("man", &["--out"]),
         ("completions", &["SHELL"]),
     ] {
         let (title, of_command) = (format!("oxmill-{command} 1"), page(&format!("oxmill-{command}.1")));
         assert!(whole.contains(&title) && of_command.contains(&title), "{command}");
-        assert!(page("oxmill.1").contains(&format!("oxmill-{command}(1)")), "{command}");
+        let (above, _) = title.rsplit_once('-').expect("a name");
+        assert!(page(&format!("{above}.1")).contains(&format!("oxmill-{command}(1)")), "{command}");
         for option in options {
             assert!(whole.contains(option) && of_command.contains(option), "{command} {option}");
         }

@@ -5,6 +5,7 @@ mod files;
 mod help;
 mod recordings;
 mod settings;
+mod settings_import;
 
 use serde_json::Value;
 use std::fs;

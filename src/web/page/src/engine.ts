@@ -74,6 +74,15 @@ export interface Description {
   version: string; boards: { name: string; step_clock_hz: number }[]; settings: Setting[]; errors: Meaning[]; alarms: Meaning[];
 }
 
+/** What the settings of another controller become. `from`: the entry of the file. */
+export interface Taken { number: number; value: number; name: string; unit: string; from: string; line: number }
+export interface Import {
+  what: string;
+  taken: Taken[];
+  /** Entries that are not taken, each with the reason. */
+  left: { text: string; why: string; line: number }[];
+}
+
 interface Exports {
   memory: WebAssembly.Memory;
   oxmill_abi(): number;
@@ -94,6 +103,7 @@ interface Exports {
   oxmill_stream_advance(ms: number): number;
   oxmill_stream_summary(): number;
   oxmill_resume(): number;
+  oxmill_import(): number;
   oxmill_machine_begin(): number;
   oxmill_machine_turn(us: number): number;
   oxmill_machine_pin(): number;
@@ -151,6 +161,12 @@ export class Engine {
   resume(order: Order, job: Uint8Array): Rest {
     this.put(encode(JSON.stringify(order)), new Uint8Array(1), job);
     return JSON.parse(this.call(() => this.wasm.oxmill_resume()));
+  }
+
+  /** Throws an error if the text is not of a known form. */
+  importSettings(text: string): Import {
+    this.put(encode(text));
+    return JSON.parse(this.call(() => this.wasm.oxmill_import()));
   }
 
   powerUp(order: Order): string {

@@ -1,5 +1,5 @@
-// The firmware as the page calls it: each job runs in a worker of its own.
-import type { Description, Order, Path, Rest, Streamed, Summary } from "./engine";
+// The firmware as the page calls it: each job runs in a worker of its own, and short calls on the page.
+import { type Description, Engine, type Import, type Order, type Path, type Rest, type Streamed, type Summary } from "./engine";
 import type { Block, Cutter, Material } from "./material";
 import type { Task } from "./worker";
 
@@ -9,11 +9,16 @@ export const examples = OXMILL.examples;
 export interface Checked { summary: Summary; path?: Path; memory: number }
 
 let module: WebAssembly.Module;
+let engine: Engine;
 const source = URL.createObjectURL(new Blob([OXMILL.worker], { type: "text/javascript" }));
 
 export async function load(): Promise<void> {
   module = await WebAssembly.compile(Uint8Array.from(atob(OXMILL.wasm), c => c.charCodeAt(0)));
+  engine = await Engine.start(module);
 }
+
+/** Returns what the settings of another controller become. Throws an error if the text is not of a known form. */
+export const importSettings = (text: string): Import => engine.importSettings(text);
 
 /** Starts a worker with the module. */
 export function worker(): Worker {

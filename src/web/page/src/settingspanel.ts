@@ -2,8 +2,8 @@
 // setting.
 import { $, allow, button, clock, el, onclick, press, save, say } from "./dom";
 import { Dialog } from "./dialogs";
-import type { Description, Setting } from "./engine";
-import { readImport, type Import } from "./imports";
+import type { Description, Import, Setting } from "./engine";
+import * as firmware from "./firmware";
 import type { Machine } from "./machine";
 import type { Page } from "./page";
 import { PRESETS, summary } from "./presets";
@@ -246,12 +246,18 @@ export class SettingsPanel {
 
   /** Shows the result of an import before it is applied. */
   private look(text: string): void {
-    const made = (this.imported = readImport(text, this.description.settings));
-    const name = new Map(this.description.settings.map(setting => [setting.number, setting]));
-    this.preview.replaceChildren(...made.taken.map(({ number, value, from }) =>
-      el("tr", {}, el("td", { textContent: from }), el("td", { textContent: `$${number} ${name.get(number)?.name ?? ""}` }), el("td", { className: "n", textContent: `${value} ${name.get(number)?.unit === "mask" ? "" : name.get(number)?.unit ?? ""}` }))),
-      ...made.left.map(({ text, why }) => el("tr", {}, el("td", { textContent: text }), el("td", { colSpan: 2, className: "why", textContent: `not taken: ${why}` }))));
-    say("take-note", made.taken.length ? `${made.what}: ${made.taken.length} settings, ${made.left.length} lines are not taken.` : "");
+    let note = "";
+    this.imported = undefined;
+    try {
+      this.imported = text.trim() === "" ? undefined : firmware.importSettings(text);
+    } catch (error) {
+      note = `Not read: ${(error as Error).message}`;
+    }
+    const { what = "", taken = [], left = [] } = this.imported ?? {};
+    this.preview.replaceChildren(...taken.map(({ number, value, name, unit, from }) =>
+      el("tr", {}, el("td", { textContent: from }), el("td", { textContent: `$${number} ${name}` }), el("td", { className: "n", textContent: `${value} ${unit}` }))),
+      ...left.map(({ text, why }) => el("tr", {}, el("td", { textContent: text }), el("td", { colSpan: 2, className: "why", textContent: `not taken: ${why}` }))));
+    say("take-note", taken.length ? `${what}: ${taken.length} settings, ${left.length} lines are not taken.` : note);
   }
 
   /** Applies the pasted settings; changes nothing if none can be used. */

@@ -448,11 +448,11 @@ export async function settings_of_other_controllers_become_these(browser) {
     return { rows, note, values: await page.evaluate(() => oxmill.app.settings.values()) };
   };
   const hal = await taken("$10=511\n$22=3\n$110=4000.000\n$120=350.000\n$384=0\n$481=0\n");
-  assert.match(hal.note, /^grblHAL: 3 settings, 3 lines are not taken/);
-  assert.deepEqual(hal.values, { 22: 1, 110: 4000, 120: 350 });
-  assert(hal.rows.some(row => row.startsWith("$10=511") && row.includes("it decides on reports only")));
+  assert.match(hal.note, /^grblHAL: 5 settings, 2 lines are not taken/);
+  assert.deepEqual(hal.values, { 10: 3, 22: 1, 110: 4000, 120: 350 });
+  assert(hal.rows.some(row => row.startsWith("$384=0") && row.includes("a reset always forgets G92")));
   const fluid = await taken("board: x\narc_tolerance_mm: 0.004\naxes:\n  shared_stepper_disable_pin: gpio.13\n  x:\n    steps_per_mm: 80\n    max_rate_mm_per_min: 6000 # fast\n    acceleration_mm_per_sec2: 250\n    max_travel_mm: 400\n    soft_limits: true\n    homing:\n      cycle: 2\n      positive_direction: false\n  y:\n    steps_per_mm: 81\n");
-  assert.deepEqual(fluid.values, { 12: 0.004, 20: 1, 22: 1, 23: 1, 100: 80, 101: 81, 110: 6000, 120: 250, 130: 400 });
+  assert.deepEqual(fluid.values, { 12: 0.004, 20: 1, 22: 1, 23: 1, 44: 1, 45: 0, 100: 80, 101: 81, 110: 6000, 120: 250, 130: 400 });
   assert(fluid.rows.some(row => row.startsWith("axes/shared_stepper_disable_pin") && row.includes("not taken")));
   // A backup restores the values.
   const [download] = await Promise.all([page.waitForEvent("download"), page.click("#backup")]);

@@ -76,6 +76,18 @@ export async function each_setting_is_described() {
   }
 }
 
+export async function settings_of_other_controllers_are_read() {
+  const { x, put, output } = await instance();
+  put(encode("$10=511\n$100=80.5\n$481=0\n"));
+  assert.equal(x.oxmill_import(), 0, output());
+  const result = JSON.parse(output());
+  assert.deepEqual([result.what, result.taken.map(({ number, value }) => [number, value])], ["grblHAL", [[10, 3], [100, 80.5]]]);
+  assert.deepEqual(result.left.map(({ text, line }) => [text, line]), [["$481=0", 3]]);
+  put(encode("M92 X80\n"));
+  assert.equal(x.oxmill_import(), 1);
+  assert.match(output(), /neither the output of \$\$/);
+}
+
 export async function refusals_and_panics_have_a_text() {
   const { x, put, output } = await instance();
   for (const [order, why] of [["{", "not understood"], ['{"board":"toaster"}', "the boards are"], ['{"settings":{"7":1}}', "error:3"]]) {
