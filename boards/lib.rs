@@ -93,7 +93,17 @@ mod chosen {
         // SAFETY: unsafe because the linker takes the name on trust; safe because the linker script reserves as many
         // bytes of flash as a table has, any bytes are a table, and nothing writes there.
         let table = unsafe { &_pin_table };
-        if table.is_intact() && table.image() == IMAGE.image { table } else { &NONE }
+        if table.is_intact() && table.image() == IMAGE.image && fits(table) { table } else { &NONE }
+    }
+
+    /// Returns whether this image has the ports that the table uses. Tools that make tables check this, too.
+    fn fits(table: &PinTable) -> bool {
+        use Role::{DirectionFourth, DirectionX, DirectionY, DirectionZ, StepFourth, StepX, StepY, StepZ};
+        let moving = [StepX, StepY, StepZ, StepFourth, DirectionX, DirectionY, DirectionZ, DirectionFourth];
+        let ports = |roles: &[Role]| {
+            roles.iter().filter_map(|role| table.pin(*role)).fold(0_u32, |ports, pin| ports | 1 << pin.port)
+        };
+        ports(&Role::ALL) >> PORTS == 0 && ports(&moving).count_ones() as usize <= STEP_PORTS
     }
 
     /// Returns the profile of the board: the image's numbers, with what the pin table has.

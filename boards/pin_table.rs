@@ -74,13 +74,11 @@ pub enum Role {
     /// First input for programs (M66 P0).
     ProgramInput,
     SecondProgramInput,
-    /// A pin that is set high at the start and low in the safe state, such as the switch of a board's driver supply.
-    Power,
 }
 
 impl Role {
     /// All functions, in the order of the table.
-    pub const ALL: [Role; 33] = [
+    pub const ALL: [Role; 32] = [
         Role::StepX,
         Role::StepY,
         Role::StepZ,
@@ -113,7 +111,6 @@ impl Role {
         Role::AtSpeed,
         Role::ProgramInput,
         Role::SecondProgramInput,
-        Role::Power,
     ];
 }
 

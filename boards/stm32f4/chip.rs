@@ -288,7 +288,7 @@ fn bits_of(bit: u8) -> u32 {
 /// Number of enable outputs, the first of [`SLOW_OUTPUTS`]. They are high while the machine is safe; the others are low.
 const ENABLES: usize = 4;
 /// Slow outputs.
-const SLOW_OUTPUTS: [Role; 11] = [
+const SLOW_OUTPUTS: [Role; 10] = [
     Role::Enable,
     Role::SecondEnable,
     Role::ThirdEnable,
@@ -299,7 +299,6 @@ const SLOW_OUTPUTS: [Role; 11] = [
     Role::Mist,
     Role::ProgramOutput,
     Role::SecondProgramOutput,
-    Role::Power,
 ];
 
 /// Outputs that change slowly.
@@ -324,7 +323,7 @@ impl SlowPins {
     pub fn write(&mut self, levels: SlowLevels) {
         let SlowLevels { drivers, spindle, spindle_reversed, flood, mist, program } = levels;
         let enables = if drivers { (1 << ENABLES) - 1 } else { 0 };
-        let others = [spindle, spindle_reversed, flood, mist, program & 1 != 0, program & 2 != 0, true];
+        let others = [spindle, spindle_reversed, flood, mist, program & 1 != 0, program & 2 != 0];
         let others = others.into_iter().rev().fold(0, |bits, high| bits << 1 | u32::from(high));
         let levels = enables | others << ENABLES;
         for (at, place) in self.0.iter().enumerate() {

@@ -22,9 +22,11 @@ const DIVIDER: u32 = 31;
 const EDGES: u32 = 8;
 /// Captures that the measurement takes.
 const CAPTURES: u32 = 16;
-/// Looks at a flag before the oscillator counts as missing: a tenth of a second at least. A crystal starts within a few
-/// milliseconds.
+/// Looks at the ready flag before the oscillator counts as missing: a tenth of a second at least. A crystal starts within
+/// a few milliseconds.
 const MOST_LOOKS: u32 = 400_000;
+/// Looks at the capture flag before the oscillator counts as not measurable: a millisecond at least.
+const MOST_LOOKS_AT_CAPTURE: u32 = 4_000;
 
 /// Registers of TIM11, which only this measurement uses (RM0383, "TIM10/11 registers"; RM0368 and RM0390 have the same).
 /// Raw, because the HAL does not capture the divided oscillator.
@@ -49,9 +51,11 @@ pub fn find_oscillator(rcc: &pac::RCC, table: &PinTable) -> Option<u32> {
     if !(0..MOST_LOOKS).any(|_| rcc.cr().read().hserdy().bit_is_set()) {
         return None;
     }
-    match table.oscillator_mhz() {
-        Some(mhz) => Some(mhz.into()),
-        None => known(measure(rcc)?),
+    let ticks = measure(rcc);
+    match table.oscillator_mhz().map(u32::from) {
+        // A frequency in the table must not be quite wrong: the PLL would not lock, or run too fast.
+        Some(mhz) => Some(mhz).filter(|mhz| ticks.is_none_or(|ticks| is_near(*mhz, ticks, 100))),
+        None => known(ticks?),
     }
 }
 
@@ -62,6 +66,8 @@ pub fn find_oscillator(rcc: &pac::RCC, table: &PinTable) -> Option<u32> {
 pub fn change_source(rcc: &pac::rcc::RegisterBlock, mhz: u32) {
     rcc.cfgr().modify(|_, w| w.sw().hsi());
     while !rcc.cfgr().read().sws().is_hsi() {}
+    #[cfg(feature = "stm32f446")]
+    let has_over_drive = super::leave_over_drive();
     rcc.cr().modify(|_, w| w.pllon().clear_bit());
     while rcc.cr().read().pllrdy().bit_is_set() {}
     rcc.pllcfgr().modify(|r, w| {
@@ -70,16 +76,21 @@ pub fn change_source(rcc: &pac::rcc::RegisterBlock, mhz: u32) {
         // Its input is 2 MHz, as the reference manuals recommend (RCC_PLLCFGR, PLLM), or 1 MHz.
         let input_mhz = if mhz.is_multiple_of(2) { 2 } else { 1 };
         // SAFETY: unsafe because the device crate cannot know which dividers are valid; safe because they are: PLLM is 4
-        // to 25, and PLLN 96 to 384.
+        // to 26, and PLLN 96 to 400.
         unsafe { w.pllm().bits((mhz / input_mhz) as u8).plln().bits((vco_mhz / input_mhz) as u16).pllsrc().hse() }
     });
     rcc.cr().modify(|_, w| w.pllon().set_bit());
+    #[cfg(feature = "stm32f446")]
+    if has_over_drive {
+        super::enter_over_drive();
+    }
     while rcc.cr().read().pllrdy().bit_is_clear() {}
     rcc.cfgr().modify(|_, w| w.sw().pll());
     while !rcc.cfgr().read().sws().is_pll() {}
 }
 
-/// Measures the external oscillator. Returns its frequency in tenths of a MHz, or `None` if it gives no edges.
+/// Measures the external oscillator. Returns the ticks of the internal oscillator from the first to the last capture, or
+/// `None` if no capture comes.
 fn measure(rcc: &pac::RCC) -> Option<u32> {
     rcc.cfgr().modify(|_, w| w.rtcpre().set(DIVIDER as u8));
     rcc.apb2enr().modify(|_, w| w.tim11en().set_bit());
@@ -88,26 +99,35 @@ fn measure(rcc: &pac::RCC) -> Option<u32> {
     for (register, value) in [(OR, IS_OSCILLATOR), (CCMR1, CAPTURES_EIGHTH), (CCER, 1), (ARR, 0xFFFF), (CR1, 1)] {
         write(TIM11 + register, value);
     }
+    // The first capture may be from before the counter ran.
+    capture()?;
     let first = capture()?;
     let mut last = first;
     for _ in 0..CAPTURES {
         last = capture()?;
     }
     rcc.apb2enr().modify(|_, w| w.tim11en().clear_bit());
-    let ticks = last.wrapping_sub(first) & 0xFFFF;
-    Some(10 * HSI_MHZ * DIVIDER * EDGES * CAPTURES / ticks.max(1))
+    Some(last.wrapping_sub(first) & 0xFFFF)
 }
 
 /// Waits for the next capture of TIM11 and returns its time.
 #[inline(never)]
 fn capture() -> Option<u32> {
-    let has_come = (0..MOST_LOOKS).any(|_| read(TIM11 + SR) & CAPTURED != 0);
+    let has_come = (0..MOST_LOOKS_AT_CAPTURE).any(|_| read(TIM11 + SR) & CAPTURED != 0);
     // Reading the capture clears its flag.
     has_come.then(|| read(TIM11 + CCR1))
 }
 
-/// Returns the frequency in MHz of the known crystal that is within 3.5 % of the measured frequency, which is in tenths
-/// of a MHz.
-fn known(tenths: u32) -> Option<u32> {
-    KNOWN_MHZ.into_iter().find(|mhz| (10 * mhz).abs_diff(tenths) * 1000 <= 35 * 10 * mhz)
+/// Returns whether a frequency in MHz fits the measured ticks, within some thousandths. The internal oscillator is within
+/// 1 % at 25 degrees, and within -8 to 4.5 % from -40 to 105 (data sheets, "HSI oscillator characteristics").
+#[inline(never)]
+fn is_near(mhz: u32, ticks: u32, thousandths: u32) -> bool {
+    let expected = HSI_MHZ * DIVIDER * EDGES * CAPTURES / mhz;
+    expected.abs_diff(ticks) * 1000 <= expected * thousandths
+}
+
+/// Returns the known frequency that fits the measured ticks. The tolerance is closer at 25 MHz, which has neighbours: 24
+/// and 26 MHz cannot be told from it in any case.
+fn known(ticks: u32) -> Option<u32> {
+    KNOWN_MHZ.into_iter().find(|mhz| is_near(*mhz, ticks, if *mhz == 25 { 50 } else { 80 }))
 }

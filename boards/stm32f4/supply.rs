@@ -33,6 +33,28 @@ fn clock_supply() {
     let _ = enable.read();
 }
 
+/// Ends over-drive before the PLL is switched off (RM0390, "Exiting from Over-drive mode"). Returns whether it was on. The
+/// core must run on the internal oscillator.
+#[cfg(feature = "stm32f446")]
+pub fn leave_over_drive() -> bool {
+    // SAFETY: unsafe because the owner is by-passed; safe because no task runs yet.
+    let cr = unsafe { (*pac::PWR::ptr()).cr() };
+    let was_on = cr.read().oden().bit_is_set();
+    cr.modify(|_, w| w.odswen().clear_bit().oden().clear_bit());
+    was_on
+}
+
+/// Begins over-drive, while the PLL starts (RM0390, "Entering Over-drive mode").
+#[cfg(feature = "stm32f446")]
+pub fn enter_over_drive() {
+    // SAFETY: unsafe because the owner is by-passed; safe because no task runs yet.
+    let pwr = unsafe { &*pac::PWR::ptr() };
+    pwr.cr().modify(|_, w| w.oden().set_bit());
+    while pwr.csr().read().odrdy().bit_is_clear() {}
+    pwr.cr().modify(|_, w| w.odswen().set_bit());
+    while pwr.csr().read().odswrdy().bit_is_clear() {}
+}
+
 /// Vector of the voltage detector, whose name differs between the device crates.
 #[cfg(not(feature = "stm32f401"))]
 const VOLTAGE_VECTOR: pac::Interrupt = pac::Interrupt::PVD;

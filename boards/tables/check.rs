@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use toml::{Table, Value};
 
 /// Frequencies of oscillators from which the clocks can be made, MHz.
-const OSCILLATORS: [u8; 8] = [4, 8, 10, 12, 16, 20, 24, 25];
+const OSCILLATORS: [u8; 9] = [4, 8, 10, 12, 16, 20, 24, 25, 26];
 /// Entries of a file beside `pins`.
 const KEYS: [&str; 8] = ["name", "title", "image", "chip", "oscillator", "remarks", "drawing", "pins"];
 /// Functions whose pin must not be pulled up while the chip is reset: a device would be on.
@@ -119,6 +119,9 @@ fn read(checked: &mut Checked<'_>, table: &Table) -> Option<Board> {
     if family(image.name).is_some_and(|family| !chip.name.contains(&format!("F{family}"))) {
         let line = checked.line_of("chip", false);
         checked.fault(line, format!("the image {} does not run on {}", image.name, chip.name));
+    } else if chip.name == "STM32F401CC" && image.name != "blackpill_f401" {
+        let line = checked.line_of("chip", false);
+        checked.fault(line, format!("{} has 256 KiB of flash, and the image {} needs 512", chip.name, image.name));
     }
     check_pins(checked, &image, chip, &pins);
     let (oscillator_mhz, is_external) = oscillator?;

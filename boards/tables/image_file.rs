@@ -40,6 +40,9 @@ fn put(bytes: &mut [u8], table: &PinTable) -> Result<(), String> {
     if own.image() != table.image() {
         return Err("the table is for another image: its entry `image` must name the image of the file".into());
     }
+    if bytes.get(at + SIZE..).and_then(find).is_some() {
+        return Err("the file has more than one pin table: take the image of one board".into());
+    }
     if let Some(place) = bytes.get_mut(at..at + SIZE) {
         place.copy_from_slice(table.bytes());
     }

@@ -141,7 +141,6 @@ pub fn name_of(role: Role) -> &'static str {
         Role::AtSpeed => "at_speed",
         Role::ProgramInput => "program_input",
         Role::SecondProgramInput => "second_program_input",
-        Role::Power => "power",
     }
 }
 

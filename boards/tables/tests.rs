@@ -48,7 +48,7 @@ const FAULTS: &[(&str, &str, &str)] = &[
     ("\"STM32F411CE\"", "\"STM32F446RE\"", "3: the image blackpill_f411 does not run on STM32F446RE"),
     ("oscillator = \"measured\"\n", "", "0: oscillator is missing: write oscillator = "),
     ("\"measured\"", "\"25\"", "4: oscillator \"25\": write \"measured\" or \"8 MHz\""),
-    ("\"measured\"", "\"26 MHz\"", "4: oscillator \"26 MHz\": write"),
+    ("\"measured\"", "\"27 MHz\"", "4: oscillator \"27 MHz\": write"),
     ("[pins]", "[pin]", "0: the pins are missing: write [pins], and below it"),
     ("probe =", "prob =", "14: unknown function prob; functions are step_x, "),
     ("\"B15\"", "15", "14: probe: write the pin in quotes, such as probe = \"A1\""),
@@ -94,6 +94,14 @@ fn a_port_that_the_image_does_not_use_is_refused() {
     let text = text.replace("\"A2 J3\"", "\"B2\"").replace("\"PA3\"", "\"B3\"").replace("\"B15\"", "\"F1\"");
     let found = Board::parse(&text).expect_err("a fault");
     assert_eq!(found[0].text, "probe: F1 is on a port that the image nucleo_f446re does not use: it uses A to C");
+}
+
+#[test]
+fn an_image_that_does_not_fit_the_flash_is_refused() {
+    let text = GOOD.replace("blackpill_f411", "nucleo_f401re").replace("STM32F411CE", "STM32F401CC");
+    let text = text.replace("\"A2 J3\"", "\"B2\"").replace("\"PA3\"", "\"B3\"");
+    let found = Board::parse(&text).expect_err("a fault");
+    assert_eq!(found[0].text, "STM32F401CC has 256 KiB of flash, and the image nucleo_f401re needs 512");
 }
 
 #[test]

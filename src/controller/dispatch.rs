@@ -8,7 +8,7 @@
 
 use crate::image::FULL_IMAGE;
 use crate::memory::Memory;
-use crate::messages::{Event, LineByte, Observed, Output, Record, Restart, Room, Store, ToStep};
+use crate::messages::{CrashKind, Event, LineByte, Observed, Output, Record, Restart, Room, Store, ToStep};
 use crate::parts::Machine;
 use crate::protocol::reply_texts;
 use crate::settings::Key;
@@ -70,6 +70,9 @@ impl<const N: usize> Controller<N> {
     /// Reports how the previous run ended; call before [`Controller::start`]. After a failure the machine is locked,
     /// because a host that has not noticed the restart may still be sending its job.
     pub fn restarted(&mut self, restart: Restart) {
+        if restart.crash.as_ref().is_some_and(|crash| crash.kind == CrashKind::Board) {
+            self.m.settings_lock.board_failed();
+        }
         if restart.is_failure() {
             self.enter(State::Alarm(None));
             self.m.reference.lose();

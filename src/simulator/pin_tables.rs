@@ -4,7 +4,7 @@ use crate::Ending;
 use crate::command_line::BoardCommand;
 use crate::files;
 use anyhow::{Context, Result, anyhow};
-use oxmill_tables::{BOARDS, Board, image_file, text_of};
+use oxmill_tables::{BOARDS, Board, image_file};
 use std::fs;
 use std::io::{self, Read};
 use std::path::Path;
@@ -63,10 +63,7 @@ fn read(path: &Path) -> Result<Option<Board>> {
     result.with_context(|| format!("cannot read {}", path.display()))?;
     let text = String::from_utf8(bytes).map_err(|_| anyhow!("{} is no text", path.display()))?;
     match Board::parse(&text) {
-        Ok(board) => {
-            tell_weak_inputs(&board);
-            Ok(Some(board))
-        }
+        Ok(board) => Ok(Some(board)),
         Err(faults) => {
             for fault in faults {
                 let place = if fault.line > 0 { format!(":{}", fault.line) } else { String::new() };
@@ -74,24 +71,5 @@ fn read(path: &Path) -> Result<Option<Board>> {
             }
             Ok(None)
         }
-    }
-}
-
-/// Functions of inputs begin with these words.
-const INPUTS: [&str; 9] = ["limit", "probe", "door", "hold", "start", "reset", "driver", "at_speed", "program_input"];
-
-/// Tells which inputs do not bear 5 V, which is no fault of a table (data sheets, "TTa" pins).
-fn tell_weak_inputs(board: &Board) {
-    let weak: Vec<String> = board
-        .pins
-        .iter()
-        .filter(|(name, used)| {
-            let is_input = INPUTS.iter().any(|input| name.trim_start_matches("second_").starts_with(input));
-            is_input && ["A4", "A5"].contains(&text_of(used.pin).as_str())
-        })
-        .map(|(name, used)| format!("{name} ({})", text_of(used.pin)))
-        .collect();
-    if !weak.is_empty() {
-        files::remark(&format!("note: no more than 3.3 V on {}", weak.join(", ")));
     }
 }

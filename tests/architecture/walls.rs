@@ -7,10 +7,11 @@ use std::fs;
 const CRATES: &[(&str, &[&str])] = &[
     ("boards", &["oxmill-controller", "oxmill-store"]),
     ("boards/images", &[]),
+    ("boards/tables", &["oxmill-boards"]),
     ("src/controller", &["oxmill-sqrt"]),
     ("src/firmware", &["oxmill-boards", "oxmill-controller", "oxmill-step-task", "oxmill-store"]),
     ("src/sqrt", &[]),
-    ("src/simulator", &["oxmill-boards", "oxmill-controller", "oxmill-store"]),
+    ("src/simulator", &["oxmill-boards", "oxmill-controller", "oxmill-store", "oxmill-tables"]),
     ("src/step_task", &["oxmill-boards", "oxmill-controller"]),
     ("src/store", &["oxmill-controller"]),
     ("src/web", &["oxmill-controller", "oxmill-simulator"]),

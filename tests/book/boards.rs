@@ -79,7 +79,7 @@ fn rates_table() -> String {
 }
 
 /// The functions of pins, in the order of the page.
-const FUNCTIONS: [(&str, &[&str]); 16] = [
+const FUNCTIONS: [(&str, &[&str]); 15] = [
     ("step X, Y, Z", &["step_x", "step_y", "step_z"]),
     ("direction X, Y, Z", &["direction_x", "direction_y", "direction_z"]),
     ("driver enable, low is on", &["enable", "second_enable", "third_enable", "fourth_enable"]),
@@ -95,7 +95,6 @@ const FUNCTIONS: [(&str, &[&str]); 16] = [
     ("flood, mist", &["flood", "mist"]),
     ("outputs of programs P0, P1", &["program_output", "second_program_output"]),
     ("inputs of programs P0, P1", &["program_input", "second_program_input"]),
-    ("switch of the supply of the drivers", &["power"]),
 ];
 
 /// The columns of the table of pins: boards whose pins differ.

@@ -88,7 +88,7 @@ const ON_CONTROL_F446: &[&str] = &[
 
 /// Cases for boards that share an image and have other pins.
 const ON_OTHER_PINS: &[&str] =
-    &["boot", "pulses", "trips", "probe", "inverted outputs", "program outputs", "program inputs"];
+    &["boot", "pulses", "trips", "probe", "inverted outputs", "outputs of programs", "inputs of programs"];
 
 /// Boards that also run the loop-back suite with its wires: one per chip.
 const LOOPBACK: [&str; 3] = ["blackpill_f411", "nucleo_f446re", "blackpill_f401"];

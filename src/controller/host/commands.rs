@@ -310,6 +310,10 @@ impl<const N: usize> Controller<N> {
     fn unlock(&mut self) -> Result<(), Error> {
         self.m.interpreter.unlock(self.state.is_alarm(), self.m.has_rested());
         if let State::Alarm(_) = self.state {
+            if self.m.settings_lock.has_board_fault() {
+                self.say(|out| reply_texts::message(out, "The board cannot be used: $RC tells why"));
+                return Err(Error::Locked);
+            }
             if self.m.inputs.signals().door {
                 return Err(Error::DoorOpen);
             }

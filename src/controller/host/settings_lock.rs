@@ -16,6 +16,8 @@ pub(crate) struct SettingsLock {
     /// Name of the board, and frequency of its oscillator, MHz.
     board: &'static str,
     oscillator_mhz: u8,
+    /// The board cannot be used as it is: motion stays locked until the next start.
+    has_board_fault: bool,
     /// Step rates of the board.
     rates: StepRates,
     has_second_motor: bool,
@@ -41,6 +43,7 @@ impl SettingsLock {
         Self {
             board: name,
             oscillator_mhz,
+            has_board_fault: false,
             rates,
             has_second_motor,
             has_at_speed,
@@ -56,6 +59,16 @@ impl SettingsLock {
     /// Returns the name of the board.
     pub(crate) fn board(&self) -> &'static str {
         self.board
+    }
+
+    /// Locks motion until the next start, because of a fault of the board.
+    pub(crate) fn board_failed(&mut self) {
+        self.has_board_fault = true;
+    }
+
+    /// Returns whether a fault of the board locks motion.
+    pub(crate) fn has_board_fault(&self) -> bool {
+        self.has_board_fault
     }
 
     /// Returns the frequency of the board's oscillator, MHz; 0 if it has none.

@@ -158,6 +158,9 @@ impl<const N: usize> Controller<N> {
 
     /// Returns an error, and reports the reason to the host, if a setting or damaged stored settings lock all motion.
     pub(crate) fn motion_locked(&mut self) -> Option<Error> {
+        if self.m.settings_lock.has_board_fault() {
+            return Some(Error::Locked);
+        }
         if self.m.records.are_damaged() {
             self.tell_damage();
             return Some(Error::StoreReadFailed);
