@@ -6,8 +6,8 @@ const TENTH_NS: u32 = 100;
 /// Longest pause between step pulses that common drivers require: 2.5 us (DM542) or 1.9 us (DRV8825), with equally long
 /// pulses. Drivers that accept shorter pulses also accept shorter pauses, such as the A4988 with 1 us for both.
 const LONGEST_PAUSE_NS: u32 = 2_500;
-/// If the pulse is shorter than this, the pause after it may be shorter than the pulse by [`ROUNDING_NS`]. Drivers that
-/// accept pulses below 1 us need only far shorter pauses.
+/// After a pulse shorter than this, the pause may be shorter than the pulse, by [`ROUNDING_NS`]. This is safe: drivers
+/// that accept pulses below 1 us need only far shorter pauses.
 const SHORT_PULSE_NS: u32 = 1_000;
 /// A step can come this much earlier than planned, because intervals are rounded to whole ticks. (Two ticks are 0.024
 /// us at 84 MHz.)

@@ -26,8 +26,8 @@ const PACKET: usize = 64;
 /// sender wait.
 const UART_HELD: usize = 1;
 
-/// Maximum burst of bytes that are not queued as parts of lines. Without this limit, a host or noise on a wire could
-/// use all of the processor time by endless bytes of this kind.
+/// Maximum burst of realtime commands and ignored bytes. Parts of lines have a queue, which limits them. Without this
+/// limit, a host or noise on a wire could use all of the processor time by endless bytes of this kind.
 const MOST_OTHERS: u32 = 128;
 /// Time in µs after which one more of the bytes limited by `MOST_OTHERS` is allowed.
 const OTHER_US: u32 = 200;

@@ -168,7 +168,7 @@ pub fn for_error(error: Error) -> &'static str {
             "Give the arc a target or an offset in the plane: X, Y, I, J in G17; X, Z, I, K in G18; Y, Z, J, K in G19."
         }
         Error::InvalidTarget => {
-            "An arc ends as far from its centre as it starts (after a refused line it starts elsewhere), one by R not where it starts; a probing move leads away from the place of the tool; nothing lies beyond 50 m."
+            "Arc: its start and its end must be equally far from the centre (I, J, K); with R the end must not be the start. Probing: the target must not be where the tool is. All: no place lies beyond 50 m. After a refused line, the next one starts elsewhere."
         }
         Error::ImpossibleRadius => "Give a radius of at least half the distance from start to end, or use I and J.",
         Error::UnusedWords => "Remove the words that no command of this line uses.",
@@ -176,7 +176,7 @@ pub fn for_error(error: Error) -> &'static str {
         Error::ToolNumberTooHigh | Error::ValueOutOfRange => "Use a value within the range that docs/gcode.md gives.",
         Error::SpindleNotTurning => "Start the spindle with M3 or M4 and an S word before the cycle.",
         Error::UnknownTool => {
-            "Enter the tool with its length: G10 L1 P5 Z12.5 for tool 5, or G10 L1 P5 Z0 if its length does not matter. If the table is full, G10 L1 P6 removes tool 6."
+            "Enter the tool with its length above this line: G10 L1 P5 Z12.5 is tool 5, 12.5 mm long. `$#` lists the tools of the table."
         }
         Error::EmergencyStop => "Release the emergency stop, then reset.",
         Error::DriverFault => "Find out why the motor driver reports a fault, then turn it off and on.",

@@ -9,9 +9,12 @@ use crate::simulator::Simulator;
 use crate::summary::{AlarmReport, Extents, LineError, Summary, Warning, clock_time};
 use crate::text::{JobText, Said, is_call, without_header};
 use crate::tool_times::ToolTime;
+use oxmill_controller::axes::{Axis, LINEAR};
 use oxmill_controller::error::{Alarm, Error};
 use oxmill_controller::messages::Realtime;
 
+/// Begin of the message with the number of a subprogram that a held program waits for.
+const AWAITS: &str = "[MSG:Program waits for subprogram ";
 /// Maximum number of errors, and of warnings, that the report lists. Further ones are only counted.
 const KEPT_ERRORS: usize = 1000;
 /// Maximum number of controller messages, and of simulator notes, that the report lists. Further ones are only counted.
@@ -86,11 +89,19 @@ impl Outcome {
     fn look_for_open_block(&mut self, since: Option<u32>, job: &JobText) {
         if let Some((line, source)) = since.and_then(|line| job.opener(line)) {
             let source = source.to_owned();
-            let (error, text) = match is_call(&source) && !source.trim_start().starts_with(['o', 'O']) {
-                true => (Error::OutOfPlace, "the file has no subprogram for this call, or for one in a subprogram"),
-                false => (Error::FlowSyntax, "the program ended within the block that begins here"),
-            };
-            self.refused(line, error.code(), text, source);
+            if is_call(&source) && !source.trim_start().starts_with(['o', 'O']) {
+                let awaited = self.messages.iter().rev().find_map(|message| message.strip_prefix(AWAITS));
+                let text = match awaited {
+                    Some(number) => {
+                        format!("{} is called from here on, and is not in the file", number.trim_end_matches(']'))
+                    }
+                    None => "the file lacks a subprogram that is called from here on".to_owned(),
+                };
+                self.refused(line, Error::OutOfPlace.code(), &text, source);
+            } else {
+                let text = "the program ended within the block that begins here";
+                self.refused(line, Error::FlowSyntax.code(), text, source);
+            }
         }
     }
 
@@ -254,6 +265,29 @@ impl Check {
             }
             self.outcome.complete = self.outcome.alarm.is_none() && job.is_used_up() && !job.has_failed();
         }
+        self.compare_with_travel();
+    }
+
+    /// Notes an axis whose moves cover several times its travel: mostly inches taken for millimetres.
+    fn compare_with_travel(&mut self) {
+        /// Jobs for a larger machine than the settings describe are common.
+        const MUCH: f64 = 5.0;
+        let settings = self.simulator.controller().settings();
+        let (low, high) = self.simulator.machine().extents();
+        let [low, high] = [low, high].map(|steps| self.simulator.meter().carriages_mm(steps));
+        let mut notes = Vec::new();
+        for axis in Axis::ALL.into_iter().take(LINEAR) {
+            let Some([from, to]) = settings.ends_of_travel(axis) else { continue };
+            let (travel, covered) = (f64::from(to - from), high[axis.index()] - low[axis.index()]);
+            if covered > MUCH * travel && travel > 0.0 {
+                notes.push(format!(
+                    "{} moves over {covered:.0} mm, and its travel (${}) is {travel:.0} mm: inches (G20) for millimetres (G21)?",
+                    char::from(axis.letter()),
+                    130 + axis.index()
+                ));
+            }
+        }
+        notes.into_iter().for_each(|note| self.outcome.note(note));
     }
 
     /// Marks the job as incomplete. Call if its text could not be read to the end.

@@ -65,14 +65,14 @@ mod tests {
     #[test]
     fn the_word_is_found_as_it_was_written() {
         for (reason, line, column) in [
-            ("decimal point instead of comma in X1,5", "g1 (X1) x 1,5 f100", Some(9)),
+            ("comma in X1,5: write a decimal point", "g1 (X1) x 1,5 f100", Some(9)),
             ("Q is missing in G83: the depth of a peck", "N10  G83 X1 Z-5 R1", Some(6)),
             ("the radii of G2 differ by 2.000 mm: 4.000 at its start", "G21 G02 X10 I4", Some(5)),
             ("G0 and G1 in one line: write one of them, or two lines", "G10 G01 G0 X1", Some(9)),
             ("no number behind X", "X1 Y2 X", Some(7)),
             ("no letter in front of 10", "10 (ten)", Some(1)),
             ("write #101+2 in brackets behind X", "G1 X #101 + 2", Some(6)),
-            ("letter O in X1O5: write a zero", "G1 x1o5", Some(6)),
+            ("letter O in X1O5: write a 0, or take it out", "G1 x1o5", Some(6)),
             ("F is missing: no feed has been set for G1", "X5 ; F", None),
             ("no subroutine 100 above this line", "o100 call", Some(2)),
         ] {

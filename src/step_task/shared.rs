@@ -124,7 +124,8 @@ pub fn owe(command: Realtime) -> bool {
     true
 }
 
-/// Returns whether any commands are owed. Until `control` has taken them, no command is queued.
+/// Returns whether the serial task has commands for which the queue had no room (owed commands). It queues no further
+/// command until `control` has taken them, so that commands keep their order.
 pub fn owes() -> bool {
     SERIAL.owed.load(Ordering::Relaxed) != 0
 }

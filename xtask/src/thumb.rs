@@ -57,7 +57,7 @@ pub enum Kind {
 /// A floating-point instruction and the single-precision registers it reads and writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Float {
-    /// Its own cycles.
+    /// Cycles of the instruction, without waiting for its operands.
     pub cycles: u32,
     /// Registers read.
     pub reads: [Option<u8>; 2],

@@ -351,8 +351,8 @@ pub struct Modal {
     /// F of G94 in mm/s, as moves use it; with G95 it is multiplied by S. It is stored because most lines keep the F in force and so need not convert
     /// it again.
     pub feed_per_second: f32,
-    /// F was written in inches per minute. For a move of rotary axes alone, the written number means degrees per
-    /// minute.
+    /// F was written in inches per minute, and was converted. A move of rotary axes alone needs this flag, because it
+    /// takes the number as it was written: in degrees per minute.
     pub feed_in_inches: bool,
     /// S, in revolutions per minute.
     pub speed: f32,

@@ -9,7 +9,7 @@ use crate::units::Coordinate;
 
 /// Maximum number of saved states. A build without subroutines needs only one.
 const MOST: usize = if FULL_IMAGE { 8 } else { 1 };
-/// Level of a state whose call has returned, but which is still to be restored.
+/// Level of a saved state that has not been restored yet although its call has returned.
 const RETURNED: u8 = u8::MAX;
 
 /// A saved state.

@@ -236,8 +236,8 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Sets a setting to a value that was accepted, with all effects except those of another dialect. The value is to be
-    /// stored.
+    /// Sets a setting to an accepted value, and carries out what follows from the change, except that of a change of
+    /// dialect. The caller stores the value.
     fn change_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
         let before = self.m.settings.by_number(number);
         let soft_limits = self.m.settings.is_on(Key::SoftLimits);

@@ -660,8 +660,8 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Handles a piece longer than the scales below `whole`: ends their unfinished spans where the piece begins, and
-    /// compares the piece with the previous spans.
+    /// Handles a piece that is longer than the spans of some scales: those before index `whole`. Ends the unfinished span
+    /// of each of these scales where the piece begins, and compares the piece with their previous spans.
     #[inline(never)]
     fn end_before(&mut self, piece: &PathPiece<'_, N>, new: &Span<N>, whole: usize, finder: &mut Finder<'_, N>) {
         let (mut path, mut fast2, mut attainable2, mut blocks) = (0.0, 0.0, 0.0, 0);

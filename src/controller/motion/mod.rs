@@ -443,7 +443,7 @@ impl<const N: usize> Motion<N> {
         self.settings
     }
 
-    /// Returns whether a hold is in force and the segments handed over end at rest.
+    /// Returns whether a hold is in force, and the last segment for the step task ends at rest.
     pub fn is_held(&self) -> bool {
         self.source.is_held()
     }

@@ -118,8 +118,8 @@ impl<const N: usize> SegmentSource<N> {
         self.in_flight.queued() / self.clocks_per_us
     }
 
-    /// Returns whether the segments handed over but not begun last at least `us` microseconds (at most 1 s). Needs no
-    /// division.
+    /// Returns whether the segments that the step task has not begun yet take at least `us` microseconds (at most 1 s).
+    /// Needs no division.
     #[inline]
     pub(super) fn holds_time(&self, us: u32) -> bool {
         // The product fits 32 bits for up to 1 s, because `step_clock_hz` does.

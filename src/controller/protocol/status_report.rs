@@ -122,7 +122,7 @@ pub fn status<const N: usize>(out: &mut Text, status: &Status<N>, form: PlaceFor
 #[inline(never)]
 fn fields_of_grblhal(out: &mut Text, more: &GrblHalFields, rare: bool, accessories: bool) {
     if accessories || more.waits_for_tool {
-        // Without letters, too: a host keeps the last ones until it gets others.
+        // Sent even if there are no letters, because a host keeps the last letters until it gets others.
         put(out, b"|A:");
         put(out, &accessory_letters(more.spindle, more.coolant));
         put(out, if more.waits_for_tool { b"T" } else { b"" });

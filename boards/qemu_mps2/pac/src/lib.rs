@@ -5,7 +5,7 @@
 
 #![no_std]
 
-// The linker script of cortex-m-rt places the vector table below, even if the program does not name that crate.
+// Links cortex-m-rt into every program: its linker script places the vector table of this file.
 extern crate cortex_m_rt as _;
 
 pub use cortex_m::peripheral::Peripherals as CorePeripherals;

@@ -64,7 +64,8 @@ impl<const N: usize> Draft<'_, N> {
                 *coordinate = if incremental { *coordinate + value } else { value };
             }
         }
-        // A position that does not change is not rounded: a full circle returns to its start.
+        // If the program's position does not change, take the machine's position as it is. Converting it again would round
+        // it, and a full circle would not return to its start.
         let machine =
             if program == before { rotated.part_of(&self.state.position) } else { rotated.to_machine(program) };
         rotated.put(&mut target, machine);

@@ -47,7 +47,7 @@ pub(super) struct Parameters {
     cells: Lent<Cells>,
     /// Number of bytes of `cells` that are in force.
     in_force: usize,
-    /// Number of bytes by which the commit will increase `in_force`.
+    /// Number of bytes by which `in_force` grows when the line is committed.
     growth: usize,
     /// Number of active calls.
     level: u8,

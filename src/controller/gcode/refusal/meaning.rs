@@ -477,7 +477,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             }
             say(out, " is not in the table of tools: G10 L1 P", &[]);
             digits(out, number.into(), 1);
-            say(out, " Z and its length enters it", &[]);
+            say(out, " Z<length> enters it", &[]);
         }
     }
 
@@ -510,7 +510,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         let is_arc = matches!(self.modal.motion, MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise);
         match (word.first(), before) {
             _ if is_jog => say(out, "% is not for a jog", &[word]),
-            (Some(b'O'), Some(before)) => say(out, "letter O in %%: write a zero", &[before, word]),
+            (Some(b'O'), Some(before)) => say(out, "letter O in %%: write a 0, or take it out", &[before, word]),
             (Some(b'O'), None) => say(out, "% has to be alone in its line", &[word]),
             (Some(b'I' | b'J' | b'K'), _) if is_arc && self.parsed.values.has(b'R') => {
                 say(out, "% does not go with % in an arc: write one of them", &[word, self.word(b'R')]);
@@ -527,7 +527,9 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             (Some(b'R'), _) if !is_arc => {
                 say(out, "% belongs to an arc or a cycle, but % is active", &[word, motion]);
             }
-            (Some(b'E'), _) => say(out, "% is used by nothing: an extruder of a 3-D printer, or an exponent", &[word]),
+            (Some(b'E'), _) => {
+                say(out, "% is used by nothing: E moves a printer's extruder; numbers have no exponent", &[word])
+            }
             (Some(b'H'), _) => say(out, "% is used by nothing: G43 is missing", &[word]),
             (Some(b'D'), _) => say(out, "% is used by nothing: there is no cutter compensation", &[word]),
             (Some(letter @ (b'P' | b'Q')), _)

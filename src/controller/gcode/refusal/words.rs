@@ -268,10 +268,10 @@ impl<const N: usize> Interpreter<N> {
             }
             (_, [.., b'#']) => say(out, "no number behind %", &[word]),
             (first, [] | [b'-' | b'+']) if next.first() == Some(&b'O') && first != b'O' => {
-                say(out, "letter O in %%: write a zero", &[word, next]);
+                say(out, "letter O in %%: write a 0, or take it out", &[word, next]);
             }
             (b'O', [] | [b'.', ..]) if !before.is_empty() => {
-                say(out, "letter O in %%: write a zero", &[last_word(before), word]);
+                say(out, "letter O in %%: write a 0, or take it out", &[last_word(before), word]);
             }
             (b'M', []) if next == b"M" => say(out, "no unit behind %: G21 is mm, G20 inch", &[last_word(before)]),
             (b'I', []) if next.first() == Some(&b'N') => {
@@ -279,7 +279,7 @@ impl<const N: usize> Interpreter<N> {
             }
             (first, [] | [b'-' | b'+' | b'.']) => say(out, "no number behind %", &[&[first]]),
             (first, [b'=', ..]) => say(out, "no = in a word: write %%", &[&[first], rest.get(1..).unwrap_or_default()]),
-            (_, _) if is_comma(rest) => say(out, "decimal point instead of comma in %", &[word]),
+            (_, _) if is_comma(rest) => say(out, "comma in %: write a decimal point", &[word]),
             (first, [b',', ..]) => say(out, "no number behind %", &[&[first]]),
             (first, _) if grbl && (count(b'[') > 0 || count(b'#') > 0) => {
                 say(out, "% is computed: Grbl's dialect takes numbers only ($900=1 computes)", &[&[first]]);
@@ -471,7 +471,7 @@ fn explain_unknown<const N: usize>(text: &Text, word: &[u8], before: &[u8], erro
         b'G' => &INSTEAD_OF_G,
         b'M' => &INSTEAD_OF_M,
         b'O' if !before.is_empty() => {
-            return say(out, "letter O in %%: write a zero", &[last_word(before), word]);
+            return say(out, "letter O in %%: write a 0, or take it out", &[last_word(before), word]);
         }
         b'@' | b'^' => return say(out, "% is not supported: write X and Y instead of angle and radius", &[word]),
         _ => {
