@@ -244,7 +244,7 @@ fn step_task() {
     let (mut to_step, from_control) = segments.split();
     let (mut wiring_in, wiring_out) = wiring.split();
     let (events_in, mut events_out) = events.split();
-    let pin = |pin| Place::new(0, pin);
+    let pin = |pin| Some(Place::new(0, pin));
     // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses, and this runs
     // once.
     let rings = unsafe { (boards::FAR_RINGS as *mut MaybeUninit<Rings<1>>).as_mut_unchecked() }.write(Rings::EMPTY);
