@@ -13,7 +13,7 @@ const INSTEAD: [(&[&str], &str); 13] = [
     (&["G7", "G8"], "Remove the word, and write X as a radius: there is no lathe mode."),
     (
         &["G12", "G13"],
-        "Write a line out, the circle, a line back: G91 G1 X5, G3 I-5, G1 X-5, G90. I of G12 is the radius of the path on Mach, and that of the wall on Haas, whose D is the radius of the tool.",
+        "Write a line out, the circle, a line back: G91 G1 X5, G2 I-5 for G12 or G3 I-5 for G13, G1 X-5, G90. I of G12 is the radius of the path on Mach, and that of the wall on Haas, whose D is the radius of the tool.",
     ),
     (&["G16"], "Write X and Y; with expressions, X[#1*COS[#2]] Y[#1*SIN[#2]] is the point at radius #1 and angle #2."),
     (

@@ -29,6 +29,7 @@ pub fn is_configuration(text: &str) -> bool {
 /// If a tab is in the indentation of a line. The text names the line.
 pub fn import(text: &str) -> Result<Import, String> {
     let mut reader = Reader { import: Import::of("FluidNC"), machine: ConfiguredMachine::default() };
+    let mut entries: Vec<(Vec<&str>, &str, FileEntry)> = Vec::new();
     let mut sections: Vec<(usize, &str)> = Vec::new();
     for (index, written) in text.lines().enumerate() {
         let line = without_comment(written).trim_end();
@@ -57,7 +58,15 @@ pub fn import(text: &str) -> Result<Import, String> {
         let keys: Vec<&str> = sections.iter().map(|(_, key)| *key).collect();
         let value = value.trim_matches(['"', '\'']);
         let entry = FileEntry::new(&format!("{}: {value}", keys.join("/")), index + 1);
-        if !value.is_empty() {
+        entries.push((keys, value, entry));
+    }
+    // Of a key that is there twice, the last value counts.
+    for at in 0..entries.len() {
+        let (keys, value, entry) = entries[at].clone();
+        let is_repeated = |later: &(Vec<&str>, &str, FileEntry)| later.0 == keys && !later.1.is_empty();
+        if !value.is_empty() && entries[at + 1..].iter().any(is_repeated) {
+            reader.import.leave(&entry, "a later line has the same key");
+        } else if !value.is_empty() {
             reader.value(&keys, value, entry);
         } else if let ["kinematics", kind] = keys[..] {
             reader.kinematics(kind, entry);

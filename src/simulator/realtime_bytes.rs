@@ -77,8 +77,9 @@ fn texts(line: &[u8]) -> Vec<bool> {
             begun_at = at;
         }
         if !remark.takes(*byte, || true) {
-            // `!` and `~` in a comment are text if another byte follows. One always does, at least the line end.
-            is_text[at] = matches!(byte, b'!' | b'~') && remark.is_inside();
+            // `!` and `~`, and the bytes that mean the same in dialect grblhal, are text in a comment if another byte
+            // follows. One always does, at least the line end.
+            is_text[at] = matches!(byte, b'!' | b'~' | 0x81 | 0x82 | 0xA3) && remark.is_inside();
             remark.follow(*byte, || true);
         } else if !remark.has_begun_character() {
             is_text[begun_at..=at].fill(true);

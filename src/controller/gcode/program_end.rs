@@ -79,6 +79,8 @@ impl<const N: usize> Interpreter<N> {
             ProgramPlace::End => rested,
             #[cfg(feature = "full")]
             ProgramPlace::Subprogram => rested && (!has_program_number(line) || self.begins_again(line)),
+            // What was on when the program failed can be switched off without `$X`.
+            ProgramPlace::Refused if switches_off(line) => return Ok(()),
             ProgramPlace::Refused => {
                 self.computed.count_refused(line);
                 false
@@ -141,6 +143,11 @@ impl<const N: usize> Interpreter<N> {
             self.refuse_rest();
         }
     }
+}
+
+/// Returns whether a line has only words that switch spindle and coolant off.
+fn switches_off(line: &[u8]) -> bool {
+    matches!(line, b"M5" | b"M05" | b"M9" | b"M09" | b"M5M9" | b"M9M5")
 }
 
 /// Whether a line has the end of the program (M2, M30), or may have it.

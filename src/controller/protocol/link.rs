@@ -23,10 +23,9 @@
 //!
 //! A `!` in a remark may be text, as in `(slow!)`, or a hold from the operator. It is text if the line continues after
 //! it, and a command if nothing follows for [`AMBIGUOUS_US`]: see [`Link::take_as_command`]. A `~` in a remark is text:
-//! a host that pauses at that point must not start a machine in hold. In dialect `grbl` both are always commands. So are
-//! 0x81 and 0x82, which mean the same with `$900=3`.
+//! a host that pauses at that point must not start a machine in hold. In dialect `grbl` both are always commands. With
+//! `$900=3`, 0x82 is treated like `!`, and 0x81 and 0xA3, which can be bytes of `ü` and `£`, like `~`.
 
-use crate::image::FULL_IMAGE;
 use crate::messages::{LineByte, Realtime};
 use crate::protocol::host_arbiter::HostArbiter;
 use crate::protocol::queues::Queues;
@@ -133,8 +132,8 @@ impl Link {
                 queues.ignored();
                 false
             }
-            Received::Realtime(command @ (Realtime::FeedHold | Realtime::CycleStart))
-                if (byte < 0x80 || !FULL_IMAGE) && self.remark.is_inside() && queues.reads_characters() =>
+            Received::Realtime(command @ (Realtime::FeedHold | Realtime::CycleStart | Realtime::ToolReady))
+                if self.remark.is_inside() && queues.reads_characters() =>
             {
                 self.is_ambiguous |= command == Realtime::FeedHold;
                 queues.ignored();

@@ -202,7 +202,7 @@ const ROWS: &[Row] = &[
         "F100",
         "G12 I5",
         121,
-        "G12 is not supported: I is the path on Mach, the wall on Haas. Write G1 out, G3 with I, G1 back",
+        "G12 is not supported: I is the path on Mach, the wall on Haas. Write G1 out, G2 with I, G1 back",
     ),
     ("F100", "G16", 121, "G16 is not supported: write X and Y instead of angle and radius"),
     ("F100", "G51.1 X0", 121, "G51.1 is not supported: G51 with a negative I or J mirrors"),
