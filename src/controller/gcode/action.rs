@@ -70,7 +70,7 @@ pub(super) struct Afterwards {
     pub(super) tool_alone: bool,
     /// See [`Action::moves_only`].
     pub(super) moves_only: bool,
-    /// The offset that G92 has after this line is the one that G92.3 restores.
+    /// The commit stores this line's G92 offset, so that G92.3 can restore it.
     pub(super) keeps_g92: bool,
     pub(super) g92_acts: bool,
     pub(super) keeping: Keeping,

@@ -417,7 +417,8 @@ impl Modal {
         self.distance = Distance::default();
         self.arc_distance = ArcDistance::default();
         if self.feed_mode == FeedMode::InverseTime || FULL_IMAGE && self.feed_mode == FeedMode::PerRevolution {
-            // F of G93 is a number of moves per minute, that of G95 a distance; with G94 it would be taken for a speed.
+            // F of G93 is a number of moves per minute, F of G95 a distance. G94 would take either for a speed, so F
+            // becomes undefined.
             self.feed = Decimal::ZERO;
         }
         self.feed_mode = FeedMode::default();

@@ -388,7 +388,7 @@ impl GWord {
             (54, 10) | (154, 0) => GWord::SystemByNumber,
             (8 | 103 | 187, 0) => GWord::LookAhead(code.whole),
             (95, 0) => GWord::FeedMode(FeedMode::PerRevolution),
-            // Nothing that these words end can be active.
+            // The modes that these words end do not exist here, so the words have no effect.
             (15, 0) => GWord::AsItIs(Group::Polar),
             (67, 0) => GWord::AsItIs(Group::ModalCall),
             _ => return None,

@@ -95,7 +95,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Returns the words of the cycle: the words of the line, and for those that the line lacks the words in force.
+    /// Returns the words of the cycle. A word that the line lacks keeps the value in force.
     fn cycle_words(&mut self, kind: CycleKind, axes: PlaneAxes) -> Result<CycleWords, Error> {
         let (before, modal) = (&self.state.modal, self.action.modal);
         let series = matches!(before.motion, MotionMode::Cycle(_)) && self.state.cycle.plane == modal.plane;

@@ -44,15 +44,15 @@ impl<const N: usize> Interpreter<N> {
 }
 
 impl FlowControl {
-    /// Reads the O word of a line. M10, M11 and M100 to M199 are words of their own unless they have a macro.
+    /// Reads the O word of a line. M10, M11 and M100 to M199 count as O words only if they have a macro.
     #[inline(never)]
     pub(super) fn order_of<'l>(&self, line: &'l [u8]) -> Option<OWord<'l>> {
         let is_known = |order: &OWord| order.keyword != Keyword::CallMacroOfM || self.find_macro(order.label).is_some();
         OWord::of(line).filter(is_known)
     }
 
-    /// Returns where the text begins in which a jump can find its target: the innermost subprogram or subroutine, or the
-    /// held lines of the program.
+    /// Returns the start of the text in which a jump looks for its target: the innermost subprogram or subroutine, or
+    /// the held lines of the program.
     #[inline(never)]
     fn beginning(&self) -> Option<u16> {
         let mut labels = self.labels();
@@ -68,8 +68,8 @@ impl FlowControl {
         if let FlowState::Running(from) = self.state { from } else { None }
     }
 
-    /// Returns the position of the first line from `from` on that has this line number, up to the end of the subprogram or
-    /// of the program.
+    /// Looks for the line number from `from` on, up to the end of the subprogram or of the program. Returns the
+    /// position of the first line that has it.
     #[inline(never)]
     fn numbered(&self, number: i64, from: u16) -> Option<u16> {
         let mut at = from;
@@ -100,7 +100,8 @@ impl FlowControl {
                 FrameKind::While => (frame.at + 1, Keyword::EndWhile),
                 FrameKind::Do => (frame.at, Keyword::While),
                 FrameKind::Repeat(_) => (frame.at, Keyword::EndRepeat),
-                // A condition has no position. If the target is within it, its `endif` is an error.
+                // A condition has no position, so it is always closed. If the target is within the condition, its
+                // `endif` is an error.
                 FrameKind::If(_) => {
                     self.pop();
                     continue;

@@ -67,8 +67,8 @@ impl<const N: usize> Interpreter<N> {
         self.computed.flow.skipped
     }
 
-    /// Returns the host's line at which the outermost block (sub, loop, condition) began that is still open, or was
-    /// open at the end of the program.
+    /// Returns the host's line at which the outermost open block (sub, loop, condition) began. After the end of a
+    /// program, a block that was open there counts.
     pub fn open_since(&self) -> Option<u32> {
         let flow = &self.computed.flow;
         flow.open_since().or(flow.cut)
@@ -94,8 +94,8 @@ impl<const N: usize> Interpreter<N> {
         Err(error)
     }
 
-    /// Detects that a program has ended within a block. After a skipped or recorded M2 or M30 only O words, but no
-    /// calls, can belong to the same program, so any other line belongs to the next program.
+    /// Detects that a program has ended within a block. After an M2 or M30 that was skipped or recorded, only O words
+    /// other than calls can belong to the same program. So any other line belongs to the next program.
     fn look_for_end(&mut self, line: &[u8], order: Option<OWord>) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         let left_out = flow.leaves_lines_out();
