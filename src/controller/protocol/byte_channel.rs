@@ -62,8 +62,8 @@ impl LineSender {
         count
     }
 
-    /// Sends the gathered bytes, unless the limit of partial messages makes them wait. To be called when no more bytes
-    /// have arrived. `is_empty`: the queue is empty. Returns whether a message was sent.
+    /// Sends the gathered bytes, unless the limit of partial messages makes them wait. Call it when no more bytes have
+    /// arrived. `is_empty`: the queue is empty. Returns whether a message was sent.
     #[inline]
     pub fn flush(&mut self, is_empty: bool, send: impl FnOnce(LineBytes) -> bool) -> bool {
         if is_empty {
