@@ -15,8 +15,8 @@ pub(super) fn behind_digits(text: &[u8]) -> &[u8] {
     text.get(digits..).unwrap_or_default()
 }
 
-/// Whether a line begins with the number of a program or subprogram, after its line number (N) if it has one. Further words
-/// may follow, and the numbers need not be valid ones.
+/// Whether a line begins with the number of a program or subprogram, after its line number (N) if it has one. Further
+/// words may follow, and the numbers need not be valid ones.
 pub(super) fn has_program_number(line: &[u8]) -> bool {
     is_program_number(line.strip_prefix(b"N").map_or(line, from_next_word))
 }

@@ -474,8 +474,8 @@ impl GWord {
         })
     }
 
-    /// Looks up a code among the words of splines, rotation and scaling. If this build lacks the feature, the error
-    /// names it. G50 and G69 are accepted in every build.
+    /// Looks up a code among the words of splines, rotation and scaling. If this build lacks the feature that a word
+    /// needs, the error names this feature. G50 and G69 are accepted in every build.
     fn by_feature(code: Code) -> Result<GWord, Error> {
         match (code.whole, code.hundredths) {
             (5, _) if !FULL_IMAGE => Err(Error::SplinesLeftOut),

@@ -361,7 +361,7 @@ pub(super) type HeldText = heapless::Vec<u8, TEXT>;
 #[derive(Debug, PartialEq)]
 pub(super) struct FlowControl {
     pub(super) text: Lent<HeldText>,
-    /// Number of bytes at the start of the text that are macros, which the end of a program keeps.
+    /// Number of bytes at the start of the text that are macros. The end of a program keeps these bytes.
     pub(super) macros: u16,
     pub(super) frames: heapless::Vec<Frame, DEPTH>,
     labels: heapless::Vec<u8, LABELS>,
@@ -512,8 +512,8 @@ impl FlowControl {
         self.find_order(from, Keyword::EndSub, label).map(|(_, behind)| behind)
     }
 
-    /// Finds the first line from a position on with this O word. Returns the positions of this line and of the line after
-    /// it.
+    /// Finds the first line from a position on with this O word. Returns the positions of this line and of the line
+    /// after it.
     #[inline(never)]
     pub(super) fn find_order(&self, from: u16, keyword: Keyword, label: &[u8]) -> Option<(u16, u16)> {
         self.find_from(from, |order| order.keyword == keyword && order.label == label)

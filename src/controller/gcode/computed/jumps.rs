@@ -1,5 +1,5 @@
-//! Words of Fanuc's macros: `IF [..] THEN`, and GOTO within held text. `WHILE [..] DO1` .. `END1` are loops like those of
-//! O words (see `flow`). Also calls of macros by M words: M10, M11, M100 to M199.
+//! Words of Fanuc's macros: `IF [..] THEN`, and GOTO within held text. `WHILE [..] DO1` .. `END1` are loops like those
+//! of O words (see `flow`). Also calls of macros by M words: M10, M11, M100 to M199.
 //!
 //! A jump stays in the text that runs: a subprogram, a subroutine, a loop, or the held part of a program. It leaves the
 //! loops that do not contain its target. A jump into a loop is an error at the end of that loop. The stream has no

@@ -22,8 +22,9 @@ const RESTORE: &[u8] = b"M72";
 
 impl<const N: usize> Interpreter<N> {
     /// Returns what to do with a line of the host. `number` counts the received lines up to this one; `remark` is the
-    /// line's message with the mark (a line can consist of a message alone). If an error is returned, no part of the
-    /// line has been carried out. If the value of a condition is an error, none of its branches will run.
+    /// line's message with its mark (see `split_remark`); a line can consist of a message alone. If an error is
+    /// returned, no part of the line has been carried out. If the value of a condition is an error, none of its
+    /// branches will run.
     #[inline]
     pub fn direct(&mut self, line: &[u8], remark: &[u8], number: u32) -> Result<Direction, Error> {
         self.computed.begin();
@@ -274,8 +275,8 @@ impl<const N: usize> Interpreter<N> {
             line.clear();
             return Ok(Held::Again);
         };
-        // `endsub` is never skipped, because the line after it belongs to another subroutine; nor is the number of a
-        // subprogram.
+        // `endsub` is never skipped, because the line after it belongs to another subroutine. The number of a
+        // subprogram is not skipped either.
         let ends = order.ends_skipping() && flow.is_of_last(order.label)
             || matches!(order.keyword, Keyword::EndSub | Keyword::Program);
         if flow.skipping && !ends {

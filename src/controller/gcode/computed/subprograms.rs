@@ -102,8 +102,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Executes M98, G65 or `IF [..] THEN` in a line of the host (`call`), after the words in front of it. The line is held
-    /// and runs like a loop. If the subprogram is unknown, the program is held from the call on.
+    /// Executes M98, G65 or `IF [..] THEN` in a line of the host (`call`), after the words in front of it. The line is
+    /// held and runs like a loop. If the subprogram is unknown, the program is held from the call on.
     #[inline(never)]
     pub(super) fn run_call(
         &mut self,
@@ -137,7 +137,7 @@ impl<const N: usize> Interpreter<N> {
     pub(in crate::gcode) fn look_among_subprograms(&mut self, line: &[u8]) -> bool {
         let flow = &self.computed.flow;
         let belongs = match flow.state {
-            // This line is refused when it is held, unless the program has ended.
+            // `hold_line` decides on this line: it refuses a number before the end of the program.
             FlowState::Holding => return true,
             FlowState::Recording(..) => self.is_held(),
             FlowState::Waiting => subprogram_number(line).is_some(),
@@ -399,7 +399,8 @@ impl FlowControl {
     }
 }
 
-/// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. If it is no [`OWord`], it is not supported.
+/// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. If it is no [`OWord`], it is not
+/// supported.
 pub(super) fn is_jump(line: &[u8]) -> bool {
     let line = behind_line_number(line);
     [b"IF".as_slice(), b"WHILE", b"END", b"GOTO"].iter().any(|word| line.starts_with(word))
