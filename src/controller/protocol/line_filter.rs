@@ -14,7 +14,8 @@ pub const LENGTH: usize = 256;
 /// Maximum number of bytes kept of a remark in parentheses, including its keyword (`MSG,`). Excess bytes are cut off.
 pub const MESSAGE_LENGTH: usize = 80;
 
-/// Maximum number of bytes kept of a line that block delete skips: enough for a line number and an O number, or for M30.
+/// Maximum number of bytes kept of a line that block delete skips: enough for a line number and an O number, or for
+/// M30.
 const DELETED_LENGTH: u8 = 40;
 
 /// Whether this build reports by how much a line is too long.

@@ -23,8 +23,8 @@
 //!
 //! A `!` in a remark may be text, as in `(slow!)`, or a hold from the operator. It is text if the line continues after
 //! it, and a command if nothing follows for [`AMBIGUOUS_US`]: see [`Link::take_as_command`]. A `~` in a remark is text:
-//! a host that pauses at that point must not start a machine in hold. In dialect `grbl` both are always commands. So are
-//! 0x81 and 0x82, which mean the same with `$900=3`.
+//! a host that pauses at that point must not start a machine in hold. In dialect `grbl` both are always commands. So
+//! are 0x81 and 0x82, which mean the same with `$900=3`.
 
 use crate::image::FULL_IMAGE;
 use crate::messages::{LineByte, Realtime};
@@ -47,8 +47,9 @@ pub struct Link {
     held: heapless::Deque<LineByte, MOST_HELD>,
     /// Maximum number of `held` bytes.
     may_hold: usize,
-    /// Commands for which the queue had no room. While there are any, no byte is taken, because none may overtake them.
-    /// Has room for one command, and for those that [`Remark::break_off`] returns before it.
+    /// Commands for which the queue had no room. While a command waits here, no byte is taken, because no byte may
+    /// overtake a command. Has room for one command, and for the bytes before it that [`Remark::break_off`] returns,
+    /// which can be commands.
     stuck: heapless::Deque<Realtime, 4>,
     /// Bytes were lost; the next line byte is marked as damaged.
     lost: bool,
