@@ -257,7 +257,8 @@ impl<const N: usize> Controller<N> {
             Err(error) => self.refuse_host_line(error, known_text(line)),
         }
         let goes_on = match line.first() {
-            // A sender may send requests such as `$G` all the time, so they do not end the pause that `has_rested` measures.
+            // A sender may send requests such as `$G` all the time, so they do not end the pause that `has_rested`
+            // measures.
             Some(b'$') => true,
             // The next program can begin with remarks.
             None => rested,
