@@ -23,7 +23,7 @@ impl<const N: usize> Draft<'_, N> {
         if modal.feed_mode == FeedMode::InverseTime {
             return Err(Error::CycleNeedsPerMinute);
         }
-        // An M6 on the line can stop the spindle.
+        // An M6 on the line can stop the spindle, so such a line needs its own spindle word.
         let stopped = self.action.tool_change && self.line.spindle.is_none();
         if kind.stops_spindle() && (stopped || modal.spindle == SpindleDirection::Off) {
             return Err(Error::SpindleNotTurning);

@@ -28,7 +28,7 @@ impl<const N: usize> Draft<'_, N> {
             }
         }
         if let Some(number) = extended.look_ahead {
-            // G8 without P is a word of lathes: radius programming.
+            // G8 without P is a word of lathes (radius programming), which is not supported.
             if !self.take(b'P') && number == 8 {
                 return Err(Error::NotSupported);
             }

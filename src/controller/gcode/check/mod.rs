@@ -90,7 +90,7 @@ pub(super) fn check<const N: usize>(
         ) && matches!(action.after.keeping, Keeping::Leave)
             && action.after.notice.is_none();
     } else {
-        // Grbl computes the target of a line before its G92.1 acts.
+        // Grbl computes the target of a line before the G92.1 of this line acts, so the offset changes only here.
         if dialect == Dialect::Grbl {
             draft.offset_acts();
         }

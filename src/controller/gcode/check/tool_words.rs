@@ -108,7 +108,8 @@ impl<const N: usize> Draft<'_, N> {
         }
         let known = self.state.tools.offset(number);
         let has_room = self.state.tools.slot(entry_number(number, self.state.is_checking())).is_some();
-        // I, J, Q and R give angles, orientation and radius. LinuxCNC's table has them, this one does not.
+        // I, J, Q and R give angles, orientation and radius. LinuxCNC's table has them, this table does not, so they
+        // are ignored.
         let unkept = Letters::of(b"IJQR");
         let describes = l == 1 && self.unused.has_any(unkept);
         if l == 1 {

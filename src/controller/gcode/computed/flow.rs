@@ -177,7 +177,7 @@ impl<'a> OWord<'a> {
         match rest.strip_prefix(b"THEN") {
             Some(words) => {
                 let then = OWord { label: words, keyword: Keyword::Then, arguments: condition };
-                // A line that begins a block, calls, returns or ends the program cannot be a part of another one.
+                // A line that begins a block, calls, returns or ends the program cannot be a part of another line.
                 let is_plain =
                     !words.is_empty() && OWord::of(words).is_none() && !has_m_word(words, &[b"2", b"30", b"98", b"99"]);
                 (is_plain && condition.first() == Some(&b'[')).then_some(then)
@@ -335,7 +335,7 @@ pub(super) struct Frame {
     pub(super) at: u16,
     /// The loop ends with this pass.
     pub(super) leaving: bool,
-    /// The host's line at which it began, counted from the first received line.
+    /// The host's line at which the block or call began, counted from the first received line.
     begun: u32,
 }
 

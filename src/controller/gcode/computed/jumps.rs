@@ -59,7 +59,8 @@ impl FlowControl {
         for frame in self.frames.get(usize::from(self.below)..)?.iter().rev() {
             let (others, label) = labels.split_at_checked(labels.len().checked_sub(usize::from(frame.label))?)?;
             if frame.kind.is_call() {
-                // A subroutine of the program and a macro can have the same label.
+                // A subroutine of the program and a macro can have the same label, so look only among those of the
+                // running text.
                 let found = if self.next < self.macros { self.find_macro(label) } else { self.find_own(label) };
                 return found.map(|(_, begin)| begin);
             }
@@ -96,7 +97,7 @@ impl FlowControl {
         {
             let (first, end) = match frame.kind {
                 FrameKind::Call | FrameKind::Program(_) => return,
-                // The first line of a `while` pushes its frame again.
+                // The first line of a `while` pushes its frame again, so a jump to that line leaves the loop.
                 FrameKind::While => (frame.at + 1, Keyword::EndWhile),
                 FrameKind::Do => (frame.at, Keyword::While),
                 FrameKind::Repeat(_) => (frame.at, Keyword::EndRepeat),

@@ -49,7 +49,7 @@ impl Overflow {
                     excess.digits = number.len();
                     excess.add(1 + line.len() + PROGRAM.len());
                 }
-                // The last M99 needs no spare bytes.
+                // M99 does not raise `lacking`, because the last M99 needs no spare bytes.
                 None if has_m_word(line, &[b"99"]) => excess.held += 1 + END_OF_SUBPROGRAM + excess.digits,
                 None => excess.add(1 + line.len()),
             }

@@ -72,7 +72,7 @@ impl Real {
             exponent += 1;
         }
         let size = if power == 1 { size } else { (size + power / 2) / power };
-        // At most 10^18.
+        // `size` is at most 10^18, so it fits `i64`.
         let mut size = size as i64;
         while size != 0 && size % 10 == 0 {
             size /= 10;
