@@ -134,7 +134,7 @@ impl Line {
     pub fn deleted(&self) -> &[u8] {
         let Comment::Deleted(kept) = self.comment else { return &[] };
         match self.text.get(..usize::from(kept)).unwrap_or_default() {
-            // The number of the block-delete switch.
+            // Leave out the number of the block-delete switch.
             [b'1'..=b'9', words @ ..] => words,
             words => words,
         }
