@@ -78,7 +78,8 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
             ordered_stops -= 1;
         } else if is_stop(&ordered[at].1)
             && let Some(behind) = (at + 1..ordered.len().min(at + 4)).find(|next| stops(&ordered[*next].1))
-            // If another stop report lies between, the reset or input belongs to that report.
+            // If another stop report lies between this report and the reset or input, the reset or input belongs to
+            // that other report.
             && !ordered[at + 1..behind].iter().any(|(_, input)| is_stop(input))
         {
             ordered[at..=behind].rotate_left(1);
@@ -211,7 +212,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.start(inputs, left_out, notes)?;
         for (at, (time, input)) in inputs.iter().enumerate().skip(1) {
             // The first part of a line that has not ended is recorded with the time of the next input. If the part
-            // waited behind another line, it had already arrived then, so play it now.
+            // waited behind another line, it arrived before that time, so play it now.
             let waited = at > 0 && matches!(inputs[at - 1].1, Input::Told(Told::Noted(Noted::More))) && is_begin(input);
             let time = if waited { self.simulator.clock().now() } else { time + self.shift };
             let later = inputs.get(at + 1..).unwrap_or_default();

@@ -105,7 +105,7 @@ impl Outcome {
         }
     }
 
-    /// Says with the error of a held program by how much it is too long.
+    /// Adds to the error of a held program by how much the program is too long.
     fn measure_held(&mut self, lacking: usize, board: &str) {
         let is_of_memory = |error: &&mut LineError| error.code == Error::OutOfMemory.code();
         if let Some(error) = self.errors.iter_mut().rfind(is_of_memory) {
@@ -270,7 +270,7 @@ impl Check {
 
     /// Notes an axis whose moves cover several times its travel: mostly inches taken for millimetres.
     fn compare_with_travel(&mut self) {
-        /// Jobs for a larger machine than the settings describe are common.
+        /// Jobs for a larger machine than the settings describe are common, so smaller ratios are not noted.
         const MUCH: f64 = 5.0;
         let settings = self.simulator.controller().settings();
         let (low, high) = self.simulator.machine().extents();

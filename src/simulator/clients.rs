@@ -265,7 +265,7 @@ pub(crate) fn writer(mut link: impl Write + Send + 'static, inbox: Arc<Inbox>) -
     let (sender, receiver) = sync_channel::<Vec<u8>>(ANSWERS);
     let handle = thread::spawn(move || {
         let written = receiver.iter().try_for_each(|bytes| write_out(&mut link, &bytes, &inbox));
-        // A loop that has nothing more to write notices only by this call that the client has gone.
+        // Only this call reports the disconnection to a loop that has nothing more to write.
         inbox.end();
         written
     });

@@ -22,7 +22,7 @@ pub fn refuse(begin: &[u8], is_all: bool) -> Result<(), &'static str> {
 }
 
 /// Returns whether the text has a UTF-16 byte order mark, or looks like ASCII in UTF-16: at least nine tenths of either
-/// the even or the odd bytes are 0, and none of the others is.
+/// the even or the odd bytes are 0, and no byte of the other half is 0.
 fn is_utf16(begin: &[u8]) -> bool {
     if begin.starts_with(b"\xFF\xFE") || begin.starts_with(b"\xFE\xFF") {
         return true;

@@ -137,7 +137,7 @@ mod tests {
         let [cold, homed] = [None, Some([0.0; LINEAR])].map(|zero| run(bare(), zero, job));
         assert!(homed.is_good(), "{homed}");
         assert!((cold.distance_mm - homed.distance_mm).abs() < 1e-9, "{homed}");
-        // Homing takes many seconds, so the forecast does not contain it.
+        // Homing takes many seconds, so nearly equal forecasts show that they do not contain it.
         assert!((cold.forecast_s - homed.forecast_s).abs() < 0.05, "{} {}", cold.forecast_s, homed.forecast_s);
         assert_eq!((cold.order_hash, cold.steps, cold.pulses), (homed.order_hash, homed.steps, homed.pulses));
         assert_eq!(homed.position_mm, [4.0, -3.0, -2.0], "from the pull-off at -1");

@@ -1,5 +1,6 @@
-//! Imports the output of `$$` of Grbl, grblHAL or Oxmill. Most numbers have the same meaning. In a dump of grblHAL, masks
-//! become the settings that have the meaning of their bits, and grblHAL's own settings are left with the reason.
+//! Imports the output of `$$` of Grbl, grblHAL or Oxmill. Most numbers have the same meaning. In a dump of grblHAL,
+//! masks become the settings that have the meaning of their bits, and settings that only grblHAL has are not taken,
+//! each with a reason.
 
 use crate::import_list::{FileEntry, Import, NO_SETTING, decimal, number, row, values_of, whole};
 use oxmill_controller::axes::LINEAR;
@@ -140,7 +141,7 @@ fn axes(found: &[Line]) -> u32 {
     if found.iter().any(|line| line.number == u32::from(RESOLUTION_OF_A)) { 0b1111 } else { 0b111 }
 }
 
-/// Takes a mask: the bits of the setting itself, and the bit of `$932`. Bits that nothing does are left.
+/// Takes a mask: the bits of the setting itself, and the bit of `$932`. Bits without a function here are left.
 fn take_mask(import: &mut Import, number: u16, mask: &GrblHalMask, bits: u32, entry: &FileEntry) {
     import.take(number, decimal(bits & mask.own), entry);
     if let Some(on) = mask.zero_at_pull_off(bits).filter(|_| import.what == "grblHAL") {
@@ -193,9 +194,9 @@ fn take_of_hal(import: &mut Import, number: u16, value: Decimal, axes: u32, entr
 fn take_of_hal_only(import: &mut Import, number: u16, value: Decimal, entry: &FileEntry) {
     match (number, whole(value)) {
         (HAL_PECK, _) => import.take(Key::PeckClearance.number(), value, entry),
-        // Waits for the tool.
+        // With 0, M6 waits for the tool.
         (HAL_TOOL_CHANGE, Some(0)) => import.take(Key::ToolChange.number(), decimal(1), entry),
-        // Ignores M6.
+        // With 4, M6 is ignored.
         (HAL_TOOL_CHANGE, Some(4)) => import.take(Key::ToolChange.number(), decimal(0), entry),
         (HAL_TOOL_CHANGE, _) => {
             import.leave(entry, "see $918: with 2 the tool is changed at G30 and measured at G59.3")

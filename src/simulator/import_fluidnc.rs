@@ -1,5 +1,5 @@
-//! Imports a configuration file of FluidNC. Of YAML, FluidNC reads lines `key: value` with the sections given by the
-//! indentation, and this module reads the same; a tab in the indentation is an error there, too.
+//! Imports a configuration file of FluidNC. FluidNC reads only a part of YAML: lines `key: value`, with sections given
+//! by the indentation. This module reads the same part. A tab in the indentation is an error, as in FluidNC.
 
 use crate::import_list::{FileEntry, Import, decimal, number};
 use oxmill_controller::axes::{Axis, LINEAR};
@@ -353,7 +353,7 @@ impl Reader {
         self.import.finish()
     }
 
-    /// Takes a mask of axes from the first of its entries, if there is one.
+    /// Takes a mask of these axes, if there are any. The first entry counts as its source.
     fn mask(&mut self, key: Key, axes: &[(Axis, &FileEntry)]) {
         if let Some((_, entry)) = axes.first() {
             self.import.take(key.number(), decimal(axes.iter().fold(0, |mask, (axis, _)| mask | bit(*axis))), entry);

@@ -17,7 +17,7 @@ const LONGEST: usize = 100;
 /// Reason for a number that Oxmill does not have.
 pub const NO_SETTING: &str = "no such setting";
 
-/// What a file becomes.
+/// The result of importing a file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Import {
     /// The controller whose settings they are: `Grbl`, `grblHAL`, `FluidNC` or `Oxmill`.
@@ -89,12 +89,12 @@ impl Serialize for Value {
         if self.0.0 % DECIMAL_ONE == 0 {
             return serializer.serialize_i64(self.0.0 / DECIMAL_ONE);
         }
-        // Through text, so that 0.01 is the `f64` nearest to 0.01.
+        // Converted through text, so that 0.01 becomes the `f64` nearest to 0.01.
         serializer.serialize_f64(self.to_string().parse().unwrap_or_default())
     }
 }
 
-/// Returns the number that is the whole of `text`.
+/// Returns the number, if `text` consists of a number and nothing else.
 pub fn number(text: &str) -> Option<Decimal> {
     read(text.as_bytes(), Digits::Exact).filter(|number| number.used == text.len()).map(|number| number.value)
 }

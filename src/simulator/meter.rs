@@ -74,7 +74,8 @@ struct Coming {
     steps_by_axis: [AxisSteps; AXES],
     /// Bit mask of the axes that move in the negative direction.
     directions: u8,
-    /// Units of the block that were executed before it was interrupted; it continues after them. 0 for a new block.
+    /// Number of units of the block that were executed before an interruption; the block continues after them. 0 for a
+    /// new block.
     entered: u32,
     /// The line and tool of the block, if moves are marked.
     mark: Mark,

@@ -35,7 +35,7 @@ pub struct Entry {
 }
 
 /// Where the rest of a job continues in a motion mode that one word cannot restore (such as an arc or a canned cycle),
-/// and the words that its line needs.
+/// and the words that the line of the continuation needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mode {
     /// The first line of the rest that continues in the mode or selects another one, as an index in the rest.
@@ -235,7 +235,7 @@ fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
 }
 
 /// Finds the first line of the rest that continues in the motion mode in force before the rest, or selects another one.
-/// Also returns the words to add to that line. After it, the earlier mode does not matter any more.
+/// Also returns the words to add to that line. After that line, the earlier mode does not matter any more.
 ///
 /// # Errors
 /// A text for users: no line of the rest moves the machine.
@@ -286,8 +286,8 @@ pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) ->
             if !has(b'I') {
                 return Some(line);
             }
-            // This curve needs no earlier one, and a later curve would continue this one. But if this line can be
-            // skipped (`/`), look further.
+            // This curve needs no earlier curve, and a later curve would continue this one, so the search ends here.
+            // But if this line can be skipped (`/`), look further.
             if !text.trim_ascii_start().starts_with(b"/") {
                 return None;
             }

@@ -75,8 +75,8 @@ impl Pump<AXES> for Simulator {
     }
 
     fn room(&mut self) -> Room {
-        // Mark the line here, because `room` is called before each output: at the first one, the line in progress is
-        // known and none of its moves is queued yet.
+        // Mark the line here, because `room` is called before each output: at the first output, the line in progress is
+        // known, and none of its moves is queued yet.
         self.mark_line();
         Room { step: self.step.queued() < SEGMENTS_DEPTH, reply: self.outgoing.len() < OUTGOING }
     }

@@ -36,7 +36,7 @@ pub fn number_of(value: f64) -> Option<i64> {
         .then(|| (value * DECIMAL_ONE as f64).round() as i64)
 }
 
-/// Where a job is to be resumed.
+/// Where the user wants to resume a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Begin {
     /// At this line of the file, from 1.
@@ -45,14 +45,14 @@ pub enum Begin {
     Number(u32),
 }
 
-/// How a job is to be resumed.
+/// The user's options for resuming a job.
 #[derive(Clone, Copy, Debug)]
 pub struct Wish {
     /// Where to resume.
     pub begin: Begin,
-    /// Z at which the tool travels to the position, in mm of program coordinates. Default: the highest Z of the job, if
-    /// the job has travelled only at heights known in the present coordinate system, whatever the machine's position
-    /// was before the job.
+    /// Z at which the tool travels to the position, in mm of program coordinates. Default: the highest Z of the job.
+    /// There is a default only if all heights at which the job has travelled are known in the present coordinate
+    /// system, wherever the machine was before the job.
     pub clearance: Option<Coordinate>,
     /// Feed rate down to the position, mm/min. Default: that of the job's last plunge straight down.
     pub plunge: Option<Decimal>,

@@ -54,7 +54,7 @@ pub fn serve(options: &Serve) -> Result<()> {
     let (sender, receiver) = sync_channel(4);
     if let Some(address) = &options.pins {
         let listener = listen(address)?;
-        // If the link is standard input and output, standard output belongs to the client.
+        // If the link is standard input and output, standard output belongs to the client. So print to standard error.
         remark(&format!("pins on {}", listener.local_addr()?));
         let sender = sender.clone();
         thread::spawn(move || serve_pins(&listener, &sender));
@@ -161,7 +161,8 @@ impl Device {
                 let was_program = self.client.as_ref().is_some_and(|client| client.is_program);
                 self.left();
                 if was_program {
-                    // The client's writer returns its error to `serve`. After standard input no other host can connect.
+                    // The client's writer returns its error to `serve`. After standard input no other host can connect,
+                    // so the loop ends.
                     return Ok(());
                 }
             }

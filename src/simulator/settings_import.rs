@@ -60,14 +60,15 @@ mod tests {
     }
 
     proptest! {
-        /// No text makes a fault, and what is written is read as the same settings.
+        /// No text causes a fault, and the written settings are read back as the same settings.
         #[test]
         fn what_is_written_is_read_again(text in lines(), is_file in any::<bool>()) {
             let text = if is_file { format!("axes:\n{text}") } else { text };
             let Ok(first) = import(&text) else { return Ok(()) };
             let again = import(&first.assignments()).unwrap_or_default();
             prop_assert!(again.left.is_empty());
-            // Without one of its own settings, a dump of Oxmill looks like one of Grbl, where A puts `$930=4` in use.
+            // A dump of Oxmill without any of Oxmill's own settings looks like a dump of Grbl. In such a dump a
+            // resolution of A adds `$930=4`.
             if first.what != "Oxmill" || first.taken.iter().any(|taken| taken.number >= 900) {
                 prop_assert_eq!(settings(&again), settings(&first));
             }

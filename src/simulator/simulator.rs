@@ -128,7 +128,7 @@ impl Simulator {
         };
         let World { fittings, machine, .. } = &mut simulator.world;
         if !fittings.is_empty() && fittings.moved(machine, 0) {
-            // The machine is powered up on a switch.
+            // A switch is closed at power-up, so the inputs must be sampled.
             simulator.inputs.sample_at(0);
         }
         simulator.turn();
@@ -521,7 +521,7 @@ impl Simulator {
 
     /// Loads a job, whose lines the controller takes whenever it is ready.
     pub fn load_job(&mut self, mut job: JobText) {
-        // Grbl's dialect (0) has none.
+        // Grbl's dialect (0) has no tape marks.
         let has_tape_marks = self.controller.settings().whole(Key::Dialect) != 0;
         job.begin(self.controller.lines_read(), self.board.has_all_words, has_tape_marks);
         self.job = Sole(Some(job));

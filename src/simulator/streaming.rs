@@ -15,8 +15,8 @@ use std::time::Duration;
 const SLICE: Duration = Duration::from_millis(1);
 /// Slices per second, times the bits on the wire per byte: start, eight data bits, stop.
 const BYTE: u64 = 1000 * 10;
-/// The lag is how much later a line ends than over an unlimited link. If it grows by less than this from one line to
-/// the next, in seconds, the growth is ignored: the time slices alone can cause it.
+/// The lag is how much later a line ends than over an unlimited link. If the lag grows by less than this from one line
+/// to the next, in seconds, the growth is ignored, because the time slices alone can cause it.
 const NOTICEABLE: f64 = 0.005;
 /// Maximum number of lines that are listed.
 const MOST_PLACES: usize = 20;

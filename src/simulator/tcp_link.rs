@@ -32,7 +32,7 @@ pub(crate) fn set_up(stream: &TcpStream, unread: Duration) -> io::Result<()> {
     stream.set_write_timeout(Some(unread))?;
     let socket = SockRef::from(stream);
     // TCP sends no keep-alive probes while a reply is unacknowledged, but would retransmit the reply for a quarter of
-    // an hour.
+    // an hour. So limit this time.
     #[cfg(target_os = "linux")]
     socket.set_tcp_user_timeout(Some(UNACKNOWLEDGED))?;
     socket.set_tcp_keepalive(&TcpKeepalive::new().with_time(SILENCE).with_interval(QUESTIONS))
@@ -66,7 +66,7 @@ pub(crate) fn turn_away(mut stream: &TcpStream, why: &[u8]) {
     let _ = stream.set_write_timeout(Some(CLOSING_TIME));
     let _ = stream.set_read_timeout(Some(CLOSING_TIME));
     let told = stream.write_all(why).and_then(|()| stream.shutdown(Shutdown::Write));
-    // Closing a socket with unread bytes in it would discard the message.
+    // Closing a socket with unread bytes in it would discard the message, so read them first.
     let mut thrown_away = [0; PIECE];
     while told.is_ok() && Instant::now() < end && stream.read(&mut thrown_away).is_ok_and(|length| length > 0) {}
 }
@@ -75,7 +75,7 @@ pub(crate) fn turn_away(mut stream: &TcpStream, why: &[u8]) {
 pub(crate) fn refuse(mut stream: &TcpStream) {
     let told = stream.set_nonblocking(true).and_then(|()| stream.write_all(CROWDED));
     let told = told.and_then(|()| stream.shutdown(Shutdown::Write));
-    // Closing a socket with unread bytes in it would discard the message.
+    // Closing a socket with unread bytes in it would discard the message, so read them first.
     let _ = told.and_then(|()| stream.read(&mut [0; PIECE]));
 }
 

@@ -66,7 +66,7 @@ pub struct JobText {
     lines_before: u32,
     /// For each tape mark: the number of lines given to the controller before it.
     marks: Vec<u64>,
-    /// The line of the last tape mark, if words came before it and none since.
+    /// The line of the last tape mark, if words came before the mark and no words have come since.
     between: Option<u64>,
     /// For each tape mark that was given to the controller: the number of lines given before it.
     given_marks: Vec<u64>,
@@ -146,8 +146,8 @@ impl JobText {
     }
 
     /// Starts the job. `lines_before`: number of lines (wrapping) that the controller has read before. `has_all_words`:
-    /// if `false`, the errors are added that a board returns for words that it does not support. `has_tape_marks`:
-    /// whether the controller's dialect has tape marks.
+    /// if `false`, adds the errors that a board returns for words that it does not support. `has_tape_marks`: whether
+    /// the controller's dialect has tape marks.
     pub fn begin(&mut self, lines_before: u32, has_all_words: bool, has_tape_marks: bool) {
         self.lines_before = lines_before;
         self.has_all_words = has_all_words;
@@ -181,8 +181,8 @@ impl JobText {
         self.lines
     }
 
-    /// Number of tape marks: lines with `%` and only comments, which mark the ends of a punched tape. Only those between
-    /// two programs are passed on.
+    /// Number of tape marks: lines with `%` and only comments, which mark the ends of a punched tape. Only those
+    /// between two programs are passed on.
     pub fn tape_marks(&self) -> u64 {
         self.marks.len() as u64
     }
@@ -556,7 +556,7 @@ mod tests {
         assert_eq!(job.said(), [Said::Error { line: 1, code: 2, text: "G1 X?".into(), reason: None }]);
     }
 
-    /// A message before an error that is caused by the state of the machine is not about the line.
+    /// If the state of the machine causes an error, the message before that error is not about the line.
     #[test]
     fn the_message_in_front_of_an_error_says_what_is_wrong_with_its_line() {
         let mut job = JobText::new(&b"G1 X\nG1\nG2\n"[..]);

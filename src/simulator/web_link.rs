@@ -30,7 +30,8 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const MESSAGE: usize = 1 << 16;
 /// Path of the machine's WebSocket.
 const DEVICE: &str = "/machine";
-/// The page's content security policy as built, replaced when the page is served so that it allows the WebSocket.
+/// The page's content security policy as built. When the page is served, it is replaced by a policy that allows the
+/// WebSocket.
 const POLICY: &str = "connect-src 'none'";
 /// Text of the page after which a `meta` element with the path of the machine is inserted.
 const MARK: &str = "<meta charset=\"utf-8\">";

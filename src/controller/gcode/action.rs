@@ -70,7 +70,7 @@ pub(super) struct Afterwards {
     pub(super) tool_alone: bool,
     /// See [`Action::moves_only`].
     pub(super) moves_only: bool,
-    /// The offset that G92 has after this line is the one that G92.3 restores.
+    /// The commit stores this line's G92 offset, so that G92.3 can restore it.
     pub(super) keeps_g92: bool,
     pub(super) g92_acts: bool,
     pub(super) keeping: Keeping,
@@ -151,9 +151,9 @@ impl<const N: usize> Action<N> {
         self.after.tool_alone
     }
 
-    /// Adapts the action after the tool has been changed and measured while spindle and coolant were off: spindle and
-    /// coolant are switched on again if they are on in the modal state, and the tool moves to `via` by a rapid and then
-    /// to `target`. `length` is the tool length offset afterwards.
+    /// Adapts the action to a tool that has been changed and measured while spindle and coolant were off. Spindle and
+    /// coolant are switched on again if they are on in the modal state. The tool moves to `via` by a rapid, and then to
+    /// `target`. `length` is the tool length offset afterwards.
     pub fn return_with_tool(
         &mut self,
         [via, target]: [PerAxis<Coordinate, N>; 2],

@@ -11,9 +11,9 @@ use crate::axes::PerAxis;
 use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Interpreter<N> {
-    /// Returns the name of the first part of the state because of which a following line could mean something else to
-    /// the other interpreter; `None` if all following lines mean the same to both. The words of canned cycles and
-    /// curves count only while their mode is in force.
+    /// Compares the state part by part. Returns the name of the first part that could give a following line another
+    /// meaning in the other interpreter; `None` if all following lines mean the same to both. The words of canned
+    /// cycles and curves count only while their mode is in force.
     pub fn differs_from(&self, other: &Self) -> Option<&'static str> {
         let in_cycle = matches!(self.modal.motion, MotionMode::Cycle(_));
         let are_blank = [self, other].into_iter().all(|state| state.computed.is_blank() && !state.is_within_block());

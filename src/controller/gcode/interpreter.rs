@@ -114,7 +114,8 @@ impl<const N: usize> Interpreter<N> {
     /// Applies the changes of a checked line. The position becomes the end of the line's motion; if a probing move ends
     /// elsewhere, call [`Interpreter::set_position`] afterwards.
     pub fn commit(&mut self, action: &Action<N>) {
-        // The operator can have switched the coolant since the line was checked.
+        // The operator can have switched the coolant since the line was checked, so its state is kept unless the line
+        // changes it.
         let coolant = self.modal.coolant;
         self.modal = action.modal;
         if action.coolant.is_none() && action.flow != Flow::End {

@@ -348,8 +348,8 @@ pub struct Modal {
     pub tool: u32,
     /// F, exact: mm/min with G94, moves per minute with G93, mm per revolution with G95; 0 while undefined.
     pub feed: Decimal,
-    /// F of G94 in mm/s, as moves use it; with G95 it is multiplied by S. It is stored because most lines keep the F in force and so need not convert
-    /// it again.
+    /// F of G94 in mm/s, as moves use it; with G95 it is multiplied by S. It is stored because most lines keep the F in
+    /// force and so need not convert it again.
     pub feed_per_second: f32,
     /// F was written in inches per minute, and was converted. A move of rotary axes alone needs this flag, because it
     /// takes the number as it was written: in degrees per minute.
@@ -417,7 +417,8 @@ impl Modal {
         self.distance = Distance::default();
         self.arc_distance = ArcDistance::default();
         if self.feed_mode == FeedMode::InverseTime || FULL_IMAGE && self.feed_mode == FeedMode::PerRevolution {
-            // F of G93 is a number of moves per minute, that of G95 a distance; with G94 it would be taken for a speed.
+            // F of G93 is a number of moves per minute, F of G95 a distance. G94 would take either for a speed, so F
+            // becomes undefined.
             self.feed = Decimal::ZERO;
         }
         self.feed_mode = FeedMode::default();

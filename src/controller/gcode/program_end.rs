@@ -1,8 +1,8 @@
-//! Decides on lines after the end of a program (M2, M30): they belong to the next program, or to subprograms (`O1001` ..
-//! `M99`), which are held for calls by M98 and G65 (see `computed/subprograms.rs`) and never executed one after another.
-//! A build without them refuses their lines. An O number (`O1001` .. `M30`) begins the next program only if it follows
-//! a tape mark, a reset, `$X`, or a rest of the machine right after the end of the program; among subprograms after a
-//! rest, if it is the number of the program before them, because then the same file begins again.
+//! Decides on lines after the end of a program (M2, M30): they belong to the next program, or to subprograms (`O1001`
+//! .. `M99`), which are held for calls by M98 and G65 (see `computed/subprograms.rs`) and never executed one after
+//! another. A build without them refuses their lines. An O number (`O1001` .. `M30`) begins the next program only if it
+//! follows a tape mark, a reset, `$X`, or a rest of the machine right after the end of the program. Among subprograms,
+//! a rest is enough only if the O number is that of the program before them, because then the same file begins again.
 //!
 //! ```text
 //!  Program ──M2, M30──▶ End ──O number──▶ Subprogram ──words outside of a subprogram, an error, $X,──▶ Refused
@@ -12,9 +12,10 @@
 //!     └──%, reset, another host───────────────┴──────────────────────── $X (not one that ends an alarm)┘
 //! ```
 //! A program that is held for the call of an unknown subprogram is dropped like a subprogram, although its place is
-//! still `Program`. Whatever drops them, the host can go on to send their lines, so these are refused. Neither a rest
-//! nor the `$X` that ends an alarm ends a refusal: the operator may have looked at the machine, and the sender goes on
-//! then. Nor does an M99: more lines of the same subprogram can follow it, which a GOTO reaches.
+//! still `Program`. Whatever drops a program or a subprogram, the host can still send the rest of its lines. So these
+//! lines are refused. Neither a rest nor the `$X` that ends an alarm ends a refusal: the operator may only have looked
+//! at the machine before the sender goes on. An M99 does not end a refusal either, because it can be followed by more
+//! lines of the same subprogram, which a GOTO reaches.
 
 use super::program_number::{has_program_number, has_return, may_have_program_number};
 use super::state::{Interpreter, ProgramPlace};
@@ -35,7 +36,7 @@ impl<const N: usize> Interpreter<N> {
         self.place
     }
 
-    /// Returns to this place, because the lines since then were not those of the host's program.
+    /// Restores an earlier place, because the lines read since then did not belong to the host's program.
     pub fn return_to(&mut self, place: ProgramPlace) {
         self.place = place;
     }
@@ -64,7 +65,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Examines a line after the end of a program or of a held program. `rested`: the machine has been idle for a
-    /// while, so an O number is that of the next program, and the rest of what is held will not come.
+    /// while, so an O number is that of the next program, and the rest of the held program will not come.
     ///
     /// # Errors
     /// [`Error::OutOfPlace`] for lines that belong to no program.
@@ -101,8 +102,9 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Takes note of a line that block delete (`/`) skips. An M2 or M30 in it ends the program all the same. Its O number
-    /// after the end of a program begins a subprogram, whose lines are refused, unless the machine has `rested`.
+    /// Takes note of a line that block delete (`/`) skips. An M2 or M30 in it ends the program all the same. After the
+    /// end of a program, an O number in the line begins a subprogram whose lines are refused, unless the machine has
+    /// `rested`.
     pub fn skipped_line(&mut self, line: &[u8], rested: bool) {
         if may_end_program(line) {
             self.note_end();
@@ -125,9 +127,9 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Takes note of a refused line. An M2 or M30 in it, also a computed one, ends the program all the same. After the
-    /// end of a program the line begins a subprogram that is refused if it has an O number anywhere, or if its text is
-    /// unknown (`None`), because it was too long, damaged, or had an open remark. M99 means that a subprogram has
-    /// been taken for the program, unless the line belongs to a subroutine or loop that is being recorded.
+    /// end of a program, the line begins a refused subprogram if the line has an O number anywhere, or if its text is
+    /// unknown (`None`: too long, damaged, or with an open remark). M99 means that a subprogram has been taken for the
+    /// program, unless the line belongs to a subroutine or loop that is being recorded.
     #[cold]
     #[inline(never)]
     pub fn refused_line(&mut self, line: Option<&[u8]>) {
@@ -192,7 +194,7 @@ mod tests {
         assert_eq!(taken(&lines), if FULL_IMAGE { "++...-" } else { "++----" });
     }
 
-    /// Whatever opens it, and wherever it returns.
+    /// Whatever number opens the subprogram, and wherever its M99 is.
     #[test]
     fn no_form_of_a_subprogram_is_run() {
         for number in [

@@ -15,13 +15,14 @@ pub(super) fn behind_digits(text: &[u8]) -> &[u8] {
     text.get(digits..).unwrap_or_default()
 }
 
-/// Whether a line begins with the number of a program or subprogram, after its line number (N) if it has one. Further words
-/// may follow, and the numbers need not be valid ones.
+/// Whether a line begins with the number of a program or subprogram, after its line number (N) if it has one. Further
+/// words may follow, and the numbers need not be valid ones.
 pub(super) fn has_program_number(line: &[u8]) -> bool {
     is_program_number(line.strip_prefix(b"N").map_or(line, from_next_word))
 }
 
-/// Returns the number of a subprogram, without leading zeros, if the line consists of it, and of a line number or none.
+/// If the line consists of the number of a subprogram, with or without a line number before it: returns this number
+/// without leading zeros.
 #[inline(never)]
 #[cfg(feature = "full")]
 pub(super) fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
@@ -51,7 +52,7 @@ pub(super) fn may_have_program_number(line: &[u8]) -> bool {
         })
 }
 
-/// Whether a text begins with O or a colon, and with no O word.
+/// Whether a text begins with O or a colon, and does not begin with an O word.
 fn is_program_number(text: &[u8]) -> bool {
     let Some((b'O' | b':', number)) = text.split_first() else { return false };
     let word = from_next_word(number);
@@ -71,7 +72,7 @@ pub(super) fn has_return(line: &[u8]) -> bool {
     false
 }
 
-/// Returns the part of a line from its first letter or colon on that is not in brackets.
+/// Returns the part of a line that starts at its first letter or colon outside of brackets.
 fn from_next_word(line: &[u8]) -> &[u8] {
     let mut depth = 0_usize;
     let word = line.iter().position(|byte| {

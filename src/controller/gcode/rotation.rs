@@ -52,8 +52,8 @@ impl Angle {
         Angle::of(Decimal(-self.degrees().0))
     }
 
-    /// Returns cosine and sine, with an error of a few units of 2^-62. They are power series of the difference from the
-    /// nearest multiple of 90 degrees.
+    /// Returns cosine and sine, with an error of a few units of 2^-62. Both are computed as power series of the
+    /// difference from the nearest multiple of 90 degrees.
     fn cosine_and_sine(self) -> (i64, i64) {
         const QUARTER: i64 = Angle::HALF_TURN / 2;
         /// One unit of an angle in radians, times 2^96.

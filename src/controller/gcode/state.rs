@@ -214,8 +214,8 @@ impl<const N: usize> Interpreter<N> {
         self.measured.reference()
     }
 
-    /// Assumes, in check mode, that the tool was measured. The first measurement leaves Z at the height of G30, or
-    /// where it is if that is higher.
+    /// Assumes, in check mode, that the tool was measured. The first measurement leaves Z at the height of G30, or at
+    /// its present height if that is higher.
     pub fn assume_measured(&mut self) {
         if !self.measured.assumed && self.measured.is_first() {
             let height = self.offsets.stored(StoredOffset::G30).get(TOOL_AXIS);

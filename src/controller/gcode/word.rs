@@ -388,7 +388,7 @@ impl GWord {
             (54, 10) | (154, 0) => GWord::SystemByNumber,
             (8 | 103 | 187, 0) => GWord::LookAhead(code.whole),
             (95, 0) => GWord::FeedMode(FeedMode::PerRevolution),
-            // Nothing that these words end can be active.
+            // The modes that these words end do not exist here, so the words have no effect.
             (15, 0) => GWord::AsItIs(Group::Polar),
             (67, 0) => GWord::AsItIs(Group::ModalCall),
             _ => return None,
@@ -474,8 +474,8 @@ impl GWord {
         })
     }
 
-    /// Looks up a code among the words of splines, rotation and scaling. If this build lacks the feature, the error
-    /// names it. G50 and G69 are accepted in every build.
+    /// Looks up a code among the words of splines, rotation and scaling. If this build lacks the feature that a word
+    /// needs, the error names this feature. G50 and G69 are accepted in every build.
     fn by_feature(code: Code) -> Result<GWord, Error> {
         match (code.whole, code.hundredths) {
             (5, _) if !FULL_IMAGE => Err(Error::SplinesLeftOut),

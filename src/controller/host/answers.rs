@@ -203,9 +203,9 @@ impl<const N: usize> Controller<N> {
         self.m.settings_lock.host_greeted();
     }
 
-    /// Tells a host that takes over about conditions that no report shows. Most are the messages that the previous host
-    /// got. A wait that was not reported to the previous host, such as a dwell, is reported to this one. Sends nothing
-    /// in Grbl's dialect, because Grbl does not know of several hosts.
+    /// Tells a host that takes over about conditions that no report shows. Most of the messages are those that the
+    /// previous host got. A wait that was not reported to the previous host, such as a dwell, is reported to this one.
+    /// Sends nothing in Grbl's dialect, because Grbl does not know of several hosts.
     #[inline(never)]
     pub(crate) fn tell_inherited(&mut self) {
         // Only the full image has these texts.

@@ -138,7 +138,7 @@ impl<const N: usize> Controller<N> {
         if !matches!(self.state, State::Normal) {
             return Err(Error::NotIdle);
         }
-        // The check of the line can end a program (M2), and with it what is open.
+        // The check of the line can end a program (M2), and with the program its open blocks.
         if self.m.interpreter.is_within_block() {
             return Err(Error::NotIdle);
         }
@@ -214,7 +214,7 @@ impl<const N: usize> Controller<N> {
             match number {
                 DOOR_FITTED if self.m.inputs.pins().door => return Err(Error::DoorOpen),
                 // These settings are refused while their input is active. Only an input that becomes active has an
-                // effect, so the pressed button would cause no alarm, and the open door no stop.
+                // effect. So with the new value the pressed button would cause no alarm, and the open door no stop.
                 RESET_IS_EMERGENCY_STOP if self.m.inputs.pins().reset => return Err(Error::EmergencyStop),
                 _ => {}
             }
@@ -236,14 +236,14 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Sets a setting to an accepted value, and carries out what follows from the change, except that of a change of
+    /// Sets a setting to an accepted value, and carries out the effects of the change, except those of a change of
     /// dialect. The caller stores the value.
     fn change_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
         let before = self.m.settings.by_number(number);
         let soft_limits = self.m.settings.is_on(Key::SoftLimits);
         self.m.settings.set(number, value)?;
         let is_other = self.m.settings.by_number(number) != before;
-        // With the new value, the same S means another power.
+        // With the new value, the same S means another power, so the spindle is stopped.
         if is_other && matches!(number, SPINDLE_MAXIMUM | SPINDLE_MINIMUM | LASER) {
             self.m.stop_spindle();
         }

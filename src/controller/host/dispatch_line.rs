@@ -27,15 +27,15 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns whether the next byte is to be dropped: it was received before a reset or a stop, or the machine waits
+    /// Returns whether the next byte must be dropped: it was received before a reset or a stop, or the machine waits
     /// only for a reset, which comes after the byte.
     pub fn is_old(&self, byte: LineByte) -> bool {
         if self.state.waits_for_reset() {
             return !self.m.stops.is_awaited() && !self.m.lines.is_ahead(byte);
         }
         if byte.byte == HOST_CHANGED {
-            // This mark precedes bytes of the next host. It can be processed early if nothing of the previous host is
-            // in progress.
+            // A `HOST_CHANGED` precedes the bytes of the next host. It can be processed early if nothing of the
+            // previous host is in progress.
             let waits = matches!(self.state, State::Door(_)) && !self.m.lines.holds();
             return waits && matches!(self.task, Task::None | Task::Startup(_, None));
         }
@@ -157,7 +157,7 @@ impl<const N: usize> Controller<N> {
             }
             Pushed::Complete => self.complete(),
         }
-        // A line that is only kept as a task has not changed any output yet.
+        // A line that waits as a `Task::Job` has not changed any output yet.
         if !matches!(self.task, Task::Job(_)) {
             self.m.pins.disturb();
         }
@@ -257,7 +257,8 @@ impl<const N: usize> Controller<N> {
             Err(error) => self.refuse_host_line(error, known_text(line)),
         }
         let goes_on = match line.first() {
-            // A sender may send requests such as `$G` all the time, so they do not end the pause that `has_rested` measures.
+            // A sender may send requests such as `$G` all the time, so they do not end the pause that `has_rested`
+            // measures.
             Some(b'$') => true,
             // The next program can begin with remarks.
             None => rested,
@@ -339,7 +340,7 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Finishes a line without G-code to be executed now. The line has only a message, belongs to a condition, was
+    /// Finishes a line that has no G-code to execute now. The line has only a message, belongs to a condition, was
     /// skipped or recorded, or starts a subroutine or loop.
     #[inline(never)]
     fn directed(&mut self, direction: Direction, remark: &[u8]) {

@@ -1,4 +1,5 @@
-//! Answers hosts like grblHAL (`$900=3`): executes its `$` commands, and takes settings that are masks there.
+//! Answers hosts like grblHAL (`$900=3`): executes grblHAL's `$` commands, and takes values for settings that are masks
+//! in grblHAL.
 
 use crate::dispatch::Controller;
 use crate::error::Error;
@@ -57,7 +58,7 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Sends the commands, the answer to `$`.
+    /// Sends the list of commands, the answer to `$`.
     pub(crate) fn say_help(&mut self) {
         let grbl = self.dialect() == Dialect::Grbl;
         self.say(|out| reply_texts::help(out, grbl));
@@ -79,12 +80,13 @@ impl<const N: usize> Controller<N> {
         self.say(|out| reply_texts::message(out, if is_on { on } else { off }));
     }
 
-    /// Takes a value for a setting that is a mask in grblHAL. Returns the value that the setting has here, and the value
-    /// of `$932` if the mask has a bit for it. A bit that acts always need not be written, and homing that is off has
-    /// no further bits; a message tells what is read back instead.
+    /// Takes a value for a setting that is a mask in grblHAL. Returns the value that the setting has here, and the
+    /// value of `$932` if the mask has a bit for it. A host need not write a bit that always acts, and while homing is
+    /// off, the other bits of its mask do not count. If the value is therefore read back changed, a message gives the
+    /// value that is read back.
     ///
     /// # Errors
-    /// [`Error::SettingOutOfRange`] for a bit that nothing does, after a message that names it.
+    /// [`Error::SettingOutOfRange`] for a bit that has no function here, after a message that names the bit.
     pub(crate) fn take_mask(&mut self, number: u16, value: Decimal) -> Result<(Decimal, Option<bool>), Error> {
         let Some(mask) = GrblHalMask::of(number) else { return Ok((value, None)) };
         let Ok(bits) = u32::try_from(value.truncate()) else { return Ok((value, None)) };

@@ -124,8 +124,8 @@ impl<const N: usize> Controller<N> {
     }
 
     fn list_pin(&mut self, view: &PinView, bit: usize) -> bool {
-        // The switch of an unused axis is not listed; nor is the second motor's switch on a machine with more than
-        // three axes.
+        // The switch of an unused axis is not listed. On a machine with more than three axes, the second motor's switch
+        // is not listed either.
         let axes = self.m.settings.axes_in_use();
         let counts =
             if bit < Axis::ALL.len() { bit < axes } else { axes <= LINEAR || 1 << bit != SECOND_SWITCH as usize };
@@ -147,7 +147,7 @@ impl<const N: usize> Controller<N> {
         is_there
     }
 
-    /// Returns what narrows the ranges of the settings.
+    /// Returns the limits that narrow the ranges of the settings.
     fn limits(&self) -> Limits {
         Limits {
             least_pulse_tenths: self.m.settings_lock.least_pulse_tenths(),
@@ -182,7 +182,7 @@ impl<const N: usize> Controller<N> {
         let info = self.m.records.build_info().clone();
         let (letters, blocks) = (self.option_letters(), self.m.motion.blocks());
         self.say(|out| reply_texts::build_info(out, &info, &letters, blocks, LINES_DEPTH));
-        // In Grbl the answer has two lines, and strict senders rely on that.
+        // In Grbl's dialect the answer has only two lines, because strict senders rely on that.
         if self.dialect() != Dialect::Grbl {
             self.say(reply_texts::firmware);
         }

@@ -44,7 +44,7 @@ impl<const N: usize> Controller<N> {
                 if matches!(self.state, State::Jog { cancelling: false }) {
                     self.cancel_jog();
                 }
-                // A jog that has been read but not queued is not in `State::Jog` yet.
+                // A jog that has been read but not queued is not in `State::Jog` yet, so it is dropped here.
                 self.task.forget_jog();
                 self.release_held();
             }

@@ -59,8 +59,8 @@ impl<const N: usize> Controller<N> {
         })
     }
 
-    /// Puts a machine that is at rest and unlocked into this state, for a replay. The words of the state are sent to
-    /// the machine afterwards. The machine is locked only if `lock` is set.
+    /// Puts a machine that is at rest and unlocked into this state, for a replay. The caller then sends the words of
+    /// the state to the machine. The machine is locked only if `lock` is set.
     pub fn stand(&mut self, standing: &Standing, lock: bool) {
         let place =
             PerAxis::from_axis(|axis: Axis| standing.place.get(axis.index()).copied().unwrap_or(Coordinate::ZERO));

@@ -105,7 +105,7 @@ impl SettingsLock {
         })
     }
 
-    /// Returns the setting that locks motion. For a new revision of the settings it is determined by `unrunnable`.
+    /// Returns the setting that locks motion. For a new revision of the settings, `unrunnable` determines this setting.
     fn look(&mut self, revision: u32, unrunnable: impl FnOnce() -> Option<u16>) -> Option<u16> {
         if self.revision != Some(revision) {
             let setting = unrunnable();

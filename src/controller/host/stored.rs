@@ -195,7 +195,7 @@ impl Records {
     }
 
     /// Stores the value of `$20` (soft limits) that belongs to a new value of `$22` (homing), unless the stored value
-    /// can stay (see [`Settings::soft_limits_before_homing`]). To be called before the new `$22` is stored. `were_on`:
+    /// can stay (see [`Settings::soft_limits_before_homing`]). Call it before the new `$22` is stored. `were_on`:
     /// whether soft limits were on before `$22` was changed.
     pub(crate) fn save_soft_limits_before_homing<const N: usize>(&mut self, settings: &Settings<N>, were_on: bool) {
         if let Some(value) = settings.soft_limits_before_homing(were_on) {

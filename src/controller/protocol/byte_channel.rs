@@ -5,8 +5,8 @@
 //!  link ──byte──▶ LineSender ──message──▶ queue ──▶ LineReader ──byte──▶ controller
 //!                    │ sends when full, at a new epoch, or when no more bytes are available (with a limit)
 //! ```
-//! The queue has room for a limited number of messages. So that [`LINES_DEPTH`](crate::messages::LINES_DEPTH) bytes fit
-//! even if they arrive one at a time, at most [`MOST_PARTIAL`] messages are sent before they are full. After that,
+//! The queue has room for a limited number of messages. At most [`MOST_PARTIAL`] messages are sent before they are
+//! full, so that [`LINES_DEPTH`](crate::messages::LINES_DEPTH) bytes fit even if they arrive one at a time. After that,
 //! bytes wait until their message is full or the queue is empty. Bytes of another epoch (after a reset, stop or jog
 //! cancel) begin a new message; the queue has room for this even if every line begins a new epoch. Each host that
 //! connects or disconnects uses up two messages.
@@ -30,8 +30,8 @@ impl Default for LineSender {
 }
 
 impl LineSender {
-    /// Takes a byte. `send` queues a message and returns whether there was room for it. Returns `false` if the byte was
-    /// not taken because there was no room.
+    /// Takes a byte. `send` queues a message and returns whether there was room for it. Returns whether the byte was
+    /// taken; `false` means that there was no room.
     #[inline]
     pub fn push(&mut self, byte: LineByte, send: impl FnOnce(LineBytes) -> bool) -> bool {
         if self.gathered.push(byte) {
@@ -62,8 +62,8 @@ impl LineSender {
         count
     }
 
-    /// Sends the gathered bytes, unless the limit of partial messages makes them wait. To be called when no more bytes
-    /// have arrived. `is_empty`: the queue is empty. Returns whether a message was sent.
+    /// Sends the gathered bytes, unless the limit of partial messages makes them wait. Call it when no more bytes have
+    /// arrived. `is_empty`: the queue is empty. Returns whether a message was sent.
     #[inline]
     pub fn flush(&mut self, is_empty: bool, send: impl FnOnce(LineBytes) -> bool) -> bool {
         if is_empty {

@@ -262,7 +262,7 @@ pub const fn lines(what: Described, axes: usize, grblhal: bool) -> usize {
     }
 }
 
-/// What narrows the range of a setting, because the table has the widest range of all boards.
+/// Limits of this board and dialect that narrow the range of a setting. The table has the widest range of all boards.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Minimum length of a step pulse, in tenths of a microsecond.
@@ -338,7 +338,7 @@ fn error_line(out: &mut Text, line: Option<usize>, form: &[u8]) {
     }
 }
 
-/// Appends number and text of an alarm, in a form. The last line is that of `$900=3` alone.
+/// Appends number and text of an alarm, in a form. Only `$900=3` has the last line.
 fn alarm_line(out: &mut Text, line: Option<usize>, form: &[u8]) {
     let (number, text) = line
         .and_then(|line| Alarm::ALL.get(line))

@@ -1,5 +1,5 @@
-//! What only hosts of `$900=3` get: the `$` commands and the texts that grblHAL has and Grbl lacks. gSender and ioSender
-//! show more of a machine that answers like this.
+//! The `$` commands and the texts that grblHAL has and Grbl lacks. Only hosts of `$900=3` get them. gSender and
+//! ioSender show more of a machine that answers like this.
 
 use super::reply_texts::RELEASE;
 use super::system::Described;
@@ -68,7 +68,7 @@ pub fn help(out: &mut Text) {
     put(out, b"[HLP:$HELP $+ $SED=n $SPINDLES $SPINDLESH $TLR $S $B $O $EAG $EEG 0x80-83 0x87 0x88 0xA3]\r\n");
 }
 
-/// What `$I` and `$I+` answer.
+/// Contents of the answers to `$I` and `$I+`.
 pub struct Identity<'a> {
     /// Text of the user (`$I=`).
     pub user: &'a [u8],
@@ -96,7 +96,8 @@ pub struct Identity<'a> {
     pub program_pins: [u8; 2],
 }
 
-/// The first lines of `$I`: `VER`, `OPT`, `AXS` and `NEWOPT`. `RT+`: the commands have their old bytes, such as `?`, too.
+/// The first lines of `$I`: `VER`, `OPT`, `AXS` and `NEWOPT`. `RT+` means that the realtime commands also have their
+/// old bytes, such as `?`.
 pub fn options(out: &mut Text, this: &Identity) {
     let date = RELEASE.date.as_bytes();
     let axes = b"XYZABC".get(..this.axes).unwrap_or_default();

@@ -69,7 +69,7 @@ impl HostArbiter {
         self.cut = true;
     }
 
-    /// Queues a line byte, after the [`HOST_CHANGED`] that may be owed. Returns whether there was room.
+    /// Queues a line byte, after a [`HOST_CHANGED`] if one is required. Returns whether there was room.
     pub(super) fn line(&mut self, byte: LineByte, queues: &mut impl Queues) -> bool {
         if self.cut && !queues.line(LineByte { byte: HOST_CHANGED, epoch: self.gone, damaged: false }) {
             return false;

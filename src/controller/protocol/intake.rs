@@ -151,7 +151,7 @@ impl LineIntake {
             return Taken::NOTHING;
         } else if is_before(byte.epoch, self.reset_epoch) {
             // The byte was received before a reset. If a reset button, hold or door followed while the byte was unread,
-            // their count includes this byte.
+            // the byte count of that event includes this byte.
             self.drop_bytes = self.drop_bytes.saturating_sub(1);
             self.jog_bytes = self.jog_bytes.saturating_sub(1);
             return Taken::NOTHING;

@@ -37,8 +37,8 @@
 //! line was refused for its content, no line is executed until `$LC=ON` starts again, and each answer is that error.
 //!
 //! Checking ends with `$LC=OFF`, with another dialect and with another host. `$LC=ON` and `$LC=OFF` may be sent as
-//! plain lines. A reset and a stop also end checking, but the bytes up to the next line end are still refused. Two
-//! damaged bits can have turned a byte of a line into the reset or stop, and the bytes after it are then the rest of
+//! plain lines. A reset and a stop also end checking, but the bytes up to the next line end are still refused, because
+//! two damaged bits can have turned a byte of a line into the reset or stop. The bytes after it are then the rest of
 //! that line.
 
 use super::text::{END, Text, put};

@@ -14,7 +14,8 @@ pub const LENGTH: usize = 256;
 /// Maximum number of bytes kept of a remark in parentheses, including its keyword (`MSG,`). Excess bytes are cut off.
 pub const MESSAGE_LENGTH: usize = 80;
 
-/// Maximum number of bytes kept of a line that block delete skips: enough for a line number and an O number, or for M30.
+/// Maximum number of bytes kept of a line that block delete skips: enough for a line number and an O number, or for
+/// M30.
 const DELETED_LENGTH: u8 = 40;
 
 /// Whether this build reports by how much a line is too long.
@@ -73,7 +74,8 @@ pub struct Line {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Comment {
     None,
-    /// In a remark in parentheses, with this many inner `(` open. The `)` after theirs ends the remark.
+    /// In a remark in parentheses, with this many inner `(` open. Each of them has its own `)`; the `)` after these
+    /// ends the remark.
     Parentheses(u8),
     /// The same, but at least one inner pair of parentheses has been closed.
     Nested(u8),
@@ -81,7 +83,7 @@ enum Comment {
     Semicolon,
     /// After a dropped slash. The number of the block-delete switch, 1 to 9, is dropped too if it follows.
     Slash,
-    /// A line that is skipped. Its first bytes, this many, are kept in place of the text.
+    /// A line that is skipped. This many of its first bytes are kept in place of the text.
     Deleted(u8),
 }
 
@@ -132,7 +134,7 @@ impl Line {
     pub fn deleted(&self) -> &[u8] {
         let Comment::Deleted(kept) = self.comment else { return &[] };
         match self.text.get(..usize::from(kept)).unwrap_or_default() {
-            // The number of the block-delete switch.
+            // Leave out the number of the block-delete switch.
             [b'1'..=b'9', words @ ..] => words,
             words => words,
         }
@@ -203,8 +205,7 @@ impl Line {
         !core::mem::replace(&mut self.damaged, true)
     }
 
-    /// Records that a byte came that is neither text nor line end, so that an LF after it is not the second half of a
-    /// CR LF.
+    /// Records a byte that is neither text nor line end. So an LF after this byte is not the second half of a CR LF.
     pub fn separate(&mut self) {
         self.after_cr = false;
     }

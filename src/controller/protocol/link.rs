@@ -8,10 +8,10 @@
 //!                                 │         │ no room for another packet: the link has to wait
 //!                                 └─▶ error:8, once for each line
 //! ```
-//! For a link that can wait (USB answers NAK), no byte is lost, and a realtime command acts at once as long as the line
-//! bytes in transit fit into the queue and the room of the link together ([`Link::room`]). The bytes of a sender that
-//! counts characters or obeys `Bf:` always fit into the queue alone. A sender that pours in a whole file without
-//! counting has to wait, and then everything that it sends later waits too, including commands.
+//! A link that can wait (USB answers NAK) loses no byte. Its realtime commands act at once, as long as the line bytes
+//! in transit fit into the queue and the room of the link ([`Link::room`]) together. The bytes of a sender that counts
+//! characters or obeys `Bf:` always fit into the queue alone. A sender that pours in a whole file without counting has
+//! to wait, and then everything that it sends later waits too, including commands.
 //!
 //! A line is read as a whole or not at all. Its rest is refused if its start was refused, or if another host cut the
 //! line by taking the floor or by a reset. That holds whenever the rest arrives, and whichever host has the floor by
@@ -46,8 +46,9 @@ pub struct Link {
     held: heapless::Deque<LineByte, MOST_HELD>,
     /// Maximum number of `held` bytes.
     may_hold: usize,
-    /// Commands for which the queue had no room. While there are any, no byte is taken, because none may overtake them.
-    /// Has room for one command, and for those that [`Remark::break_off`] returns before it.
+    /// Commands for which the queue had no room. While a command waits here, no byte is taken, because no byte may
+    /// overtake a command. Has room for one command, and for the bytes before it that [`Remark::break_off`] returns,
+    /// which can be commands.
     stuck: heapless::Deque<Realtime, 4>,
     /// Bytes were lost; the next line byte is marked as damaged.
     lost: bool,
@@ -245,8 +246,8 @@ impl Link {
         self.is_ambiguous
     }
 
-    /// Treats a `!` that may be text as a hold, which [`Link::pass_on`] queues. To be called when nothing has followed
-    /// the `!` for [`AMBIGUOUS_US`] although the link had room, or when the next byte may belong to another line.
+    /// Treats a `!` that may be text as a hold, which [`Link::pass_on`] queues. Call it when nothing has followed the
+    /// `!` for [`AMBIGUOUS_US`] although the link had room, or when the next byte may belong to another line.
     pub fn take_as_command(&mut self) {
         if core::mem::take(&mut self.is_ambiguous) {
             // There is room: `stuck` contains only what arrived after this `!`, which is at most one command.

@@ -3,8 +3,9 @@
 
 use crate::messages::Realtime;
 
-/// Commands from a link that cannot wait, for which the queue had no room. While a command is owed, no other command is
-/// queued. So owed commands act after all commands queued before them, and before all commands received later.
+/// Commands from a link that cannot wait, for which the queue had no room. While such a command waits here, no other
+/// command is queued. So these commands act after all commands queued before them, and before all commands received
+/// later.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Owed(pub u32);
 
@@ -16,9 +17,9 @@ impl Owed {
     /// UART receives 50,000 bytes at 1,000,000 baud.
     const RESETS: u32 = 0xFFFF;
 
-    /// Returns the owed commands with `command` added, or `None` if the loss of `command` does no harm. A hold and a
-    /// door are kept once each. A reset removes the holds and doors before it. 0x19 and a jog cancel are kept as
-    /// resets, because each opens an epoch, with which later line bytes are marked (see
+    /// Returns these commands with `command` added, or `None` if the loss of `command` does no harm. A hold and a door
+    /// are kept once each. A reset removes the holds and doors before it. 0x19 and a jog cancel are kept as resets,
+    /// because each opens an epoch, with which later line bytes are marked (see
     /// [`LineByte`](crate::messages::LineByte)).
     pub fn with(self, command: Realtime) -> Option<Owed> {
         match command {

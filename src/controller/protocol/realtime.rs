@@ -1,6 +1,6 @@
 //! Finds realtime commands in the received bytes, anywhere in a line. `command` maps a byte to its command,
-//! `command_of_grblhal` knows those of `$900=3` alone, and `byte_of` is the inverse. A byte that is no command is part of a line or ignored (`Received`). Runs in the serial
-//! task.
+//! `command_of_grblhal` does the same for the commands that only `$900=3` has, and `byte_of` is the inverse. A byte
+//! that is no command is part of a line or ignored (`Received`). Runs in the serial task.
 
 use crate::image::FULL_IMAGE;
 use crate::messages::Realtime;
@@ -18,7 +18,7 @@ pub enum Received {
 }
 
 impl Received {
-    /// Like [`Received::of`], with the commands of grblHAL if hosts are answered like it.
+    /// Like [`Received::of`], and with the commands of grblHAL if hosts are answered like grblHAL.
     pub(super) fn in_dialect(byte: u8, queues: &impl Queues) -> Received {
         match Received::of(byte) {
             Received::Nothing if FULL_IMAGE && queues.speaks_grblhal() => {

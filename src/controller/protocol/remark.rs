@@ -21,7 +21,8 @@ const MOST_BEGUN: usize = 3;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum RemarkPlace {
     Words,
-    /// A remark in parentheses, with this many nested `(` open. The `)` after theirs ends the remark.
+    /// A remark in parentheses, with this many nested `(` open. Each of them has its own `)`; the `)` after these ends
+    /// the remark.
     Parentheses(u8),
     /// A remark after `;`, up to the line end.
     Semicolon,
@@ -77,8 +78,8 @@ impl Remark {
         if self.is_inside() && continues(&self.begun, byte) { Vec::new() } else { core::mem::take(&mut self.begun) }
     }
 
-    /// Takes a byte that starts or continues a character. To be called after [`Remark::break_off`]. Returns whether the
-    /// byte was taken. `reads`: whether characters are recognised at all.
+    /// Takes a byte that starts or continues a character. Call it after [`Remark::break_off`]. Returns whether the byte
+    /// was taken. `reads`: whether characters are recognised at all.
     pub fn takes(&mut self, byte: u8, reads: impl FnOnce() -> bool) -> bool {
         let Some(lead) = self.begun.first() else {
             let begins = matches!(byte, 0xC3..=0xF4) && self.is_inside() && reads();

@@ -28,7 +28,7 @@ pub struct Replies {
     echoed: bool,
     /// `?` was received and has not been answered.
     status_due: bool,
-    /// The report is to have all fields (0x87). Takes no memory in the small image.
+    /// The next report must have all fields (0x87). Takes no memory in the small image.
     is_full: [bool; FULL_IMAGE as usize],
     /// The text queued last is a status report.
     reported: bool,
@@ -162,7 +162,7 @@ impl Replies {
         self.is_full.first_mut().is_some_and(core::mem::take)
     }
 
-    /// Returns whether a status report is to be made now, and in this case clears the request.
+    /// Returns whether the caller must make a status report now. If so, clears the request.
     #[inline]
     pub fn take_status(&mut self) -> bool {
         let needed = if self.reported { RESERVE + BETWEEN_REPORTS } else { RESERVE };

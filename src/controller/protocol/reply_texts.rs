@@ -343,7 +343,8 @@ pub fn more_options(out: &mut Text, axes: usize, options: &[&str]) {
     put(out, b"]\r\n");
 }
 
-/// `[BOARD:...]` of `$I+`, as in grblHAL, and `[CRYSTAL:...]`: the frequency of the oscillator as measured at the start.
+/// `[BOARD:...]` of `$I+`, as in grblHAL, and `[CRYSTAL:...]`: the frequency of the oscillator as measured at the
+/// start.
 pub fn board(out: &mut Text, name: &str, oscillator_mhz: u8) {
     put(out, b"[BOARD:");
     put(out, name.as_bytes());

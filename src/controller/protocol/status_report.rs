@@ -212,7 +212,7 @@ impl RareFields {
         let offset = self.offset_in == 0;
         if offset {
             self.offset_in = if busy { 29 } else { 9 };
-            // Only one long field in a report.
+            // A report carries only one of the two long fields, so `Ov` waits for the next report.
             self.overrides_in = self.overrides_in.max(1);
         } else {
             self.offset_in -= 1;

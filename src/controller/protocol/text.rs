@@ -38,7 +38,7 @@ pub fn whole(out: &mut Text, value: u64) {
     put(out, digits.get(digits.len() - used..).unwrap_or(&[]));
 }
 
-/// Appends `form`, in which the next of `texts` stands for each `%` and the next of `numbers` for each `#`.
+/// Appends `form` with each `%` replaced by the next of `texts`, and each `#` by the next of `numbers`.
 #[inline(never)]
 pub fn filled(out: &mut Text, form: &[u8], texts: &[&[u8]], numbers: &[u32]) {
     let (mut texts, mut numbers) = (texts.iter(), numbers.iter());

@@ -322,7 +322,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     fn newest(&self) -> Option<u32> {
         let pages = self.pages.as_ref().iter().enumerate();
         let whole = pages.filter(|(slot, page)| self.slot_of(page.number) == *slot && page.entries().is_some());
-        // Pages left from an earlier pass around the ring have lower numbers.
+        // Pages left from an earlier pass around the ring have lower numbers, so the highest number is the newest.
         whole.map(|(_, page)| page.number).max()
     }
 
@@ -354,7 +354,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     // Writing
 
-    /// Sets the epoch whose bytes can be plain: the current one. While an old recording is kept, no byte is plain.
+    /// From here on, only bytes of the current epoch can be plain. While an old recording is kept, no byte is plain.
     fn expect_plain(&mut self) {
         // Bit 15 is never set in the word of a byte, so this makes the range empty.
         let kept = u32::from(self.kept) << 15;
@@ -457,7 +457,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
-    /// Records an event for the controller at `now`. To be called before the controller gets the event.
+    /// Records an event for the controller at `now`. Call it before the controller gets the event.
     #[inline(always)]
     pub fn record<const N: usize>(&mut self, now: Instant, event: &Event<N>, controller: &Controller<N>) {
         match event {

@@ -39,7 +39,7 @@ impl<const N: usize> Settings<N> {
         let (index, value) = self.placed(number, value)?;
         self.put(index, value);
         if number == HOMING && value == 0.0 {
-            // Soft limits mean nothing without a homed position.
+            // Soft limits mean nothing without a homed position, so they go off with homing.
             self.put(Index::Scalar(Key::SoftLimits as usize), 0.0);
         }
         Ok(())

@@ -1,5 +1,6 @@
 //! Settings that are masks in grblHAL and have fewer values here. With `$900=3`, hosts write and read the masks. A bit
-//! acts always, or it is a value of a setting here, or nothing does what it means, and then it is refused.
+//! is one of three kinds: its meaning always holds, it is a value of a setting here, or it has no function here and is
+//! refused.
 
 use super::table::Key;
 use super::values::Settings;
@@ -40,7 +41,7 @@ const MASKS: [GrblHalMask; 2] = [
 ];
 
 impl GrblHalMask {
-    /// Returns the mask of a setting, if it is one of these.
+    /// Returns the mask of a setting, if the setting has one.
     pub fn of(number: u16) -> Option<&'static GrblHalMask> {
         MASKS.iter().find(|mask| mask.number == number)
     }
@@ -50,12 +51,12 @@ impl GrblHalMask {
         self.own | self.elsewhere | self.always
     }
 
-    /// Returns what is read back after a value has been written.
+    /// Returns the value that a host reads back after it has written `written`.
     pub fn read_back(&self, written: u32) -> u32 {
         if self.is_in_force(written) { written | self.always } else { written & self.own }
     }
 
-    /// Whether further bits count. Homing that is off (`$22=0`) has none.
+    /// Whether bits other than the setting's own value count. They do not count while homing is off (`$22=0`).
     fn is_in_force(&self, bits: u32) -> bool {
         self.elsewhere == 0 || bits & self.own != 0
     }

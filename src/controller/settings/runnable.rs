@@ -69,7 +69,7 @@ impl<const N: usize> Settings<N> {
                 None
             }
         });
-        // The second motor of an axis uses the board's fourth driver, as A does.
+        // The second motor of an axis uses the board's fourth driver, as A does. So a machine cannot have both.
         let cannot = |axis: &Axis| !has_second_motor || in_use > LINEAR || (core_xy && *axis != Axis::Z);
         let ganged = self.ganged_axis().filter(cannot).map(|_| GANGED_AXIS);
         of_axis.or(ganged).or_else(|| self.unrunnable_cycle())

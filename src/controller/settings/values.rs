@@ -54,7 +54,7 @@ impl<const N: usize> Settings<N> {
         while i < N {
             settings.per_axis[AxisKey::HomingCycle as usize].0[i] = homing_cycle(i) as f32;
             if i >= LINEAR {
-                // A rotary axis turns without end.
+                // A rotary axis turns without end, so its travel is 0.
                 settings.per_axis[AxisKey::Travel as usize].0[i] = 0.0;
             }
             i += 1;

@@ -59,7 +59,7 @@ impl<const N: usize> Draft<'_, N> {
         let start = in_xy(&self.state.position);
         let target = self.target();
         reachable(&target)?;
-        // `None` keeps the coordinates that the program wrote for the present position, because the tool does not move.
+        // The tool does not move, so `None` keeps the coordinates that the program wrote for the present position.
         self.action.rotated.reached = None;
         self.action.rotated.scaled.rest = None;
         let weight_of_start = if has_point { 1.0 } else { weight };

@@ -23,7 +23,7 @@ impl<const N: usize> Draft<'_, N> {
         if modal.feed_mode == FeedMode::InverseTime {
             return Err(Error::CycleNeedsPerMinute);
         }
-        // An M6 on the line can stop the spindle.
+        // An M6 on the line can stop the spindle, so such a line needs its own spindle word.
         let stopped = self.action.tool_change && self.line.spindle.is_none();
         if kind.stops_spindle() && (stopped || modal.spindle == SpindleDirection::Off) {
             return Err(Error::SpindleNotTurning);
@@ -95,7 +95,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Returns the words of the cycle: the words of the line, and for those that the line lacks the words in force.
+    /// Returns the words of the cycle. A word that the line lacks keeps the value in force.
     fn cycle_words(&mut self, kind: CycleKind, axes: PlaneAxes) -> Result<CycleWords, Error> {
         let (before, modal) = (&self.state.modal, self.action.modal);
         let series = matches!(before.motion, MotionMode::Cycle(_)) && self.state.cycle.plane == modal.plane;

@@ -64,8 +64,8 @@ pub(super) struct Draft<'a, const N: usize> {
 }
 
 impl<'a, const N: usize> Draft<'a, N> {
-    /// Starts with the modal state and applies the line's modal words. Axis words that no command of the line uses are
-    /// a motion in the motion mode.
+    /// Starts with the modal state and applies the line's modal words. If no command of the line uses the axis words,
+    /// they are a motion in the present motion mode.
     pub(super) fn begin(
         state: &'a Interpreter<N>,
         line: &'a Parsed<N>,
@@ -105,8 +105,8 @@ impl<'a, const N: usize> Draft<'a, N> {
         Self { state, line, dialect, purpose, claim, unused: line.values, rotated: None, scaled: None, action }
     }
 
-    /// Refuses offsets outside the range of coordinates, because sums with such an offset would saturate, and a stored
-    /// one could not be read back. Grbl accepts any offset.
+    /// Refuses offsets outside the range of coordinates: sums with such an offset would saturate, and a stored offset
+    /// could not be read back. Grbl accepts any offset.
     pub(super) fn allow_offset(&self, offset: &PerAxis<Coordinate, N>) -> Result<(), Error> {
         if self.dialect == Dialect::Grbl { Ok(()) } else { reachable(offset) }
     }

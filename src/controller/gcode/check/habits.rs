@@ -28,7 +28,7 @@ impl<const N: usize> Draft<'_, N> {
             }
         }
         if let Some(number) = extended.look_ahead {
-            // G8 without P is a word of lathes: radius programming.
+            // G8 without P is a word of lathes (radius programming), which is not supported.
             if !self.take(b'P') && number == 8 {
                 return Err(Error::NotSupported);
             }
@@ -84,8 +84,8 @@ impl<const N: usize> Draft<'_, N> {
         whole(self.line.value(b'D')).map(|_| true)
     }
 
-    /// Whether the line's spline word is not a curve, but switches the look-ahead as on other controls: G5.1 with Q or
-    /// G5 with P, without a destination.
+    /// Whether the line's spline word switches the look-ahead, as on other controls: G5.1 with Q, or G5 with P, without
+    /// a destination. Such a word starts no curve.
     #[inline(never)]
     pub(super) fn is_look_ahead(&self) -> bool {
         let letter = match self.line.modal.motion {

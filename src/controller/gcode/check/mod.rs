@@ -52,7 +52,8 @@ pub(super) fn check<const N: usize>(
     }
     draft.line_number()?;
     draft.feed()?;
-    // In Grbl's dialect a line without T deselects the tool. While a tool is selected, such a line is more than a move.
+    // In Grbl's dialect a line without T deselects the tool. So while a tool is selected, such a line does more than
+    // move.
     let is_move = line.is_move() && (dialect != Dialect::Grbl || state.modal.tool == 0);
     if !is_move {
         draft.speed();
@@ -89,7 +90,7 @@ pub(super) fn check<const N: usize>(
         ) && matches!(action.after.keeping, Keeping::Leave)
             && action.after.notice.is_none();
     } else {
-        // Grbl computes the target of a line before its G92.1 acts.
+        // Grbl computes the target of a line before the G92.1 of this line acts, so the offset changes only here.
         if dialect == Dialect::Grbl {
             draft.offset_acts();
         }

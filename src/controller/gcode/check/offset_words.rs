@@ -60,7 +60,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Restores the offset of G92, or clears it.
+    /// Restores the offset of G92 if `acts`, otherwise clears it.
     pub(super) fn let_offset_act(&mut self, acts: bool) {
         self.action.g92 = if acts { self.state.offsets.g92_kept } else { PerAxis::all(Coordinate::ZERO) };
         self.action.after.g92_acts = acts;
@@ -80,7 +80,7 @@ impl<const N: usize> Draft<'_, N> {
         }
         // Grbl checks P first, so a wrong system is reported before an unknown L.
         if self.dialect != Dialect::Grbl {
-            // In this case another word of the line has used P.
+            // If the line has a P that is no longer unused, another word of the line has used it.
             if line.values.has(b'P') && !self.unused.has(b'P') {
                 return Err(Error::ValueWordMissing);
             }

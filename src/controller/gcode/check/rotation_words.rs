@@ -119,8 +119,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Returns the program coordinates of the present position, in which the axis words of the line replace those of
-    /// their axes; `None` if no axis of the plane has a word.
+    /// Returns the program coordinates of the present position. Along an axis that has a word, the word replaces the
+    /// coordinate. `None` if no axis of the plane has a word.
     fn named_in(&self, rotated: RotatedPlane) -> Option<[Coordinate; 2]> {
         let axes = [rotated.axes.first, rotated.axes.second];
         if !axes.into_iter().any(|axis| self.line.axes.has(axis)) {

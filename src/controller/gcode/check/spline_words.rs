@@ -13,7 +13,7 @@ use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
 impl<const N: usize> Draft<'_, N> {
-    /// Refuses a negative P, unless it is P of G5, which is a distance.
+    /// Refuses a negative P. P of G5 may be negative, because it is a distance.
     pub(super) fn sign_of_p(&self) -> Result<(), Error> {
         let is_distance =
             self.claim == Claim::Motion && self.action.modal.motion == MotionMode::Spline(SplineKind::Cubic);

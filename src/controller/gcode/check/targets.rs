@@ -44,7 +44,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Rotates `target`, which is the target for unrotated axes.
+    /// Rotates `target`, which was computed without the rotation.
     fn rotated_target(
         &mut self,
         rotated: RotatedPlane,
@@ -64,8 +64,8 @@ impl<const N: usize> Draft<'_, N> {
                 *coordinate = if incremental { *coordinate + value } else { value };
             }
         }
-        // If the program's position does not change, take the machine's position as it is. Converting it again would round
-        // it, and a full circle would not return to its start.
+        // If the program's position does not change, take the machine's position as it is. Converting it again would
+        // round it, and a full circle would not return to its start.
         let machine =
             if program == before { rotated.part_of(&self.state.position) } else { rotated.to_machine(program) };
         rotated.put(&mut target, machine);

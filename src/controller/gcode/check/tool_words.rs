@@ -31,7 +31,8 @@ impl<const N: usize> Draft<'_, N> {
         if self.line.extended.tool_change {
             self.action.tool_change = modal.tool != self.state.spindle_tool;
             self.action.after.spindle_tool = modal.tool;
-            // G28.1 and G30.1 store the present position, and a tool change moves away from it.
+            // G28.1 and G30.1 store the present position, and a tool change moves away from it. So M6 beside them is
+            // not alone.
             let stores = matches!(self.line.non_modal, Some(NonModal::StorePosition(_)));
             self.action.after.tool_alone = self.claim == Claim::Nobody && self.line.tool_length.is_none() && !stores;
         }
@@ -107,7 +108,8 @@ impl<const N: usize> Draft<'_, N> {
         }
         let known = self.state.tools.offset(number);
         let has_room = self.state.tools.slot(entry_number(number, self.state.is_checking())).is_some();
-        // I, J, Q and R give angles, orientation and radius. LinuxCNC's table has them, this one does not.
+        // I, J, Q and R give angles, orientation and radius. LinuxCNC's table has them, this table does not, so they
+        // are ignored.
         let unkept = Letters::of(b"IJQR");
         let describes = l == 1 && self.unused.has_any(unkept);
         if l == 1 {

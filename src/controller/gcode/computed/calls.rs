@@ -1,4 +1,5 @@
-//! Begins calls of subroutines and subprograms, and gives up what runs or is open.
+//! Begins calls of subroutines and subprograms. Also stops the running text, and abandons a program with its open
+//! blocks.
 
 use super::Computed;
 use super::flow::{FlowState, FrameKind, Keyword, OWord, STREAM};
@@ -7,7 +8,7 @@ use crate::error::Error;
 use crate::gcode::state::{Interpreter, ProgramPlace};
 
 impl<const N: usize> Interpreter<N> {
-    /// Begins a call. `back`: the position after it, or [`STREAM`].
+    /// Begins a call. `back`: the position to which the call returns, or [`STREAM`].
     pub(super) fn call(
         &mut self,
         kind: FrameKind,

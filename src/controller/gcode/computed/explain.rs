@@ -117,7 +117,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Explains M words that call macros, `IF [..] THEN` and GOTO. Returns `false` if the words of the line are the cause.
+    /// Explains M words that call macros, `IF [..] THEN` and GOTO. Returns `false` if the words of the line are the
+    /// cause.
     #[inline(never)]
     fn explain_jump(&self, line: &[u8], order: &OWord, error: Error, out: &mut Reason) -> bool {
         let name: &[u8] = match order.keyword {

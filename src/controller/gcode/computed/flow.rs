@@ -177,7 +177,7 @@ impl<'a> OWord<'a> {
         match rest.strip_prefix(b"THEN") {
             Some(words) => {
                 let then = OWord { label: words, keyword: Keyword::Then, arguments: condition };
-                // A line that begins a block, calls, returns or ends the program cannot be a part of another one.
+                // A line that begins a block, calls, returns or ends the program cannot be a part of another line.
                 let is_plain =
                     !words.is_empty() && OWord::of(words).is_none() && !has_m_word(words, &[b"2", b"30", b"98", b"99"]);
                 (is_plain && condition.first() == Some(&b'[')).then_some(then)
@@ -186,7 +186,7 @@ impl<'a> OWord<'a> {
         }
     }
 
-    /// `label`: the number of the loop, and nothing behind it.
+    /// `label` must be the number of the loop, with nothing behind the number.
     fn of_loop(label: &'a [u8], keyword: Keyword, arguments: &'a [u8]) -> Option<OWord<'a>> {
         (!label.is_empty() && digits(label) == label.len()).then_some(OWord { label, keyword, arguments })
     }
@@ -239,7 +239,7 @@ impl<'a> OWord<'a> {
         if self.is_well_formed() { Ok(()) } else { Err(Error::FlowSyntax) }
     }
 
-    /// Whether the line can still belong to a program whose M2 or M30 is in a block before it: calls cannot.
+    /// Whether the line can still belong to the program after an M2 or M30 within a block. A call cannot.
     pub(super) fn may_follow_end(&self) -> bool {
         !matches!(
             self.keyword,
@@ -335,7 +335,7 @@ pub(super) struct Frame {
     pub(super) at: u16,
     /// The loop ends with this pass.
     pub(super) leaving: bool,
-    /// The host's line at which it began, counted from the first received line.
+    /// The host's line at which the block or call began, counted from the first received line.
     begun: u32,
 }
 
@@ -348,8 +348,8 @@ pub(super) enum FlowState {
     Holding,
     /// The recorded program has ended, and waits for the definition of a subprogram.
     Waiting,
-    /// Held text runs. A position means that it is a loop from the stream: its text begins there and is dropped at its
-    /// end.
+    /// Held text runs. With a position, the text is a loop from the stream: it begins at this position and is dropped
+    /// when the loop ends.
     Running(Option<u16>),
 }
 
@@ -361,7 +361,7 @@ pub(super) type HeldText = heapless::Vec<u8, TEXT>;
 #[derive(Debug, PartialEq)]
 pub(super) struct FlowControl {
     pub(super) text: Lent<HeldText>,
-    /// Number of bytes at the start of the text that are macros, which the end of a program keeps.
+    /// Number of bytes at the start of the text that are macros. The end of a program keeps these bytes.
     pub(super) macros: u16,
     pub(super) frames: heapless::Vec<Frame, DEPTH>,
     labels: heapless::Vec<u8, LABELS>,
@@ -380,9 +380,9 @@ pub(super) struct FlowControl {
     pub(super) recorded_from: u32,
     /// The last line was an M2 or M30 that was skipped or recorded.
     pub(super) after_end: bool,
-    /// The host's line at which a block began that was still open at the end of the program.
+    /// If a block was still open at the end of the program: the host's line at which this block began.
     pub(super) cut: Option<u32>,
-    /// Position of the call of an unknown subprogram with which the program goes on.
+    /// Position of a call whose subprogram is not known yet. The program goes on with this call.
     pub(super) waiting: Option<u16>,
     /// Position of the text that is held for this call.
     held_from: u16,
@@ -512,8 +512,8 @@ impl FlowControl {
         self.find_order(from, Keyword::EndSub, label).map(|(_, behind)| behind)
     }
 
-    /// Finds the first line from a position on with this O word. Returns the positions of this line and of the line after
-    /// it.
+    /// Finds the first line from a position on with this O word. Returns the positions of this line and of the line
+    /// after it.
     #[inline(never)]
     pub(super) fn find_order(&self, from: u16, keyword: Keyword, label: &[u8]) -> Option<(u16, u16)> {
         self.find_from(from, |order| order.keyword == keyword && order.label == label)
@@ -544,7 +544,8 @@ impl FlowControl {
     }
 
     /// Drops a refused subroutine, whose text begins at `from`, and an older one with the same label. The label is kept
-    /// with an erroneous `endsub`, so that a call of it is an error and does not run a macro with the same label.
+    /// with an erroneous `endsub`, so that a call of this label is an error and does not run a macro with the same
+    /// label.
     pub(super) fn refuse_sub(&mut self, from: u16, label: &[u8], end: &[u8]) {
         let opening = 1 + self.line(from).map_or(0, <[u8]>::len);
         self.text.truncate(usize::from(from) + opening);
@@ -609,8 +610,8 @@ impl FlowControl {
         self.passes = 0;
     }
 
-    /// Holds the program from the call at `at` in the running text on, whose subprogram is not known yet. `is_complete`: the program has
-    /// been held up to its end, so only subprograms can follow.
+    /// Holds the program from a call in the running text on. The call is at `at`, and its subprogram is not known yet.
+    /// `is_complete`: the program has been held up to its end, so only subprograms can follow.
     pub(super) fn wait(&mut self, at: u16, is_complete: bool) {
         let end = self.text.len() as u16;
         self.held_from = if let FlowState::Running(Some(from)) = self.state {
@@ -628,7 +629,7 @@ impl FlowControl {
             self.after_end = false;
         }
         self.waiting = Some(at);
-        // All open conditions belong to the program, whose rest is held.
+        // The rest of the program is held, and all open conditions belong to it. So no frame is left to the stream.
         self.below = 0;
     }
 

@@ -1,5 +1,5 @@
-//! Words of Fanuc's macros: `IF [..] THEN`, and GOTO within held text. `WHILE [..] DO1` .. `END1` are loops like those of
-//! O words (see `flow`). Also calls of macros by M words: M10, M11, M100 to M199.
+//! Words of Fanuc's macros: `IF [..] THEN`, and GOTO within held text. `WHILE [..] DO1` .. `END1` are loops like those
+//! of O words (see `flow`). Also calls of macros by M words: M10, M11, M100 to M199.
 //!
 //! A jump stays in the text that runs: a subprogram, a subroutine, a loop, or the held part of a program. It leaves the
 //! loops that do not contain its target. A jump into a loop is an error at the end of that loop. The stream has no
@@ -44,22 +44,23 @@ impl<const N: usize> Interpreter<N> {
 }
 
 impl FlowControl {
-    /// Reads the O word of a line. M10, M11 and M100 to M199 are words of their own unless they have a macro.
+    /// Reads the O word of a line. M10, M11 and M100 to M199 count as O words only if they have a macro.
     #[inline(never)]
     pub(super) fn order_of<'l>(&self, line: &'l [u8]) -> Option<OWord<'l>> {
         let is_known = |order: &OWord| order.keyword != Keyword::CallMacroOfM || self.find_macro(order.label).is_some();
         OWord::of(line).filter(is_known)
     }
 
-    /// Returns where the text begins in which a jump can find its target: the innermost subprogram or subroutine, or the
-    /// held lines of the program.
+    /// Returns the start of the text in which a jump looks for its target: the innermost subprogram or subroutine, or
+    /// the held lines of the program.
     #[inline(never)]
     fn beginning(&self) -> Option<u16> {
         let mut labels = self.labels();
         for frame in self.frames.get(usize::from(self.below)..)?.iter().rev() {
             let (others, label) = labels.split_at_checked(labels.len().checked_sub(usize::from(frame.label))?)?;
             if frame.kind.is_call() {
-                // A subroutine of the program and a macro can have the same label.
+                // A subroutine of the program and a macro can have the same label, so look only among those of the
+                // running text.
                 let found = if self.next < self.macros { self.find_macro(label) } else { self.find_own(label) };
                 return found.map(|(_, begin)| begin);
             }
@@ -68,8 +69,8 @@ impl FlowControl {
         if let FlowState::Running(from) = self.state { from } else { None }
     }
 
-    /// Returns the position of the first line from `from` on that has this line number, up to the end of the subprogram or
-    /// of the program.
+    /// Looks for the line number from `from` on, up to the end of the subprogram or of the program. Returns the
+    /// position of the first line that has it.
     #[inline(never)]
     fn numbered(&self, number: i64, from: u16) -> Option<u16> {
         let mut at = from;
@@ -96,11 +97,12 @@ impl FlowControl {
         {
             let (first, end) = match frame.kind {
                 FrameKind::Call | FrameKind::Program(_) => return,
-                // The first line of a `while` pushes its frame again.
+                // The first line of a `while` pushes its frame again, so a jump to that line leaves the loop.
                 FrameKind::While => (frame.at + 1, Keyword::EndWhile),
                 FrameKind::Do => (frame.at, Keyword::While),
                 FrameKind::Repeat(_) => (frame.at, Keyword::EndRepeat),
-                // A condition has no position. If the target is within it, its `endif` is an error.
+                // A condition has no position, so it is always closed. If the target is within the condition, its
+                // `endif` is an error.
                 FrameKind::If(_) => {
                     self.pop();
                     continue;

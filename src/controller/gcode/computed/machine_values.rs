@@ -200,7 +200,7 @@ impl<const N: usize> Interpreter<N> {
             // These values never change. (In LinuxCNC `#<_task>` is 0 in the preview.)
             b"TASK" | b"METRIC_MACHINE" | b"SPINDLE_RPM_MODE" | b"LATHE_RADIUS_MODE" | b"FEED_HOLD" => truth(true),
             b"SPINDLE_CSS_MODE" | b"LATHE_DIAMETER_MODE" | b"ADAPTIVE_FEED" => truth(false),
-            // The version of LinuxCNC whose words these are.
+            // The version of LinuxCNC that has these parameters: 2.9.
             b"VMAJOR" => Ok(Some(Real::from_decimal(Decimal(DECIMAL_ONE * 29 / 10)))),
             b"VMINOR" => Ok(Some(Real::ZERO)),
             b"FEED" => Ok(Some(self.feed())),

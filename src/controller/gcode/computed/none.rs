@@ -78,7 +78,8 @@ fn is_o_word(line: &[u8]) -> bool {
 pub type HeldLine = heapless::Vec<u8, 1>;
 
 impl<const N: usize> Interpreter<N> {
-    /// Refuses O words with a keyword; every other line, including a program number such as `O1000`, is to be checked.
+    /// Refuses O words with a keyword. Returns [`Direction::Check`] for every other line, including a program number
+    /// such as `O1000`.
     pub fn direct(&mut self, line: &[u8], _: &[u8], _: u32) -> Result<Direction, Error> {
         if is_o_word(line) { Err(Error::ExpressionsLeftOut) } else { Ok(Direction::Check) }
     }

@@ -22,8 +22,9 @@ const RESTORE: &[u8] = b"M72";
 
 impl<const N: usize> Interpreter<N> {
     /// Returns what to do with a line of the host. `number` counts the received lines up to this one; `remark` is the
-    /// line's message with the mark (a line can consist of a message alone). If an error is returned, no part of the
-    /// line has been carried out. If the value of a condition is an error, none of its branches will run.
+    /// line's message with its mark (see `split_remark`); a line can consist of a message alone. If an error is
+    /// returned, no part of the line has been carried out. If the value of a condition is an error, none of its
+    /// branches will run.
     #[inline]
     pub fn direct(&mut self, line: &[u8], remark: &[u8], number: u32) -> Result<Direction, Error> {
         self.computed.begin();
@@ -67,8 +68,8 @@ impl<const N: usize> Interpreter<N> {
         self.computed.flow.skipped
     }
 
-    /// Returns the host's line at which the outermost block (sub, loop, condition) began that is still open, or was
-    /// open at the end of the program.
+    /// Returns the host's line at which the outermost open block (sub, loop, condition) began. After the end of a
+    /// program, a block that was open there counts.
     pub fn open_since(&self) -> Option<u32> {
         let flow = &self.computed.flow;
         flow.open_since().or(flow.cut)
@@ -94,8 +95,8 @@ impl<const N: usize> Interpreter<N> {
         Err(error)
     }
 
-    /// Detects that a program has ended within a block. After a skipped or recorded M2 or M30 only O words, but no
-    /// calls, can belong to the same program, so any other line belongs to the next program.
+    /// Detects that a program has ended within a block. After an M2 or M30 that was skipped or recorded, only O words
+    /// other than calls can belong to the same program. So any other line belongs to the next program.
     fn look_for_end(&mut self, line: &[u8], order: Option<OWord>) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         let left_out = flow.leaves_lines_out();
@@ -274,8 +275,8 @@ impl<const N: usize> Interpreter<N> {
             line.clear();
             return Ok(Held::Again);
         };
-        // `endsub` is never skipped, because the line after it belongs to another subroutine; nor is the number of a
-        // subprogram.
+        // `endsub` is never skipped, because the line after it belongs to another subroutine. The number of a
+        // subprogram is not skipped either.
         let ends = order.ends_skipping() && flow.is_of_last(order.label)
             || matches!(order.keyword, Keyword::EndSub | Keyword::Program);
         if flow.skipping && !ends {

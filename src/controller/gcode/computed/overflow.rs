@@ -6,7 +6,7 @@ use super::m_words::has_m_word;
 use crate::gcode::REASONS;
 use crate::gcode::program_number::{number_of, subprogram_number};
 
-/// Length of `ENDSUB` and `O`, which stand in the held text for M99.
+/// Length of `ENDSUB` and `O`, which the held text has in place of M99.
 const END_OF_SUBPROGRAM: usize = 7;
 
 /// A held program that did not fit.
@@ -18,9 +18,9 @@ struct Excess {
     lacking: usize,
     /// Length of the number of the present subprogram; 0 in the program.
     digits: usize,
-    /// In the subprogram for which the program waited.
+    /// The present subprogram is the one for which the program waited.
     is_awaited: bool,
-    /// The lines that come are those of the program or its subprograms.
+    /// Lines are counted, because they still belong to the program or its subprograms.
     counts: bool,
 }
 
@@ -39,7 +39,7 @@ impl Overflow {
         }
     }
 
-    /// Counts a line that follows. The number that comes after the awaited subprogram ends the count.
+    /// Counts a further line. The number of the next subprogram after the awaited one ends the count.
     pub fn count(&mut self, line: &[u8], awaited: u32) {
         for excess in self.0.iter_mut().filter(|excess| excess.counts) {
             match subprogram_number(line) {
@@ -49,7 +49,7 @@ impl Overflow {
                     excess.digits = number.len();
                     excess.add(1 + line.len() + PROGRAM.len());
                 }
-                // The last M99 needs no spare bytes.
+                // M99 does not raise `lacking`, because the last M99 needs no spare bytes.
                 None if has_m_word(line, &[b"99"]) => excess.held += 1 + END_OF_SUBPROGRAM + excess.digits,
                 None => excess.add(1 + line.len()),
             }
@@ -61,7 +61,7 @@ impl Overflow {
         self.0.iter_mut().for_each(|excess| excess.counts = false);
     }
 
-    /// Returns how many bytes are too many so far, while lines of the program come.
+    /// While lines are counted: returns by how many bytes the program is too long so far.
     #[cfg(feature = "reasons")]
     pub fn so_far(&self) -> Option<usize> {
         self.0.first().filter(|excess| excess.counts).map(|excess| excess.lacking)

@@ -72,7 +72,7 @@ impl Real {
             exponent += 1;
         }
         let size = if power == 1 { size } else { (size + power / 2) / power };
-        // At most 10^18.
+        // `size` is at most 10^18, so it fits `i64`.
         let mut size = size as i64;
         while size != 0 && size % 10 == 0 {
             size /= 10;
@@ -186,7 +186,7 @@ impl Real {
 
     #[inline(never)]
     pub fn order(self, other: Real) -> Ordering {
-        // The difference can overflow only if the signs are opposite, and then the sign decides.
+        // The difference can overflow only if the signs are opposite. In this case the sign of `self` decides.
         self.sub(other).map_or(self.mantissa.cmp(&0), |off| off.mantissa.cmp(&0))
     }
 
@@ -549,8 +549,8 @@ impl Real {
         if Self::known(100, 0).is_below(self) {
             return Err(Error::InvalidResult);
         }
-        // The result would be below 10^-40. Slightly further down `scale` would be 2^137, which is out of range
-        // (10^41).
+        // The result would be below 10^-40, so it becomes 0. For a slightly smaller `self`, `scale` would be 2^137,
+        // which is out of range (10^41).
         if self.is_below(Self::known(-94, 0)) {
             return Ok(Real::ZERO);
         }

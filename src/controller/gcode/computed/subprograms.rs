@@ -13,10 +13,10 @@
 //! Guarantees: no line of a subprogram is executed except by a call. If a line of the held program or of a subprogram
 //! is refused before the program goes on, none of the held lines is executed, and all lines that follow are refused.
 //! The same holds if the machine rests meanwhile, because then the next line can be that of another file. M99 without a
-//! call means that a subprogram has been taken for the program: all following lines are refused. A subprogram ends with
-//! its file: one for which no program waits is read and forgotten.
+//! call means that a subprogram has been taken for the program: all following lines are refused. A subprogram is valid
+//! only in its file: if no program waits for it, the subprogram is read and forgotten.
 //!
-//! M98 and G65 do not call macros: a file that has a subprogram with the number of a macro would move otherwise.
+//! M98 and G65 do not call macros. Otherwise a file whose subprogram has the number of a macro would move differently.
 
 use super::Computed;
 use super::expression;
@@ -85,8 +85,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Decides on a line of the host that the check has refused with `error`. M98 behind other words is a call that
-    /// follows them. M99 behind other words has no call, either.
+    /// Decides on a line of the host that the check has refused with `error`. M98 behind other words is a call after
+    /// these words. M99 behind other words has no call to return from, so the rest of the program is refused.
     #[cold]
     #[inline(never)]
     pub fn direct_refused(&mut self, line: &[u8], remark: &[u8], error: Error) -> Result<Direction, Error> {
@@ -102,8 +102,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Executes M98, G65 or `IF [..] THEN` in a line of the host (`call`), after the words in front of it. The line is held
-    /// and runs like a loop. If the subprogram is unknown, the program is held from the call on.
+    /// Executes M98, G65 or `IF [..] THEN` in a line of the host (`call`), after the words in front of it. The line is
+    /// held and runs like a loop. If the subprogram is unknown, the program is held from the call on.
     #[inline(never)]
     pub(super) fn run_call(
         &mut self,
@@ -137,11 +137,11 @@ impl<const N: usize> Interpreter<N> {
     pub(in crate::gcode) fn look_among_subprograms(&mut self, line: &[u8]) -> bool {
         let flow = &self.computed.flow;
         let belongs = match flow.state {
-            // This line is refused when it is held, unless the program has ended.
+            // `hold_line` decides on this line: it refuses a number before the end of the program.
             FlowState::Holding => return true,
             FlowState::Recording(..) => self.is_held(),
             FlowState::Waiting => subprogram_number(line).is_some(),
-            // No number belongs into an open condition.
+            // A subprogram cannot begin in an open condition.
             _ => flow.frames.is_empty() && subprogram_number(line).is_some(),
         };
         let belongs = belongs && matches!(self.place, ProgramPlace::End | ProgramPlace::Subprogram);
@@ -159,7 +159,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Whether a line among subprograms has the number of the program before them, so that the same file begins again.
+    /// Whether a line among subprograms has the number of the program before them, which means that the same file
+    /// begins again.
     #[inline(never)]
     pub(in crate::gcode) fn begins_again(&self, line: &[u8]) -> bool {
         self.computed.program > 0 && number_of(line) == self.computed.program
@@ -199,7 +200,7 @@ impl<const N: usize> Interpreter<N> {
         self.refuse_rest();
     }
 
-    /// Returns by how many bytes at least the last held program was too long that did not fit.
+    /// Returns the minimum number of bytes that were missing for the last held program that did not fit.
     pub fn lacking_bytes(&self) -> Option<usize> {
         self.computed.overflow.lacking()
     }
@@ -210,7 +211,7 @@ impl<const N: usize> Interpreter<N> {
         self.place = ProgramPlace::Subprogram;
         let flow = &mut self.computed.flow;
         let from = flow.text.len() as u16;
-        // A second definition would leave it open which one a call means.
+        // With two definitions, a call would be ambiguous.
         let held = match flow.find_own(label).is_some() {
             true => Err(Error::OutOfPlace),
             false => flow.hold(&line_of(label, PROGRAM), &[], SPARE),
@@ -229,8 +230,9 @@ impl<const N: usize> Interpreter<N> {
         Ok(Direction::LeftOut)
     }
 
-    /// Records a line of a subprogram. M99 ends it, unless it is within a condition or loop. Then the program that
-    /// waits for it goes on; if none does, the subprogram is forgotten, because no later program may call it.
+    /// Records a line of a subprogram. M99 ends the subprogram, unless the M99 is within a condition or loop. At the
+    /// end, the program that waits for the subprogram goes on. If no program waits, the subprogram is forgotten,
+    /// because no later program may call it.
     #[inline(never)]
     fn record_subprogram(
         &mut self,
@@ -360,7 +362,7 @@ impl FlowControl {
         }
     }
 
-    /// Begins the next pass of the innermost call, which is that of a subprogram.
+    /// Begins the next pass of the innermost call, which is a call of a subprogram.
     #[inline(never)]
     pub(super) fn next_pass(&mut self) -> Result<(), Error> {
         let label = self.last_label();
@@ -397,7 +399,8 @@ impl FlowControl {
     }
 }
 
-/// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. If it is no [`OWord`], it is not supported.
+/// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. If it is no [`OWord`], it is not
+/// supported.
 pub(super) fn is_jump(line: &[u8]) -> bool {
     let line = behind_line_number(line);
     [b"IF".as_slice(), b"WHILE", b"END", b"GOTO"].iter().any(|word| line.starts_with(word))
