@@ -174,7 +174,7 @@ impl<const N: usize> Backlash<N> {
 /// (`TurnRule::junction2`).
 pub(super) fn share(acceleration: f32, deviation: f32, speed: f32) -> f32 {
     let angle = 0.5 * square_root(8.0 * acceleration * deviation) / speed;
-    // NaN gives the minimum share.
+    // If `angle` is NaN, the comparison is false, and the share is the minimum.
     if angle > LEAST_SHARE { lesser(angle, GREATEST_SHARE) } else { LEAST_SHARE }
 }
 

@@ -62,7 +62,7 @@ pub(super) struct MoveQueue<const N: usize> {
     pub substep_offset: Option<[i32; N]>,
     pub long: Option<LongMove<N>>,
     pub numbering: Numbering,
-    /// The mark of blocks from here on, as bits of their flags.
+    /// The mark of the blocks queued from now on, as bits of their flags.
     pub marked: u8,
     /// The straight moves at the end of the queue, from which the curvature of the path is determined.
     pub chain: Chain<N>,
