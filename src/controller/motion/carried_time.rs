@@ -72,7 +72,7 @@ impl CarriedTime {
                 alone + greater(lesser(before.seconds, most), least) + extra / feed
             }
             Speed::Duration(_) => {
-                // The block takes the duration of its move, whatever its length: nothing is carried over.
+                // The block takes the duration of its move, whatever its length, so nothing is carried over.
                 *self = Self::NONE;
                 alone + greater(before.seconds, 0.0)
             }

@@ -473,7 +473,7 @@ pub struct Scale<const N: usize> {
     path: f32,
     /// Maximum speed² in the unfinished span, under any override.
     fast2: f32,
-    /// Maximum speed² that the machine can have in it.
+    /// Maximum speed² that the machine can have in the unfinished span.
     attainable2: f32,
     /// Blocks of the unfinished span.
     blocks: u16,

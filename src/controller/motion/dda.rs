@@ -28,8 +28,8 @@ pub(super) fn step_axes<const N: usize>(left: &mut [u32; N], increments: &[u32; 
         // `left` and `increment` lie between 0 and the threshold (at most 2^30), or a few parts of a step outside this
         // range. So the sign of `rest` shows whether the axis steps. `stepping` is all ones or all zeros, which avoids
         // a branch. No axis steps twice in a tick: a tick advances the dominant axis by one step at most, and begins at
-        // a multiple of its own size. In such an interval, an axis with as many steps as the dominant one makes at most
-        // one step, wherever between two steps it begins and ends; an axis with fewer steps travels less.
+        // a multiple of its own size. Within one tick, an axis with as many steps as the dominant one makes at most one
+        // step, wherever between two steps it begins and ends; an axis with fewer steps travels less.
         let rest = left.wrapping_sub(*increment) as i32;
         let stepping = rest >> 31;
         *left = rest.wrapping_add(threshold & stepping) as u32;

@@ -155,8 +155,8 @@ impl<const N: usize> MoveQueue<N> {
         self.continue_long_move();
     }
 
-    /// Queues a move with a duration as a feed move, because backlash compensation can divide it, and the duration is
-    /// that of the undivided move.
+    /// Queues a move with a duration as a feed move. Backlash compensation can divide the move, whereas the duration
+    /// applies to the undivided move.
     // Not inlined, so that only a move with a duration is copied.
     #[inline(never)]
     fn put_timed(&mut self, m: &Move<N>, seconds: f32, curve_speed2: f32, chord: bool) {

@@ -157,7 +157,7 @@ impl<const N: usize> MoveQueue<N> {
             // move are five blocks, of which the next move's own block is not counted here.
             1 => 4,
             // The next move causes the first move and its corner to be queued (four blocks), and makes a second corner
-            // (five blocks, less its own).
+            // (five blocks, without the next move's own block).
             _ => 8,
         };
         if self.backlash.is_on() { pieces * MOST_BLOCKS_OF_A_MOVE } else { pieces }

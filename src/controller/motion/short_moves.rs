@@ -148,8 +148,8 @@ impl<const N: usize> MoveQueue<N> {
                 return None;
             }
         }
-        // From any speed from which the machine could brake to a stop within the old block, it must be able to do so
-        // within the new one.
+        // If the machine could brake to a stop within the old block from some speed, it must be able to brake from this
+        // speed within the new block.
         let last = self.planner.last()?;
         let shares = shares(&way, length);
         let (acceleration, _) = self.limits.along_shares(&shares);
