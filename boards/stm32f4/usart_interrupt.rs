@@ -6,8 +6,8 @@
 //!  USART ──▶ DMA ────────▶ buffer      only while flash is written or erased: the machine is at rest then
 //!  USART ◀── interrupt ◀── queue ◀── serial task
 //! ```
-//! A USART holds a byte until the next one has arrived: 87 us at 115,200 baud, the maximum of such a board (`$931`).
-//! The longest run of the step task plus the other work at the priority of the inputs take less.
+//! A USART holds a byte until the next one has arrived: 87 us at 115,200 baud, the maximum rate of a board with this
+//! UART (`$931`). The longest run of the step task plus the other work at the priority of the inputs take less.
 
 use super::dma::{CR, EN, MEMORY_COUNTS, NDTR, await_off, clear_flags, program, stream};
 use super::registers::{read, write};

@@ -45,7 +45,7 @@ pub struct Profile {
     pub most_baud: u32,
     /// Frequency of the board's oscillator as found at the start, MHz; 0 if the board has none.
     pub oscillator_mhz: u8,
-    /// Whether settings survive power-off. If not, the controller asks for no store operations.
+    /// Whether settings survive power-off. If not, the controller requests no store operations.
     pub has_store: bool,
 }
 

@@ -137,7 +137,7 @@ impl<const N: usize> Probe<N> {
         self.phase = None;
     }
 
-    /// Ends the probe without a result while the step task still watches, and tells the step task to end its watch.
+    /// Ends the probe without a result while the step task still watches, and requests the end of that watch.
     pub fn break_off(&mut self) {
         self.phase = None;
         self.watch = Some(WATCH_ENDS);
