@@ -2,9 +2,9 @@
 //! most once per 500 us. A host, or noise on a wire, that sends without pause thus leaves CPU time to the control task,
 //! which prepares the motion for the step task. Commands that stop the machine bypass this limit.
 
-/// Minimum time between two calls of the serial task, in samples of the inputs: 500 us. At 1 Mbaud, the 255 bytes that
-/// a host can have in flight last 2.55 ms. Within that time the first line among them must be delivered, executed and
-/// answered. Otherwise the host has to stop sending.
+/// Minimum time between two calls of the serial task, in samples of the inputs: 500 us. At 1 Mbaud, it takes 2.55 ms to
+/// send the 255 bytes that a host can have in flight. Within that time the first line among them must be delivered,
+/// executed and answered. Otherwise the host has to stop sending.
 pub const REST: u8 = 10;
 
 /// Rate limiter for calls of the serial task.

@@ -90,8 +90,8 @@ impl Due {
 /// Number of combinations of stepped axes; bit 0 of a combination is X.
 pub const COMBINATIONS: usize = 1 << crate::AXES;
 
-/// Contiguous free slots for the next events: none if the queue is full, at most one while events are output one by
-/// one.
+/// Contiguous free slots for the next events. There are none if the queue is full, and at most one while events are
+/// output one by one.
 pub struct Free<'a> {
     /// What to write into `words` for each combination of steps. With one GPIO port, this is the port's word, including
     /// the present directions; otherwise a code that [`StepOutput::commit`] translates.

@@ -27,7 +27,7 @@ pub mod stm32f4;
 pub fn checksum(bytes: &[u8]) -> u32 {
     const SUM: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
     let mut digest = SUM.digest();
-    // Byte by byte: the loop over a slice would be unrolled to 700 bytes of code.
+    // Byte by byte, because the compiler would unroll the loop over a slice to 700 bytes of code.
     for byte in bytes {
         digest.update(core::slice::from_ref(byte));
     }
@@ -106,7 +106,7 @@ mod chosen {
         ports(&Role::ALL) >> PORTS == 0 && ports(&moving).count_ones() as usize <= STEP_PORTS
     }
 
-    /// Returns the profile of the board: the image's numbers, with what the pin table has.
+    /// Returns the profile of the board: the numbers of the image, with the name and the pins of the pin table.
     #[inline(never)]
     pub fn profile() -> Profile {
         let table = pin_table();

@@ -46,7 +46,7 @@ pub enum Role {
     DirectionY,
     DirectionZ,
     DirectionFourth,
-    /// Enable input of the drivers. Boards whose drivers have an input each have up to four.
+    /// Enable input of the drivers. A board with a separate enable input for each driver has up to four.
     Enable,
     SecondEnable,
     ThirdEnable,
@@ -142,8 +142,8 @@ impl PinTable {
         PinTable(bytes)
     }
 
-    /// Makes a table for an image. `mhz` is the frequency of the oscillator, 0 to measure it. A name longer than
-    /// [`NAME_SIZE`] is cut.
+    /// Makes a table for an image. `mhz` is the frequency of the oscillator; with 0, the firmware measures it. A name
+    /// longer than [`NAME_SIZE`] is cut.
     pub fn new(image: u8, name: &str, mhz: u8, is_external: bool, pins: impl Fn(Role) -> Option<Pin>) -> PinTable {
         let mut bytes = [0; SIZE];
         bytes[..MAGIC.len()].copy_from_slice(&MAGIC);
@@ -164,7 +164,7 @@ impl PinTable {
         PinTable(bytes)
     }
 
-    /// Takes bytes of an image for a table. Whether it is one, [`PinTable::is_intact`] says.
+    /// Takes bytes of an image for a table. [`PinTable::is_intact`] returns whether they are one.
     pub const fn from_bytes(bytes: [u8; SIZE]) -> PinTable {
         PinTable(bytes)
     }
@@ -174,7 +174,7 @@ impl PinTable {
         &self.0
     }
 
-    /// Returns whether begin and checksum are right.
+    /// Returns whether the first bytes and the checksum are right.
     pub fn is_intact(&self) -> bool {
         let (rest, sum) = self.0.split_at(CRC_AT);
         rest.starts_with(&MAGIC) && checksum(rest).to_le_bytes() == sum

@@ -41,7 +41,7 @@ pub struct Board {
     pub has_at_speed: bool,
     /// Pages of 256 bytes of RAM for the recording of inputs and received bytes; 0 = no recording.
     pub recording_pages: usize,
-    /// Number of the firmware's image, which a pin table is made for. Several boards may share an image.
+    /// Number of the firmware's image. A pin table is made for one image. Several boards may share an image.
     pub image: u8,
     /// Whether there is USB; the UART to the host is then `USART1`, otherwise `USART2`.
     pub has_usb: bool,
@@ -146,8 +146,8 @@ pub const NUCLEO_F401RE: Board = Board {
 };
 
 /// Control boards with STM32F446 and USB: 168 MHz instead of 180, because USB needs 48 MHz from the same PLL. The step
-/// timer is on the 84 MHz bus clock. The image is built for size, except the step task: at 1 MHz the events would run out
-/// behind turns. The boards are [`OCTOPUS_F446`] and its neighbours.
+/// timer is on the 84 MHz bus clock. The image is built for size, except the step task: otherwise the events would run
+/// out at 1 MHz, after changes of direction. The boards are [`OCTOPUS_F446`] and its neighbours.
 pub const CONTROL_F446: Board = Board {
     name: "control_f446",
     step_clock_hz: 84_000_000,

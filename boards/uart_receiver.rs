@@ -36,9 +36,9 @@ const EMPTY: u16 = 0x8000;
 /// Slot flag: bytes are missing before this one.
 const MISSING: u16 = 0x4000;
 
-/// When this many bytes of text have arrived, the serial task is called even if the end of their line has not arrived.
+/// When this many bytes of text have arrived, the serial task is called even if the end of the line has not arrived.
 const GATHERED: u8 = 32;
-/// Looks after which a partly filled message is passed on.
+/// Number of looks after which a partly filled message is passed on.
 const WAITED: u8 = 4;
 /// Maximum number of bytes of text that one look reads from DMA's buffer; other bytes count double. At 1 Mbaud five
 /// bytes arrive between two samples.
@@ -132,9 +132,9 @@ pub struct UartReceiver<S> {
     text: u8,
     /// The last byte that was passed on since the last call of the serial task.
     unheard: Option<u8>,
-    /// Bytes were lost before the next one to be read.
+    /// Bytes were lost before the next byte to be read.
     is_missing: bool,
-    /// The bytes just before the next one to be read are damaged.
+    /// The bytes just before the next byte to be read are damaged.
     is_torn: bool,
     /// The bytes that arrive up to the next look may be damaged.
     is_doubtful: bool,

@@ -44,7 +44,7 @@ impl UsbHost {
 
     /// Updates the state from the driver's DTR and whether the device is configured. `now` reads a free-running clock.
     pub fn look(&mut self, dtr: bool, configured: bool, now: impl FnOnce() -> u32) -> Look {
-        // DTR falls when the host closes the port; the bus goes idle when the cable is pulled.
+        // `closed`: DTR falls when the host closes the port. `unplugged`: the bus goes idle when the cable is pulled.
         let (closed, unplugged) = (self.dtr && !dtr, self.configured && !configured);
         // If a host has sent bytes without opening the port (without DTR), and DTR rises now, another host has opened
         // the port.

@@ -18,7 +18,7 @@ pub const IMAGES: [&str; 7] = [
     "qemu_mps2",
 ];
 
-/// Images for a flash that is too small for one built for speed: they are built for size.
+/// Images that are built for size, because their flash is too small for an image built for speed.
 pub const SMALL: [&str; 2] = ["blackpill_f401", "control_f446"];
 
 /// The cargo profile that compiles for speed.

@@ -249,7 +249,7 @@ impl StepPins {
             NVIC::pend(Interrupt::TIMER0);
             return;
         }
-        // After the timer has expired, it continues with the reload value, 1 ms: if rounding made it expire before the
+        // After its expiry, the timer continues with the reload value, 1 ms. If rounding made it expire before the
         // scheduled time, that time is checked again after 1 ms.
         self.timer.set_reload(CORE_HZ / 1_000);
         self.timer.set_value(nearest);
@@ -602,8 +602,8 @@ impl Watchdog {
 }
 
 /// A word that keeps its value in a reset, because QEMU does not report the cause of a reset. `ASKED`: the program
-/// requested the reset. `RUNNING`: it did not, so the watchdog caused the reset. Any other value: power-up. Start-up
-/// code does not initialize this word.
+/// requested the reset. `RUNNING`: the program did not request it, so the watchdog caused the reset. Any other value:
+/// power-up. Start-up code does not initialize this word.
 #[unsafe(link_section = ".uninit.ALIVE")]
 // unsafe because the linker takes the section on trust; safe because every bit pattern is a number.
 static mut ALIVE: core::mem::MaybeUninit<u32> = core::mem::MaybeUninit::uninit();
@@ -654,8 +654,8 @@ fn fail(way: u8) {
         b'F' => cortex_m::asm::udf(),
         b'C' => {
             // Masks the tasks of the lowest priority, among them `control`; the others continue.
-            // SAFETY: unsafe because a write to BASEPRI can break critical sections; safe because the program is to
-            // end.
+            // SAFETY: unsafe because a write to BASEPRI can break critical sections; safe because the program ends
+            // here.
             unsafe { cortex_m::register::basepri::write(hardware_priority(1)) };
             loop {
                 cortex_m::asm::nop();

@@ -171,7 +171,7 @@ pub(super) fn cut<M: Map>() {
 impl<M: Map, const P: usize> Chain<M, P> {
     /// Number of slots that stay free. One is the slot after the last event. With several ports, the slot before the
     /// tail also stays free: the tail is that of the first port, and the other ports may not have output their words of
-    /// that slot yet.
+    /// the slot before it yet.
     const SPARE: usize = if P > 1 { 2 } else { 1 };
 
     pub(super) const fn new(ports: [usize; P], rings: &'static mut Rings<P>) -> Self {
@@ -377,7 +377,7 @@ impl<M: Map, const P: usize> Chain<M, P> {
     /// this wait takes.
     fn await_served(&self, channel: usize) {
         let moment = read(M::TIM5 + channel);
-        // Bounds the wait, as one iteration takes at least a tick.
+        // Bounds the wait, because one iteration takes at least a tick.
         for _ in 0..3 * NEAR_TICKS {
             if (read(M::TIM5 + CNT).wrapping_sub(moment).wrapping_add(NEAR_TICKS)) >= 2 * NEAR_TICKS {
                 return;

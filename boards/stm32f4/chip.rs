@@ -1,7 +1,7 @@
 //! Set-up of the chip, shared by the STM32F4 boards: step pins and their timers, the microsecond clock, input pins,
 //! slow outputs, the watchdog, monitoring of the oscillator, the cause of a reset, and the safe state of the outputs.
 //!
-//! Which pins there are says the pin table of the image. The part that the step interrupt uses is in `step.rs` and
+//! The pin table of the image says which pins there are. The part that the step interrupt uses is in `step.rs` and
 //! `chain.rs`.
 
 use core::sync::atomic::Ordering;
@@ -285,7 +285,8 @@ fn bits_of(bit: u8) -> u32 {
     1 << bit | if is_of_fourth_axis { 1 << (LIMITS + 3) } else { 0 }
 }
 
-/// Number of enable outputs, the first of [`SLOW_OUTPUTS`]. They are high while the machine is safe; the others are low.
+/// Number of enable outputs, the first of [`SLOW_OUTPUTS`]. They are high while the machine is safe; the other slow
+/// outputs are low then.
 const ENABLES: usize = 4;
 /// Slow outputs.
 const SLOW_OUTPUTS: [Role; 10] = [

@@ -22,10 +22,10 @@ const DIVIDER: u32 = 31;
 const EDGES: u32 = 8;
 /// Captures that the measurement takes.
 const CAPTURES: u32 = 16;
-/// Looks at the ready flag before the oscillator counts as missing: a tenth of a second at least. A crystal starts within
-/// a few milliseconds.
+/// Number of readings of the ready flag after which the oscillator counts as missing: a tenth of a second at least. A
+/// crystal starts within a few milliseconds.
 const MOST_LOOKS: u32 = 400_000;
-/// Looks at the capture flag before the oscillator counts as not measurable: a millisecond at least.
+/// Number of readings of the capture flag after which the oscillator counts as not measurable: a millisecond at least.
 const MOST_LOOKS_AT_CAPTURE: u32 = 4_000;
 
 /// Registers of TIM11, which only this measurement uses (RM0383, "TIM10/11 registers"; RM0368 and RM0390 have the same).
@@ -53,15 +53,15 @@ pub fn find_oscillator(rcc: &pac::RCC, table: &PinTable) -> Option<u32> {
     }
     let ticks = measure(rcc);
     match table.oscillator_mhz().map(u32::from) {
-        // A frequency in the table must not be quite wrong: the PLL would not lock, or run too fast.
+        // Reject a frequency in the table that is far off: with it, the PLL would not lock, or would run too fast.
         Some(mhz) => Some(mhz).filter(|mhz| ticks.is_none_or(|ticks| is_near(*mhz, ticks, 100))),
         None => known(ticks?),
     }
 }
 
 /// Makes the external oscillator the source of the PLL, in place of the internal one, with the same output. The HAL has
-/// set up everything for the internal oscillator, whose frequency is known to the compiler: for a frequency that is
-/// known only at run time, it would need 3 KB of code that searches for dividers.
+/// set up everything for the internal oscillator, because the compiler knows its frequency. For a frequency that is
+/// known only at run time, the HAL would need 3 KB of code that searches for dividers.
 #[inline(never)]
 pub fn change_source(rcc: &pac::rcc::RegisterBlock, mhz: u32) {
     rcc.cfgr().modify(|_, w| w.sw().hsi());
@@ -73,7 +73,7 @@ pub fn change_source(rcc: &pac::rcc::RegisterBlock, mhz: u32) {
     rcc.pllcfgr().modify(|r, w| {
         // The frequency of the PLL's own oscillator, which is a whole and even number of MHz at all our clocks.
         let vco_mhz = HSI_MHZ * u32::from(r.plln().bits()) / u32::from(r.pllm().bits());
-        // Its input is 2 MHz, as the reference manuals recommend (RCC_PLLCFGR, PLLM), or 1 MHz.
+        // The input of the PLL is 2 MHz, as the reference manuals recommend (RCC_PLLCFGR, PLLM), or 1 MHz.
         let input_mhz = if mhz.is_multiple_of(2) { 2 } else { 1 };
         // SAFETY: unsafe because the device crate cannot know which dividers are valid; safe because they are: PLLM is 4
         // to 26, and PLLN 96 to 400.
@@ -126,8 +126,8 @@ fn is_near(mhz: u32, ticks: u32, thousandths: u32) -> bool {
     expected.abs_diff(ticks) * 1000 <= expected * thousandths
 }
 
-/// Returns the known frequency that fits the measured ticks. The tolerance is closer at 25 MHz, which has neighbours: 24
-/// and 26 MHz cannot be told from it in any case.
+/// Returns the known frequency that fits the measured ticks. The tolerance is closer at 25 MHz, because there are
+/// oscillators of 24 and 26 MHz. Even so, the measurement cannot tell these two from 25 MHz.
 fn known(ticks: u32) -> Option<u32> {
     KNOWN_MHZ.into_iter().find(|mhz| is_near(*mhz, ticks, if *mhz == 25 { 50 } else { 80 }))
 }

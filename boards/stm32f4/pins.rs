@@ -56,7 +56,7 @@ fn find(table: &PinTable, roles: &[Role], places: &mut [Option<Place>]) {
     }
 }
 
-// Not inlined, as the functions below: they are called for some thirty pins.
+// Not inlined, and neither are the functions below, because they are called for some thirty pins.
 /// Sets the `width` bits that belong to a pin in a register of its port.
 #[inline(never)]
 fn set(place: Place, register: usize, width: u32, value: u32) {

@@ -33,8 +33,8 @@ fn clock_supply() {
     let _ = enable.read();
 }
 
-/// Ends over-drive before the PLL is switched off (RM0390, "Exiting from Over-drive mode"). Returns whether it was on. The
-/// core must run on the internal oscillator.
+/// Ends over-drive before the PLL is switched off (RM0390, "Exiting from Over-drive mode"). Returns whether over-drive
+/// was on. The core must run on the internal oscillator.
 #[cfg(feature = "stm32f446")]
 pub fn leave_over_drive() -> bool {
     // SAFETY: unsafe because the owner is by-passed; safe because no task runs yet.

@@ -29,8 +29,8 @@ pub(super) const CR_3: usize = 0x14;
 // CR1
 const ON: u32 = 1 << 13;
 
-/// Sets the baud rate; call before anything is sent. Drops a byte received so far, since it may have been sent at
-/// another rate.
+/// Sets the baud rate; call before anything is sent. Drops a byte that was received before, because it may have been
+/// sent at another rate.
 pub(super) fn set_baud(usart: usize, clock: u32, baud: u32) {
     let control = read(usart + CR_1);
     write(usart + CR_1, control & !ON);
@@ -48,7 +48,7 @@ pub struct UartInput<S, const N: usize> {
     messages: Sender<'static, ReceivedBytes, N>,
     /// Number of messages sent (wrapping).
     sent: u32,
-    /// Tells the serial task up to which message, counted as in `sent`, a stop command may be waiting.
+    /// Signal to the serial task: a stop command may be waiting in a message up to this one, counted as in `sent`.
     hurry: SignalWriter<'static, u32>,
 }
 

@@ -1,13 +1,13 @@
 //! UART with an interrupt for each byte, at the priority of the inputs. For boards on which only DMA2 could serve this
-//! USART: DMA2 outputs the step edges there, and must not serve APB2 meanwhile (`chain`).
+//! USART: there, DMA2 outputs the step edges, so it must not serve the USART's bus, APB2, at the same time (`chain`).
 //!
 //! ```text
 //!  USART ──▶ interrupt ──▶ buffer
 //!  USART ──▶ DMA ────────▶ buffer      only while flash is written or erased: the machine is at rest then
 //!  USART ◀── interrupt ◀── queue ◀── serial task
 //! ```
-//! A USART holds a byte until the next one has arrived: 87 us at 115,200 baud, the maximum of such a board (`$931`).
-//! The longest run of the step task plus the other work at the priority of the inputs take less.
+//! A USART holds a byte until the next one has arrived: 87 us at 115,200 baud, the maximum rate of a board with this
+//! UART (`$931`). The longest run of the step task plus the other work at the priority of the inputs take less.
 
 use super::dma::{CR, EN, MEMORY_COUNTS, NDTR, await_off, clear_flags, program, stream};
 use super::registers::{read, write};
@@ -248,8 +248,8 @@ pub fn before_stall() {
     write(USART + CR_3, DMA_RECEIVES | CALL_AT_ERROR);
 }
 
-/// Notes whether a byte was damaged while the processor was stalled: then the interrupt at errors stays enabled. Pends
-/// the UART's interrupt, which ends receiving by DMA.
+/// Notes whether a byte was damaged while the processor was stalled. If so, the interrupt at errors stays enabled.
+/// Pends the UART's interrupt, which ends receiving by DMA.
 pub fn after_stall() {
     if !NVIC::is_pending(VECTOR) {
         write(USART + CR_3, DMA_RECEIVES);

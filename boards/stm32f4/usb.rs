@@ -36,8 +36,8 @@ use crate::{Incoming, Port};
 
 /// Largest packet of a bulk endpoint at full speed (USB 2.0, 5.8.3).
 const PACKET: usize = 64;
-/// Maximum bytes per sent packet. No sent packet is full, so that each is a complete transfer: a packet that is not
-/// full ends one.
+/// Maximum bytes per sent packet. No sent packet is full. A packet that is not full ends a transfer, so each packet is
+/// a complete transfer.
 const SENT: usize = PACKET - 1;
 /// Words of the driver's receive buffers: 64 bytes each for the control endpoint and the data endpoint.
 const BUFFERS: usize = 2 * PACKET / 4;

@@ -11,10 +11,10 @@ use toml::{Table, Value};
 const OSCILLATORS: [u8; 9] = [4, 8, 10, 12, 16, 20, 24, 25, 26];
 /// Entries of a file beside `pins`.
 const KEYS: [&str; 8] = ["name", "title", "image", "chip", "oscillator", "remarks", "drawing", "pins"];
-/// Functions whose pin must not be pulled up while the chip is reset: a device would be on.
+/// Functions whose pin must not be pulled up while the chip is reset, because a device would be on.
 const ON_WHEN_HIGH: [Role; 6] =
     [Role::SpindleOn, Role::SpindlePwm, Role::Flood, Role::Mist, Role::ProgramOutput, Role::SecondProgramOutput];
-/// Functions that need another one.
+/// Pairs of a function and another one that it needs.
 const NEEDS: [(Role, Role); 14] = [
     (Role::StepX, Role::DirectionX),
     (Role::StepY, Role::DirectionY),
@@ -34,7 +34,7 @@ const NEEDS: [(Role, Role); 14] = [
 /// Channel 2 of TIM3 (data sheets, "Alternate function mapping").
 const PWM_PINS: [&str; 3] = ["A7", "B5", "C7"];
 
-/// The faults found so far, and the text that they are in.
+/// The text of a file, and the faults found in it so far.
 struct Checked<'a> {
     text: &'a str,
     faults: Vec<Fault>,
@@ -45,7 +45,8 @@ impl Checked<'_> {
         self.faults.push(Fault { line, text });
     }
 
-    /// Returns the line with an entry, behind the heading `[pins]` or before it.
+    /// Returns the number of the line with an entry: after the heading `[pins]` with `in_pins`, otherwise before it. 0
+    /// if there is no such line.
     fn line_of(&self, key: &str, in_pins: bool) -> usize {
         let mut is_behind = false;
         for (at, line) in self.text.lines().enumerate() {
@@ -59,7 +60,7 @@ impl Checked<'_> {
         0
     }
 
-    /// Returns a text of the file; a fault if there is none.
+    /// Returns a text of the file. If there is none, adds a fault.
     fn required<'t>(&mut self, table: &'t Table, key: &str, example: &str) -> Option<&'t str> {
         match table.get(key) {
             Some(Value::String(text)) => return Some(text),
@@ -274,7 +275,7 @@ fn why_not(image: &profiles::Board, chip: &Chip, pin: Pin) -> Option<String> {
     }
 }
 
-/// Step and direction pins lie on as many ports as the image has streams for.
+/// Checks that step and direction pins lie on no more ports than the image has streams for.
 fn check_ports(checked: &mut Checked<'_>, image: &profiles::Board, pins: &BTreeMap<&'static str, Use>) {
     let mut ports: Vec<u8> = Vec::new();
     for (name, Use { pin, line, .. }) in pins {

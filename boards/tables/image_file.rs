@@ -9,7 +9,7 @@ use oxmill_boards::pin_table::{PinTable, SIZE};
 const DFU_SUFFIX: usize = 16;
 const DFU_SUM: Crc<u32> = Crc::<u32>::new(&CRC_32_JAMCRC);
 
-/// Returns the image with the table in the place of its own.
+/// Returns the image with its table replaced by `table`.
 ///
 /// # Errors
 ///

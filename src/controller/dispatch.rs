@@ -45,7 +45,7 @@ pub struct Profile {
     pub most_baud: u32,
     /// Frequency of the board's oscillator as found at the start, MHz; 0 if the board has none.
     pub oscillator_mhz: u8,
-    /// Whether settings survive power-off. If not, the controller asks for no store operations.
+    /// Whether settings survive power-off. If not, the controller requests no store operations.
     pub has_store: bool,
 }
 
@@ -176,9 +176,9 @@ impl<const N: usize> Controller<N> {
             && self.m.replies.has_room()
     }
 
-    /// Whether received lines wait: for an operator, or for the end of homing or braking. As long as they wait, bytes
-    /// that a later reset has made invalid are not taken from the queue either, unless [`Controller::drop_old`] drops
-    /// them.
+    /// Whether received lines wait: for an operator, or for the end of homing or braking. As long as they wait, not
+    /// even the bytes that a later reset has made invalid are taken from the queue, unless [`Controller::drop_old`]
+    /// drops them.
     pub fn lets_lines_wait(&self) -> bool {
         !self.state.takes_lines()
     }
@@ -225,7 +225,7 @@ impl<const N: usize> Controller<N> {
         [moving, spindle, task, outputs, self.m.drivers.off_at(), silent, lost].into_iter().flatten().min()
     }
 
-    /// Reports that no more bytes will come, so that queued motion starts without waiting for more of it.
+    /// Reports that no more bytes will come, so that queued motion starts without waiting for further moves.
     pub fn input_ended(&mut self) {
         self.m.step_supply.end_input();
     }
@@ -384,8 +384,7 @@ impl<const N: usize> Controller<N> {
         self.m.parking.next_message().or_else(|| self.m.motion.next_message())
     }
 
-    /// Handles whatever has ended since `settle` was last called: a motion, the ramp of a hold, a jog, the delays of a
-    /// door.
+    /// Handles what has ended since the last call: a motion, the ramp of a hold, a jog, the delays of a door.
     fn settle(&mut self) {
         if self.m.accessories.take_overrides_due() {
             self.apply_overrides();
@@ -430,7 +429,7 @@ impl<const N: usize> Controller<N> {
         self.look_for_host();
     }
 
-    /// Starts queued motion when there is no reason to wait for more of it.
+    /// Starts queued motion when there is no reason to wait for further moves.
     fn auto_start(&mut self) {
         // Motion is still running, but the last segment of the previous move may already be in the step queue. A move
         // queued after that belongs to the same run, and without this start it would never begin.

@@ -46,8 +46,8 @@ const MOST_COMMANDS: u32 = 2 * REALTIME_DEPTH as u32;
 
 /// The platform under a controller: provides queues, time and outputs, and makes no decisions.
 pub trait Pump<const N: usize> {
-    /// Whether input that arrives, or room that is made, during a round wakes the pump again. If not, a round in which
-    /// anything was done is followed by another.
+    /// Whether the pump is woken again if input arrives or room is made during a round. If not, a round in which
+    /// anything was done is followed by another round.
     const IS_WOKEN: bool;
     /// The controller that this pump drives.
     fn controller(&mut self) -> &mut Controller<N>;
@@ -72,8 +72,8 @@ pub trait Pump<const N: usize> {
     fn give_text(&mut self, _now: Instant) -> bool {
         false
     }
-    /// Called after events and lines were taken, which can have made room in queues: lets the platform queue what found
-    /// no room before. `took`: whether any event or line was taken. Returns whether anything was queued.
+    /// Called after events and lines were taken, which can have made room in queues. The platform then queues input
+    /// that found no room before. `took`: whether any event or line was taken. Returns whether anything was queued.
     fn make_room(&mut self, took: bool) -> bool;
     /// Returns which output queues have room.
     fn room(&mut self) -> Room;

@@ -15,8 +15,8 @@ use crate::step_rates::least_pause_ns;
 /// Minimum set-up time of a direction, even if `$29` is less, microseconds.
 const LEAST_SETUP_US: u32 = 2;
 /// Maximum time between two events, microseconds. Longer gaps are filled with events that change nothing. A few events
-/// are always queued ahead, so that the output has no gaps. Because the time between events is limited, none is queued
-/// long before its time.
+/// are always queued ahead, so that the output has no gaps. Because the time between events is limited, no event is
+/// queued long before its time.
 const SPLIT_US: u32 = 250;
 
 /// Minimum and maximum times between step events, in ticks of the step clock.

@@ -191,7 +191,8 @@ impl<const N: usize> Controller<N> {
         self.m.interpreter.open_since()
     }
 
-    /// By how many bytes at least a program was too long that had to be held for a subprogram behind it.
+    /// If a program had to be held because a subprogram of it comes after it, and the program was too long: the minimum
+    /// number of bytes by which it was too long.
     pub fn lacking_bytes(&self) -> Option<usize> {
         self.m.interpreter.lacking_bytes()
     }

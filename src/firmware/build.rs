@@ -1,6 +1,6 @@
-//! Build script of the firmware: passes the image's linker options to the linker, with `oxmill_images::link`, and writes
-//! the pin table of a board for `pin_table.rs`: of the board that the variable `OXMILL_BOARD` names, or of the first
-//! board that has the image.
+//! Build script of the firmware: passes the image's linker options to the linker, with `oxmill_images::link`, and
+//! writes the pin table of a board for `pin_table.rs`. The variable `OXMILL_BOARD` names the board; without it, the
+//! script takes the first board that has the image.
 
 use oxmill_tables::{BOARDS, Board, PinTable};
 use std::path::Path;

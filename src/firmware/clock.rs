@@ -16,7 +16,7 @@ const NOW: Duration = Duration::from_ticks(0);
 pub struct Clock {
     /// Ticks at the last reading.
     seen: u32,
-    /// Ticks before the last reading that `micros` does not count yet, together less than a microsecond.
+    /// Ticks before the last reading that do not make a whole microsecond, so `micros` does not count them yet.
     rest: u32,
     /// Microseconds since power-up at the last reading.
     micros: u64,

@@ -73,7 +73,7 @@ pub struct Control {
     /// Owed commands taken from the serial task but not yet passed to the controller.
     owed: Owed,
     coalescing: Coalescing,
-    /// The result of the last attempt to store a change, until the controller is informed: whether it was stored.
+    /// Whether the last change was stored; `None` once the controller has been informed.
     stored: Option<bool>,
     /// Inputs that the board has.
     fitted: u32,
@@ -150,7 +150,7 @@ impl Control {
             self.recorder.at_rest(self.round_began, self.controller);
         }
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
-        // The serial task checks separately whether the replies have been sent.
+        // Replies are not checked here: the serial task checks whether they have been sent.
         shared::set_free(heard, nothing_waits && self.controller.is_free() && observed.step_idle);
         CONTROL.reads_characters.store(self.controller.reads_characters(), Ordering::Relaxed);
         CONTROL.speaks_grblhal.store(self.controller.speaks_grblhal(), Ordering::Relaxed);

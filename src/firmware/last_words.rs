@@ -9,8 +9,8 @@
 //! a record that was stored because the supply voltage dropped survives if the voltage stays above about 1.7 V; it does
 //! not survive a power-off.
 //!
-//! Position and line are from the end of the control task's last run, which was at most 2 ms ago while the machine
-//! moves.
+//! Position and line were noted at the end of the control task's last run. While the machine moves, that was at most 2
+//! ms ago.
 
 use crate::boards;
 use core::cell::Cell;
@@ -32,7 +32,7 @@ pub struct Whereabouts {
     pub place: [i32; 3],
     /// N word of the running line.
     pub line: u32,
-    /// Start time of that run's last round: microseconds since power-up (wrapping).
+    /// Start time of the last round in that run: microseconds since power-up (wrapping).
     pub moment: u32,
 }
 

@@ -8,7 +8,8 @@ mod panic;
 
 use defmt_rtt as _;
 
-/// The app. RTIC takes vectors as literals and cannot select one by `cfg`, so the board calls this macro with its own.
+/// The app. RTIC takes vectors as literals and cannot select one by `cfg`, so the board calls this macro with its own
+/// vectors.
 // Without `skip`, rustfmt indents the list of channels further at each run.
 #[rustfmt::skip]
 macro_rules! firmware {

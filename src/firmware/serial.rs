@@ -29,7 +29,7 @@ const UART_HELD: usize = 1;
 /// Maximum burst of realtime commands and ignored bytes. Parts of lines have a queue, which limits them. Without this
 /// limit, a host or noise on a wire could use all of the processor time by endless bytes of this kind.
 const MOST_OTHERS: u32 = 128;
-/// Time in µs after which one more of the bytes limited by `MOST_OTHERS` is allowed.
+/// Each time this many µs have passed, one more of the bytes that `MOST_OTHERS` limits is allowed.
 const OTHER_US: u32 = 200;
 /// Maximum number of bytes that are taken one by one (not as plain text) in `SINGLY_US` µs from a link that cannot
 /// wait. Lines of 15 characters with CR LF, sent at 1 Mbaud, have fewer such bytes in that time. The number is low
@@ -228,7 +228,8 @@ impl<P: Port> Ported<P> {
                 break;
             }
         }
-        // After a limited run the port must not receive more until the bytes left unread have been taken.
+        // After a run that reached a limit, the port must not receive more until the bytes that this run left unread
+        // have been taken.
         self.port.allow(if limited { 0 } else { self.link.room() });
         if self.link.is_ambiguous() && !limited && (!P::WAITS || self.link.room() >= PACKET) {
             news |= self.await_rest(arbiter, queues);

@@ -3,8 +3,8 @@
 //!
 //! A write takes a few words, and is done when the controller requests it. An erase stalls the processor for a quarter
 //! of a second on the STM32 boards. So the erase is done ahead of need, and only when the caller finds that no motor
-//! moves, the spindle and the laser are off, and no command waits. After one failed erase, none is tried until the next
-//! power-up.
+//! moves, the spindle and the laser are off, and no command waits. After a failed erase, no erase is tried until the
+//! next power-up.
 
 use crate::BoardController;
 use crate::boards::SettingsFlash;
@@ -14,7 +14,7 @@ use oxmill_store::{Log, StoreError};
 /// The settings store. `log` is `None` if the flash cannot be used.
 pub struct SettingsStore {
     log: Option<Log<SettingsFlash>>,
-    /// An erase has failed: none is tried before the next power-up.
+    /// An erase has failed, so no erase is tried before the next power-up.
     worn: bool,
 }
 

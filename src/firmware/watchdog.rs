@@ -8,8 +8,9 @@
 //!  `control` stuck for half a second: outputs safe, record, reset       another task, or `inputs`: the hardware resets
 //! ```
 //! A task in an endless loop blocks the tasks of lower priority. If this task is `control`, the supervisor still runs
-//! and detects the failure. If it is another task, the hardware watchdog resets the board after its own timeout. Time
-//! is counted in samples of `inputs`, so a stalled processor (an erase of flash) is not taken for a stuck task.
+//! and detects the failure. If the task in the endless loop is another one, the hardware watchdog resets the board
+//! after its own timeout. Time is counted in samples of `inputs`, so a stalled processor (an erase of flash) is not
+//! taken for a stuck task.
 
 use crate::boards::{self, SAMPLE_HZ, Watchdog};
 use crate::failure;

@@ -94,7 +94,7 @@ impl Sector {
     }
 }
 
-/// Why something could not be stored.
+/// Why a change could not be stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StoreError<E> {
     /// The flash memory failed.
@@ -150,7 +150,7 @@ pub struct Log<F> {
     unsound: bool,
     /// Gaps between records.
     gaps: heapless::Vec<Gap, GAPS>,
-    /// Address from which gaps are not listed, because the list is full.
+    /// Address from which on gaps are not listed, because the list is full.
     unmapped: u32,
     /// The spare sector is erased and has its mark.
     spare_erased: bool,
@@ -182,8 +182,8 @@ fn crc(words: &[u32]) -> u32 {
     digest.finalize()
 }
 
-/// Looks for a single wrong byte that explains why the last word is not the crc of the others. Returns the index of the
-/// word that contains it, and the wrong bits in that word.
+/// Looks for a single wrong byte that explains why the last word is not the crc of the words before it. Returns the
+/// index of the word that contains it, and the wrong bits in that word.
 fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
     let (sum, covered) = words.split_last()?;
     let mut difference = crc(covered) ^ sum;
@@ -191,8 +191,8 @@ fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
         if difference.to_le_bytes().iter().filter(|byte| **byte != 0).count() <= 1 {
             return Some((index, difference));
         }
-        // The CRC is linear, so running it backwards over the preceding word gives the bits that must be wrong in that
-        // word if the error is there.
+        // The CRC is linear, so running it backwards over the preceding word gives the bits that must be wrong in this
+        // preceding word if the error is in it.
         for _ in 0..32 {
             difference = if difference >> 31 == 0 { difference << 1 } else { (difference ^ POLYNOMIAL) << 1 | 1 };
         }
@@ -347,7 +347,7 @@ impl<F: Flash> Log<F> {
             self.survey()?;
             return Ok(true);
         }
-        // No header is valid, even with one byte corrected. But if a sector has records, it holds a log.
+        // No header is valid, even with one byte corrected. But if a sector has records, this sector holds a log.
         for sector in [Sector::A, Sector::B] {
             self.sector = sector;
             if self.flash.read(sector, 0)? != ERASED || self.flash.read(sector, 4)? != ERASED {
@@ -406,14 +406,14 @@ impl<F: Flash> Log<F> {
         }
         let (first, last, covered) = match words.as_slice() {
             [] => return Ok((true, false)),
-            // A power cut can leave any bits in the first word of a record, so a single word is no damage.
+            // A power cut can leave any bits in the first word of a record, so a single word does not count as damage.
             [_] => return Ok((false, false)),
             [first, .., last] => (*first, *last, words.get(..words.len() - 1).unwrap_or_default()),
         };
         let (outline, size) = (Outline::read(first), until - self.end);
         let cut_short = size < outline.size() || size == outline.size() && crc(covered) & !last == 0;
-        // A wrong byte explains these words only if the record with that byte corrected has exactly their length.
-        // Otherwise the crc fits by chance.
+        // A wrong byte explains these words only if the corrected record has exactly as many words. Otherwise the crc
+        // fits by chance.
         let one_byte = wrong_byte(&words).is_some_and(|(index, bits)| {
             let mended = if index == 0 { Outline::read(first ^ bits) } else { outline };
             mended.is_possible() && mended.size() == size
@@ -539,7 +539,7 @@ impl<F: Flash> Log<F> {
             from = next;
         }
         if damage {
-            // The damage has not been confirmed, so the new sector must report it as well.
+            // The user has not confirmed the damage, so the new sector must report it as well.
             let entry = Entry { kind: PUT, key: STORE_DAMAGED, value: heapless::Vec::new() };
             end = self.copy(target, end, &entry)?;
         }
@@ -550,7 +550,7 @@ impl<F: Flash> Log<F> {
         }
         let sequence = self.sequence.wrapping_add(1);
         // If the last word of the header fails, nothing may be appended to the old sector any more: a restart can find
-        // the new sector valid, and records appended meanwhile would be lost.
+        // the new sector valid, and records that were appended to the old sector meanwhile would be lost.
         self.appendable = false;
         self.write_header(target, sequence)?;
         self.sector = target;

@@ -1,4 +1,4 @@
-//! The boards and their images: what `boards/tables` and `boards/images` know, by the name of a board.
+//! Looks up the boards and their images in `boards/tables` and `boards/images`, by the name of a board.
 
 use crate::QEMU_BOARD;
 pub use oxmill_images::{FAST, IMAGES, SMALL};
@@ -19,7 +19,8 @@ pub fn described(board: &str) -> Result<Board, crate::Failure> {
     Board::named(board).ok_or_else(|| format!("{board} has no pin table"))
 }
 
-/// Returns the image of a board, which is also the feature that it is built with. An image is its own.
+/// Returns the image of a board, which is also the feature that the board is built with. The name of an image gives
+/// that image.
 pub fn image(board: &str) -> &'static str {
     let own = IMAGES.into_iter().find(|image| *image == board);
     own.or_else(|| Board::named(board).map(|board| board.image.name)).unwrap_or(QEMU_BOARD)

@@ -25,7 +25,7 @@ enum Figure {
     Worst,
     /// The difference between this row and the named one, divided by this number of units.
     Per(u64, &'static str),
-    /// Not printed: another row is compared with this one.
+    /// Not printed, because it is only the base of another row.
     Base,
 }
 
@@ -102,7 +102,8 @@ const ROWS: [Row; 23] = [
 const OF_THE_STEP_TASK: [&str; 5] = ["batch_3", "batch_1", "segment", "single", "stop"];
 
 /// Builds the program, runs it and checks the figures. With the profile of the small boards the figures are printed
-/// without a check, and without the rows of the step task, which the firmware compiles alike in both profiles.
+/// without a check, and without the rows of the step task, which the firmware compiles in the same way in both
+/// profiles.
 pub fn count(profile: &str) -> Result<(), Failure> {
     let (calls, _) = traced(profile, "")?;
     let (table, faults) = table(&calls, profile != boards::FAST)?;
@@ -171,7 +172,7 @@ fn measure(bytes: &[u8], log: impl Read, profiled: &str) -> Result<Traced, Failu
         names.filter_map(|(at, name)| Some((at, name.strip_prefix(prefix)?.to_owned()))).collect()
     };
     let (rows, units) = (named("row_"), named("unit_"));
-    // The two half words at an address, and the instruction that they are.
+    // By address: the two half words there, and the instruction that they encode.
     let mut known: HashMap<u32, ((u16, u16), Instruction)> = HashMap::new();
     let mut calls: HashMap<String, Vec<Cost>> = HashMap::new();
     let (mut row, mut open): (Option<&String>, Option<(u32, Meter)>) = (None, None);

@@ -122,7 +122,7 @@ pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
 }
 
 /// Runs the inputs of the tree in full length, because a search truncates long ones, and counts their work. Then runs
-/// the inputs that earlier searches have found: as long as one still fails, its fault is not corrected; an input that
+/// the inputs that earlier searches have found: if one still fails, its fault has not been corrected; an input that
 /// passes is deleted.
 fn replay(program: &Path, target: &str) -> Result<(), Failure> {
     let mut inputs = files(&seeds(target)?)?;
@@ -160,7 +160,7 @@ struct Row {
     /// Features, as counted by libFuzzer.
     features: u64,
     found: Vec<PathBuf>,
-    /// End of its output.
+    /// End of the target's output.
     said: String,
 }
 

@@ -48,7 +48,7 @@ pub struct Image {
     stack: u32,
     /// Files for flashing tools.
     pub files: Vec<PathBuf>,
-    /// Message about its size.
+    /// Message about the image's size.
     remark: Option<String>,
     /// Number of functions that the step interrupt can reach.
     reached: usize,
@@ -80,7 +80,8 @@ pub fn build(board: &str) -> Result<Image, Failure> {
     let profile = crate::boards::profile(board);
     let mut build = cargo_for_boards("build", profile)?;
     let image = crate::boards::image(board);
-    // All boards of an image share its build, which has the table of the first of them; the others get theirs below.
+    // All boards with the same image share one build. It has the pin table of the first of these boards; the others get
+    // their tables below.
     run(build.env_remove(crate::BOARD).args(["--locked", "--package", "oxmill-firmware", "--features", image]))?;
     let built = root().join("target").join(TARGET).join(profile).join("oxmill-firmware");
     // Every board links to the same file name; this copy survives the build for the next board.

@@ -192,7 +192,7 @@ fn recorded_failure(lines: &mut Lines) -> Result<(), Failure> {
     lines.stand.write_all(b"P").map_err(|error| error.to_string())?;
     let welcome = lines.expect("to unlock]\r\n")?;
     hold_on(welcome.contains("line 50") && welcome.contains("$REC what came in"), || welcome.clone())?;
-    // The recording must not change if a host has not noticed the failure and continues, or if it queries and jogs.
+    // The recording must not change if a host has not noticed the failure and continues, or if a host queries and jogs.
     lines.send(b"X5\n$RC\n$X\n")?;
     let unlocked = |text: &str| text.contains("Caution: Unlocked") && text.ends_with("ok\r\n");
     let told = read_until(&mut lines.host, LIMIT, unlocked)?;

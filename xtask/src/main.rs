@@ -199,8 +199,8 @@ fn root() -> PathBuf {
 }
 
 /// Returns a cargo command that runs in the workspace. It always builds into `target`, whatever the environment says,
-/// because this program looks for the results there: if cargo built elsewhere, it would take the results of an earlier
-/// build for new ones.
+/// because this program looks for the results there: if cargo built elsewhere, this program would take the results of
+/// an earlier build for new ones.
 fn cargo() -> Command {
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     cargo.current_dir(root()).env("CARGO_TARGET_DIR", root().join("target")).env_remove("CARGO_BUILD_TARGET");

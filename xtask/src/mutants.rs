@@ -1,8 +1,8 @@
-//! Mutation tests: puts named faults, one after the other, into a copy of the tree, where the tests must fail. The
-//! tests of motion must detect faults of motion. The conversations with the simulator, which runs the boards' own code
-//! for the host link and the input filter, must detect faults of these two. A fault that no test detects is a gap in
-//! the tests. If the text that a fault replaces is no longer in its file, the fault must be rewritten. The run takes
-//! some minutes, so it is started by hand: `cargo xtask mutants [NAME..]`.
+//! Mutation tests: puts named faults, one after the other, into a copy of the tree, and runs the tests there, which
+//! must fail. The tests of motion must detect faults of motion. The conversations with the simulator, which runs the
+//! boards' own code for the host link and the input filter, must detect faults of these two. A fault that no test
+//! detects is a gap in the tests. If the text that a fault replaces is no longer in its file, the fault must be
+//! rewritten. The run takes some minutes, so it is started by hand: `cargo xtask mutants [NAME..]`.
 
 use crate::{Failure, root, tree};
 use std::fs;

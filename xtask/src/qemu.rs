@@ -60,7 +60,7 @@ fn machine(elf: &Path, rest_is_skipped: bool) -> Command {
 }
 
 /// Runs a program to its own end. `read` gets the log with the address of each instruction through a pipe, because the
-/// log has gigabytes.
+/// log is several gigabytes long.
 pub fn trace<T>(elf: &Path, read: impl FnOnce(ChildStdout) -> Result<T, Failure>) -> Result<T, Failure> {
     require()?;
     let mut qemu = Command::new(PROGRAM);
@@ -107,14 +107,14 @@ fn connect(port: u16) -> Result<TcpStream, Failure> {
 }
 
 /// Starts the firmware with its two connections. Idle time is skipped, so the machine finishes all its work before the
-/// host's next bytes arrive: the look-ahead runs empty every time.
+/// host's next bytes arrive, and the look-ahead runs empty every time.
 pub fn streamed(elf: &Path) -> Result<Running, Failure> {
     running(machine(elf, true))
 }
 
 /// Like [`streamed`], but the processor never sleeps, so that a host can intervene during a motion: virtual time
-/// advances with the instructions executed, about as fast as real time. It stands still while QEMU gets no processor
-/// time.
+/// advances with the instructions executed, about as fast as real time. Virtual time stands still while QEMU gets no
+/// processor time.
 pub fn live(elf: &Path) -> Result<Running, Failure> {
     let mut qemu = machine(elf, true);
     let mark = u32::from_le_bytes(*b"BUSY");

@@ -37,7 +37,7 @@ const FORBIDDEN: [(&str, &str); 18] = [
 pub struct Allowed {
     /// Part of the name of the function, demangled.
     pub function: &'static str,
-    /// Parts of the names of all functions that such a call may lead to; these are walked too.
+    /// Parts of the names of all functions that such a call may lead to; the walk follows these, too.
     pub targets: &'static [&'static str],
 }
 

@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 
 /// Maximum number of unanswered lines when the next one is sent: together they fit into the receive queue.
 const ON_THEIR_WAY: usize = 4;
-/// Number of lines generated per second of the run: more than a machine can carry out, so the script does not end
+/// Number of lines generated per second of the run. A machine cannot carry out that many, so the script does not end
 /// early.
 const LINES_PER_SECOND: u64 = 25;
 /// Maximum wall time per second of machine time in QEMU, s.
@@ -123,7 +123,7 @@ impl Job {
         }
         self.script.answers(sent as u32);
         if self.has_port && self.random.below(4) == 0 {
-            // The machine may still move when the host closes its port: it then brakes, and resumes on command.
+            // When the host closes its port, the machine may still move. It then brakes, and resumes on command.
             self.script.reopen(self.random.below(100) as u32);
             self.sent.hosts += 1;
             self.resume();

@@ -95,7 +95,7 @@ pub fn bench(board: &str) -> Result<(), Failure> {
     if status.success() { Ok(()) } else { Err("the loop-back has failed, see above".into()) }
 }
 
-/// Returns a row of the table of measured figures, without the text that the log adds.
+/// Returns the row of the table of measured figures in a line of the log, without the text that the log adds.
 fn row(line: &str) -> Option<&str> {
     let row = line.get(line.find('|')?..=line.rfind('|')?)?;
     (row.matches('|').count() == 6).then_some(row)

@@ -9,8 +9,8 @@ use std::process::{Command, Stdio};
 use std::sync::Mutex;
 use std::thread;
 
-/// Boards whose chips are modelled, each with the cases that a run of all boards takes; a case with `-` is left out. A
-/// board without cases runs only if it is named, as in `.ci/nightly`. A named board runs all cases.
+/// Boards whose chips are modelled, each with the cases that a run of all boards includes; `-` before a case excludes
+/// it. A board without cases runs only if it is named, as in `.ci/nightly`. A named board runs all cases.
 const BOARDS: [(&str, &[&str]); 9] = [
     ("blackpill_f411", LEFT_OUT_ON_F411),
     ("nucleo_f446re", LEFT_OUT_ON_F446),
@@ -141,8 +141,8 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     if failed.is_empty() { Ok(()) } else { Err(format!("the virtual board failed:\n{}", failed.join("\n"))) }
 }
 
-/// Runs a script on one board; with `wall`, only up to the first rest after this many seconds of real time. Returns the
-/// board's output and the notes of its test stand.
+/// Runs a script on one board; with `wall`, the run ends at the first rest after this many seconds of real time.
+/// Returns the board's output and the notes of its test stand.
 pub fn soak(board: &str, elf: &Path, script: &Path, wall: Option<u64>) -> Result<(String, String), Failure> {
     if !BOARDS.iter().any(|(name, _)| *name == board) {
         return Err(format!("there is no such virtual board: {board}"));
@@ -191,8 +191,8 @@ fn two_at_a_time(runs: Vec<(&str, Command)>) -> Vec<String> {
     failed.into_inner().expect("no worker panics with the lock")
 }
 
-/// Returns the failed cases of a report, each with the line after it, which has the reason, and the last line of
-/// `errors`, which names an exception.
+/// Returns the failed cases of a report, each with the line after it, which gives the reason. Also returns the last
+/// line of `errors`, which names an exception.
 fn failures(report: &str, errors: &str) -> String {
     let mut lines = report.lines();
     let mut found = Vec::new();

@@ -10,9 +10,9 @@ use std::path::PathBuf;
 use std::process::Command;
 
 const TARGET: &str = "thumbv7m-none-eabi";
-/// A Nucleo, whose host is on `USART2`, and a Black Pill, whose host is here on `USART1` and not on USB.
-/// Each with the frequency of its oscillator in MHz, and with a wrong one: labwired does not model the timer by which
-/// the firmware measures it.
+/// A Nucleo, whose host is on `USART2`, and a Black Pill, whose host is here on `USART1` and not on USB. Each with the
+/// frequency of its oscillator in MHz, and with a wrong one: labwired does not model the timer with which the firmware
+/// measures the frequency.
 const BOARDS: [(&str, u8, u8); 2] = [("nucleo_f411re", 8, 25), ("blackpill_f411", 25, 8)];
 
 /// Checks every belief on both boards; or, depending on the options, puts faults into the image, each of which must be

@@ -38,8 +38,8 @@ pub struct Accessories {
 struct SpeedWatch {
     /// Direction and power last set; `None` if the spindle was off or its state is unknown.
     given: Option<(SpindleDirection, u16)>,
-    /// Deadline for the spindle to reach a new speed; moved to the current time when the input reports that the speed
-    /// has been reached.
+    /// Deadline for the spindle to reach a new speed. When the input reports that the speed has been reached, the
+    /// deadline is moved to the current time.
     settled_at: Instant,
     /// The input has reported, since the speed was changed, that the spindle is not at speed.
     has_changed: bool,

@@ -62,7 +62,7 @@ impl DigitalOutputs {
     /// motion is queued.
     pub fn set_with_motion(&mut self, number: u32, on: bool, idle: bool) -> u8 {
         let change = DueTogether::of(number, on);
-        // If no motion is queued, all groups wait for the same motion, so the change joins the last one.
+        // If no motion is queued, all groups wait for the same motion, so the change joins the last group.
         let joins = self.count > 0 && (self.open || idle);
         if !joins && usize::from(self.count) < GROUPS {
             self.count += 1;

@@ -10,7 +10,7 @@ const ALWAYS_ON: u32 = 255;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Drivers {
     on: bool,
-    /// When the current goes off after the last motion.
+    /// Time at which the current goes off, after the last motion.
     off_at: Option<Instant>,
 }
 
@@ -23,7 +23,7 @@ impl Drivers {
         self.on || idle_delay == ALWAYS_ON
     }
 
-    /// When the current goes off, if nothing moves before.
+    /// Returns the time at which the current goes off, if nothing moves before.
     pub fn off_at(&self) -> Option<Instant> {
         self.off_at
     }

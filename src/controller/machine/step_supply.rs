@@ -49,7 +49,7 @@ impl StepSupply {
         self.observed = observed;
     }
 
-    /// What the pump has observed last.
+    /// Returns the last observation of the pump.
     pub(crate) fn observed(&self) -> &Observed {
         &self.observed
     }

@@ -34,8 +34,8 @@ pub enum Event<const N: usize> {
 /// Queue and task counters, updated by the pump before each round of events and outputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Observed {
-    /// Segments started by the step task since power-up (wrapping). Segments that it has only computed ahead do not
-    /// count.
+    /// Segments started by the step task since power-up (wrapping). Segments that the step task has only computed ahead
+    /// do not count.
     pub segments_begun: u32,
     /// The step task has nothing left to do.
     pub step_idle: bool,

@@ -32,7 +32,7 @@ pub enum CrashKind {
     Voltage,
     /// The external clock failed.
     Clock,
-    /// The board cannot be used as it is: found at the start, not by a failure of the program.
+    /// The board cannot be used as it is. The program has found this at its start; the program itself has not failed.
     Board,
 }
 

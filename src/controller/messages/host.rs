@@ -51,13 +51,13 @@ impl Realtime {
 
 /// Marks a change of hosts, in place of a byte of a line: the unfinished line is void, because its host has
 /// disconnected or lost the floor, the right to send lines (`protocol::floor`). No host can send this byte in a line,
-/// as 0x18 is a command. The mark's `epoch` is the count (wrapping) of hosts that have disconnected so far, as in
+/// because 0x18 is a command. The mark's `epoch` is the count (wrapping) of hosts that have disconnected so far, as in
 /// [`Event::Disconnected`](super::Event::Disconnected).
 pub const HOST_CHANGED: u8 = 0x18;
 
 /// A byte of a line and its epoch: the count (wrapping) of resets, stops and jog cancels that were passed to `control`
-/// before the byte. The two queues to `control` have no mutual order; the epoch shows whether a byte was sent before a
-/// reset and must be dropped, or after it and must be kept.
+/// before the byte. The queues for commands and for line bytes have no mutual order, so the epoch shows whether a byte
+/// was sent before a reset and must be dropped, or after it and must be kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LineByte {
     /// The byte.
@@ -68,7 +68,8 @@ pub struct LineByte {
     pub damaged: bool,
 }
 
-/// serial -> control: consecutive line bytes of one epoch. One message per byte would cost more than reading the byte.
+/// serial -> control: consecutive line bytes of one epoch. Several bytes share a message, because one message per byte
+/// would cost more than reading the byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LineBytes {
     epoch: u16,

@@ -37,8 +37,8 @@ pub const LINES_DEPTH: usize = 255;
 /// `protocol::byte_channel`), even with a jog cancel after each line: the shortest jog, `$J=X1F9` with its end, has 8
 /// bytes. One more slot is for a message that is about to be sent.
 pub const LINE_MESSAGES: usize = LINES_DEPTH.div_ceil(8) + MOST_PARTIAL + 1;
-/// Maximum number of messages that are sent before they are full, counted from when the queue was last empty. Messages
-/// that are cut short by a new epoch (see [`LineByte`]) do not count.
+/// Maximum number of messages that are sent before they are full, counted since the queue was last empty. Messages that
+/// are cut short by a new epoch (see [`LineByte`]) do not count.
 pub const MOST_PARTIAL: usize = 4;
 /// Depth of control -> step. Full: `control` keeps the message for its next turn. Normally the limit is the queued time
 /// (see `QUEUED_TIME_MS` in `motion`) and not this depth.

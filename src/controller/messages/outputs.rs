@@ -90,7 +90,7 @@ impl InputWiring {
 /// Which motors make steps on a ganged axis (an axis with two motors).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum GangedMotors {
-    /// Both motors. This is always so, except during squaring.
+    /// Both motors: always, except during squaring.
     #[default]
     Both,
     /// The motor on the axis' own pins.

@@ -19,8 +19,8 @@ pub enum ToStep {
         /// Bit set = axis moves in negative direction; bit 0 is X.
         directions: u8,
     },
-    /// The block just sent was interrupted for a detour (parking). It continues after this many units of progress (see
-    /// [`Segment`]) instead of at its start.
+    /// The block just sent was interrupted for a detour (parking). The block continues after this many units of
+    /// progress (see [`Segment`]) instead of at its start.
     Reenter {
         /// Units of the block that are already done.
         units: u32,
@@ -70,7 +70,7 @@ impl AxisSteps {
     /// The ends are given in parts of a step; this many parts make a step. Odd, so that there are equally many values
     /// on both sides of zero.
     pub const PARTS: u32 = 7;
-    /// Maximum distance of an end from a whole step, in these parts.
+    /// Maximum distance of an end from a whole step, in sevenths of a step.
     pub const FARTHEST: i32 = 3;
     const STEPS: u32 = (1 << Self::STEP_BITS) - 1;
 
@@ -171,7 +171,7 @@ pub enum StepEvent<const N: usize> {
     },
     /// The probe has reached the awaited state; the step task brakes.
     Probed {
-        /// Step counter of each axis at the tick that detected it.
+        /// Step counter of each axis at the tick that detected the contact.
         position: PerAxis<i32, N>,
     },
     /// The queue ran dry at speed. Pulses have stopped; this counts as a stop.

@@ -1,7 +1,7 @@
 //! Messages to the settings store: a record of bytes under a key, and a change of records.
 
-/// Key of the record by which a store reports that it was damaged and may have lost other records. The record has no
-/// value, and remains until it is removed.
+/// Key of the record by which a store reports that the store was damaged and may have lost other records. The record
+/// has no value, and remains until it is removed.
 pub const STORE_DAMAGED: u16 = 65_534;
 
 /// A record of the settings store: a key and up to 100 bytes.

@@ -139,16 +139,17 @@ struct Plain {
     sweep: f32,
 }
 
-/// Returns the sine of an angle up to 90 degrees, in rad; of a larger angle, that of 90 degrees.
+/// Returns the sine of an angle in rad. An angle above 90 degrees counts as 90 degrees.
 ///
-/// In integers, as the sine of `libm` computes in `f64`, in software on these processors, and fills 5 KB of flash.
+/// Computed in integers, because the sine of `libm` computes in `f64`, which these processors do in software, and fills
+/// 5 KB of flash.
 #[inline(never)]
 fn sine(angle: f32) -> f32 {
     const QUARTER_BITS: u32 = core::f32::consts::FRAC_PI_2.to_bits();
     /// Fraction bits of the square and of the factor.
     const BITS: u32 = 61;
     const ONE: u64 = 1 << BITS;
-    /// Fraction bits that are left of the factor.
+    /// Fraction bits to which the factor is cut before the multiplication.
     const FACTOR_BITS: u32 = 39;
     let product = |a: u64, b: u64| ((u128::from(a) * u128::from(b)) >> BITS) as u64;
     let bits = angle.abs().to_bits().min(QUARTER_BITS);
@@ -160,7 +161,7 @@ fn sine(angle: f32) -> f32 {
     } else {
         square.checked_shr(2 * shift - BITS).unwrap_or(0)
     };
-    // sin x / x = 1 - x²/(2·3)·(1 - x²/(4·5)·(1 - ...)); the last term is below 2^-40 of it.
+    // sin x / x = 1 - x²/(2·3)·(1 - x²/(4·5)·(1 - ...)); the last term is below 2^-40 of the whole.
     let mut factor = ONE;
     for n in [14, 12, 10, 8, 6, 4, 2_u64] {
         factor = ONE - product(square, factor) / (n * (n + 1));
@@ -198,7 +199,7 @@ impl<const N: usize> ArcGeometry<N> {
         Plain { centre, first, start_radius, end_radius, sweep }
     }
 
-    /// Returns the angle of the arc without its full turns, above 0 and up to a turn, rad.
+    /// Returns the angle of the plain arc (without the full turns), rad: above 0, at most one turn.
     pub(super) fn sweep(&self) -> f32 {
         self.plain().sweep.abs()
     }
@@ -402,7 +403,8 @@ mod tests {
         #[test]
         fn the_sine_is_that_of_f64(angle in prop_oneof![-WIDEST * 2.0..WIDEST * 2.0, -1.0e-3_f32..1.0e-3, -1.0e-7_f32..1.0e-7]) {
             let exact = f64::from(angle).sin() as f32;
-            // Rounded once: a bit may differ where the exact sine is within 2^-39 of the middle between two numbers.
+            // `sine` rounds once, so its last bit may differ where the exact sine is within 2^-39 of the middle between
+            // two numbers.
             prop_assert!(sine(angle).to_bits().abs_diff(exact.to_bits()) <= 1, "{angle}: {} {exact}", sine(angle));
         }
 

@@ -89,7 +89,7 @@ impl<const N: usize> AxisLimits<N> {
         self.jerk_limited
     }
 
-    /// Returns the programmed speed limited to the valid range, with the minimum feed, mm/s.
+    /// Returns the programmed speed, mm/s, limited to the range from the minimum feed to the maximum speed.
     #[inline]
     pub(super) fn feed(&self, programmed: f32) -> f32 {
         bounded(programmed, self.least_feed, GREATEST_SPEED)

@@ -107,7 +107,7 @@ impl<const N: usize> Backlash<N> {
         }
     }
 
-    /// Returns the steps still to be taken up, signed.
+    /// Returns the steps that each motor has yet to take up, signed.
     pub(super) fn outstanding(&self) -> [i32; N] {
         let mut outstanding = self.wanted;
         for (steps, lead) in outstanding.iter_mut().zip(self.lead) {
@@ -116,7 +116,7 @@ impl<const N: usize> Backlash<N> {
         outstanding
     }
 
-    /// Returns whether any steps are still to be taken up.
+    /// Returns whether any motor has yet to take up steps.
     #[inline]
     pub(super) fn is_outstanding(&self) -> bool {
         self.lead != self.wanted
@@ -174,7 +174,7 @@ impl<const N: usize> Backlash<N> {
 /// (`TurnRule::junction2`).
 pub(super) fn share(acceleration: f32, deviation: f32, speed: f32) -> f32 {
     let angle = 0.5 * square_root(8.0 * acceleration * deviation) / speed;
-    // NaN gives the minimum share.
+    // If `angle` is NaN, the comparison is false, and the share is the minimum.
     if angle > LEAST_SHARE { lesser(angle, GREATEST_SHARE) } else { LEAST_SHARE }
 }
 

@@ -51,7 +51,7 @@ const MOST_MERGED: f32 = 5.0;
 /// Maximum share of a move that is cut off at each of its corners. With this share, the rest of a move is about as long
 /// as the pieces that cut off its corners, so a polygon becomes one with twice as many sides.
 const MOST_OF_A_MOVE: f32 = 0.25;
-/// q² of a turn by two radians, where q = 2·sin(t/2) for a turn by t: sharper corners stay.
+/// q² of a turn by two radians, where q = 2·sin(t/2) for a turn by t: sharper corners are not cut off.
 const SHARPEST2: f32 = 2.832;
 /// q² of a turn by 1.2 rad. Only larger turns get four vertices.
 const LARGE_FOR_FOUR2: f32 = 1.275;
@@ -326,7 +326,7 @@ impl<const N: usize> HeldMove<N> {
         Leg { way, unit: way.map(|part| part * share), length }
     }
 
-    /// Returns the part of the tolerance that merging has left, mm.
+    /// Returns the part of the tolerance that remains after merging, mm.
     fn deviation(&self) -> f32 {
         self.m.tolerance.path - if self.merged { self.m.tolerance.merging } else { 0.0 }
     }

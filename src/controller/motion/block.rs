@@ -17,7 +17,7 @@ pub(super) const SCALE_POWER: u8 = 4;
 pub(super) const MARK_SHIFT: u32 = 3;
 
 /// The dominant axis of a block must have fewer steps than this. At 16 units per step, the block then has less than
-/// 2^30 units, so even twice as many fit in 32 bits. A counter that is about to step needs that.
+/// 2^30 units, so twice as many fit in 32 bits. A counter needs this range just before it steps.
 pub(super) const MAX_STEPS: u32 = 1 << AxisSteps::STEP_BITS;
 
 /// Override factors for programmed feeds and for rapids.
@@ -92,8 +92,8 @@ const LEAST_SHARE: f32 = 0.25;
 /// the exit speed² rises. That can happen in this block and in each later one.
 const SURELY: f32 = 0.999;
 
-/// Share of the maximum entry speed²: the acceleration that a bend leaves at this speed² is what a jerk-limited ramp
-/// can use ([`Block::bounds`]).
+/// Share of the maximum entry speed². A jerk-limited ramp can use the acceleration that a bend leaves at this share
+/// ([`Block::bounds`]).
 const RAMP_SHARE: f32 = 0.9;
 
 impl CurveLoad {
@@ -115,7 +115,7 @@ impl CurveLoad {
         of_upper(INFINITY - self.below)
     }
 
-    /// Returns the acceleration that the bend takes at that speed, mm/s².
+    /// Returns the acceleration that the bend takes at [`CurveLoad::speed2`], mm/s².
     pub(super) fn acceleration(self) -> f32 {
         of_upper(self.acceleration)
     }
@@ -133,7 +133,7 @@ impl CurveLoad {
     }
 
     /// Returns a bend that leaves no more acceleration than either of the two bends: it has the lower speed² and the
-    /// lower acceleration of the two. If the axes have different limits, these can come from different bends.
+    /// lower acceleration of the two. If the axes have different limits, the two values can come from different bends.
     #[inline]
     pub(super) fn and(self, other: Self) -> Self {
         if self.is_none() || other.is_none() {
@@ -278,7 +278,7 @@ impl<const N: usize> Block<N> {
 
     /// Returns whether a higher exit speed can lower the possible entry speed. A bend leaves less deceleration at a
     /// higher speed, which can lower the entry speed² by more than the exit speed² rises. The test assumes the maximum
-    /// slope of [`CurveLoad::left`], which is that at its minimum share.
+    /// slope of [`CurveLoad::left`]: the slope at the minimum share.
     #[inline]
     pub(super) fn is_steep(&self) -> bool {
         let acceleration = greater(self.acceleration, self.curve.acceleration());

@@ -15,7 +15,7 @@ const MOST_SLOWED_S: f32 = 0.05;
 /// The programmed time of a carried length. Meaningless without a carried length.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CarriedTime {
-    /// Unknown (NaN) with rapids.
+    /// NaN (unknown) if there are rapids among the moves.
     seconds: f32,
     /// The common feed of the carried length, mm/s; 0: several feeds.
     feed: f32,
@@ -29,7 +29,7 @@ pub(super) struct BlockWay {
     /// Length carried over to the block, mm. If negative: the length by which the last block was made longer than its
     /// path.
     pub carried: f32,
-    /// Length of the block, mm. Greater than `own` + `carried` if that would be too short for the block's steps.
+    /// Length of the block, mm. Greater than `own` + `carried` if this sum would be too short for the block's steps.
     pub length: f32,
 }
 
@@ -72,7 +72,7 @@ impl CarriedTime {
                 alone + greater(lesser(before.seconds, most), least) + extra / feed
             }
             Speed::Duration(_) => {
-                // The block takes the duration of its move, whatever its length: nothing is carried over.
+                // The block takes the duration of its move, whatever its length, so nothing is carried over.
                 *self = Self::NONE;
                 alone + greater(before.seconds, 0.0)
             }

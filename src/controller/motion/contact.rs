@@ -62,8 +62,9 @@ impl<const N: usize> Contact<N> {
     }
 }
 
-/// Returns the interval of the next tick of the deceleration after a contact, in fixed point like `interval`, which is
-/// that of the present tick; `None` when braking is complete. `braking`: units per squared step-clock tick.
+/// Returns the interval, in fixed point, of the next tick in the deceleration after a contact; `None` when braking is
+/// complete. `interval`: interval of the present tick, in the same fixed point; `braking`: units per squared step-clock
+/// tick.
 ///
 /// A tick of `u` units at the interval T is a speed v = u/T, and v² falls by 2·a·u from tick to tick: with k = a·T²/u
 /// the next interval is T / sqrt(1 - 2k), computed by the first terms of its series. The ramp ends with the tick that

@@ -50,15 +50,15 @@ fn scale_length(scale: usize) -> f32 {
     SHORTEST * (1_u32 << scale) as f32
 }
 
-/// Returns how many scales are no longer than a piece of this length. Compares binary exponents.
+/// Returns the number of scales whose spans are at most as long as a piece of this length. Compares binary exponents.
 #[inline]
 fn scales_within(length: f32) -> usize {
     let exponent = |length: f32| (length.to_bits() >> 23) as usize;
     (exponent(length) + 1).saturating_sub(exponent(SHORTEST)).min(SCALES)
 }
 
-/// Whether the limits that cannot matter are left out. The small image has no room for this: it computes them all, except
-/// those that the first check of [`Span::limit_after`] excludes. The steps are the same (`tests/jobs.rs`).
+/// Whether limits that cannot matter are skipped. The small image has no room for these checks: it computes all limits,
+/// except those that the first check of [`Span::limit_after`] excludes. The steps are the same (`tests/jobs.rs`).
 const LEAVES_OUT: bool = FULL_IMAGE;
 /// Number of previous spans that a new one is compared with.
 const HISTORY: usize = 4;
@@ -83,15 +83,16 @@ const VAGUE: f32 = 72.0;
 const EVEN2: f32 = 9.0;
 /// q² up to which a turn represents the local curvature rather than a mean over a long distance.
 const GENTLE2: f32 = 0.0625;
-/// q² of a turn of 0.1 rad. The q of several consecutive turns up to this one is at most 0.1 · [`HISTORY`].
+/// q² of a turn of 0.1 rad. The q of up to [`HISTORY`] consecutive turns, each no larger than this, is at most 0.1 ·
+/// [`HISTORY`] in total.
 const LITTLE_TURN2: f32 = 0.01;
-/// Lower bound of s for the whole of [`HISTORY`] such turns.
+/// Lower bound of s for a turn that consists of [`HISTORY`] such turns.
 const LITTLE_TURNS_SINE: f32 = 0.95;
-/// Ratio of a block's acceleration to the greatest along a path of moves with steps above which the block is steep. The
-/// margin of [`rise2`] covers it.
+/// A block is steep if its acceleration exceeds the maximum along a path of moves with steps by more than this factor.
+/// The margin of [`rise2`] covers the factor.
 const STEEP: f32 = 1.005;
-/// Ratio of a bend's speed² to the maximum speed² above which the bend leaves the acceleration along the path
-/// unchanged, within 5 %.
+/// If a bend's speed² exceeds the maximum speed² by more than this factor, the bend leaves the acceleration along the
+/// path unchanged, within 5 %.
 pub(super) const NOTICEABLE: f32 = 3.2;
 /// Number of points whose finest digit counts as the program's. One point is not enough, because a number without its
 /// trailing zeros seems to have coarser digits.
@@ -223,7 +224,7 @@ impl<const N: usize> Span<N> {
         let (turn2, sine) = certain(all2, noise)?;
         let radius = length * radius_of(turn2, sine);
         let junction2 = |across| if turn2 > REVERSAL { 0.0 } else { rule.junction2(across, sine, turn2) };
-        // The speed² of both forms of the rule is at least the sum of the two.
+        // In both forms of the rule, the speed² is at least the sum of these two terms.
         if LEAVES_OUT && SURELY * (moving.least * rule.curve_share * radius + junction2(moving.least)) > fast2 {
             return None;
         }
@@ -325,7 +326,7 @@ impl EntryLimit {
     }
 }
 
-/// Where the bends of a path go.
+/// Passes on the bends that are found in a path.
 struct Finder<'a, const N: usize> {
     rule: &'a TurnRule<N>,
     /// Called for each bend.
@@ -340,7 +341,7 @@ struct Finder<'a, const N: usize> {
 }
 
 impl<const N: usize> Finder<'_, N> {
-    /// Passes on a bend. `length`: path length from the bend's nearest entry to the end of the span, at most.
+    /// Passes on a bend. `length`: upper bound of the path length from the bend's nearest entry to the end of the span.
     #[inline]
     fn limit(&mut self, bend: Bend, behind: usize, length: f32) {
         let length = if behind > 0 { length + self.newest } else { length };
@@ -472,7 +473,7 @@ pub struct Scale<const N: usize> {
     path: f32,
     /// Maximum speed² in the unfinished span, under any override.
     fast2: f32,
-    /// Maximum speed² that the machine can have in it.
+    /// Maximum speed² that the machine can have in the unfinished span.
     attainable2: f32,
     /// Blocks of the unfinished span.
     blocks: u16,
@@ -539,8 +540,8 @@ pub(super) struct Chain<const N: usize> {
     /// The last single pieces.
     pieces: History<N>,
     scales: Lent<[Scale<N>]>,
-    /// Number of scales no longer than the last piece: their spans are the single pieces. Long moves therefore need no
-    /// unfinished spans at all.
+    /// Number of scales whose spans are at most as long as the last piece. On these scales, each span is a single
+    /// piece. Long moves therefore need no unfinished spans at all.
     whole: usize,
     digit: LastDigit,
     /// [`Finder::attainable2`] at the end of the last piece.
@@ -619,7 +620,8 @@ impl<const N: usize> Chain<N> {
         self.attainable2 = finder.attainable2;
     }
 
-    /// Returns the maximum speed² that the machine can have in the newest piece, which speeds up from an earlier limit.
+    /// Returns the maximum speed² that the machine can have in the newest piece, because it speeds up to there from an
+    /// earlier limit.
     #[inline]
     fn attainable2_in(&mut self, piece: &PathPiece<'_, N>, block: EntryLimit, rule: &TurnRule<N>) -> f32 {
         if !LEAVES_OUT {
@@ -671,8 +673,8 @@ impl<const N: usize> Chain<N> {
             scale.attainable2 = greater(scale.attainable2, attainable2);
             scale.blocks = scale.blocks.saturating_add(blocks);
             if index >= whole {
-                // The longer scales get the path of the span that the last shorter scale ended. The piece itself is
-                // added to them later.
+                // This scale is the first one that is not shorter than the piece. It has got the path of the span that
+                // the scale before it ended. The caller adds the piece itself later.
                 return;
             }
             if scale.blocks > 0 {

@@ -23,13 +23,13 @@ const MOST_AXES: usize = 4;
 pub(super) fn step_axes<const N: usize>(left: &mut [u32; N], increments: &[u32; N], threshold: u32) -> u8 {
     let mut minus_steps = 0_i32;
     let threshold = threshold as i32;
-    // Begins with the last axis, because each pass of the loop shifts the bits gathered so far up by one.
+    // Begins with the last axis, because each pass of the loop shifts up the bits of the axes before by one.
     for (left, increment) in left.iter_mut().zip(increments).rev() {
         // `left` and `increment` lie between 0 and the threshold (at most 2^30), or a few parts of a step outside this
         // range. So the sign of `rest` shows whether the axis steps. `stepping` is all ones or all zeros, which avoids
         // a branch. No axis steps twice in a tick: a tick advances the dominant axis by one step at most, and begins at
-        // a multiple of its own size. In such an interval, an axis with as many steps as the dominant one makes at most
-        // one step, wherever between two steps it begins and ends; an axis with fewer steps travels less.
+        // a multiple of its own size. Within one tick, an axis with as many steps as the dominant one makes at most one
+        // step, wherever between two steps it begins and ends; an axis with fewer steps travels less.
         let rest = left.wrapping_sub(*increment) as i32;
         let stepping = rest >> 31;
         *left = rest.wrapping_add(threshold & stepping) as u32;

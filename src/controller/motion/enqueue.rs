@@ -120,7 +120,7 @@ impl<const N: usize> MoveQueue<N> {
         true
     }
 
-    /// Queues a move; there must be room. `chord`: the steps follow its exact ends.
+    /// Queues a move; there must be room. `chord`: whether the move is a chord, whose steps follow its exact ends.
     #[inline]
     pub(super) fn put(&mut self, m: &Move<N>, curve_speed2: f32, chord: bool) {
         if self.backlash.is_on()
@@ -155,9 +155,9 @@ impl<const N: usize> MoveQueue<N> {
         self.continue_long_move();
     }
 
-    /// Queues a move with a duration as a feed move, because backlash compensation can divide it, and the duration is
-    /// that of the undivided move.
-    // Not inlined, so that no other move is copied.
+    /// Queues a move with a duration as a feed move. Backlash compensation can divide the move, whereas the duration
+    /// applies to the undivided move.
+    // Not inlined, so that only a move with a duration is copied.
     #[inline(never)]
     fn put_timed(&mut self, m: &Move<N>, seconds: f32, curve_speed2: f32, chord: bool) {
         let speed = Speed::Feed(self.end.distance(&m.target) / seconds);
@@ -484,8 +484,8 @@ impl<const N: usize> MoveQueue<N> {
     }
 
     /// Completes the backlash compensation at the end of the queue, with the motors at `motors`. If the last moves were
-    /// too short to complete it, queues a separate block from rest to rest. The tool does not move in this block,
-    /// unless it has not reached its programmed position yet: then the block brings it there.
+    /// too short to complete it, queues a separate block from rest to rest. If the tool has not reached its programmed
+    /// position yet, this block moves it there. Otherwise the tool does not move.
     #[inline(never)]
     pub(super) fn finish_taking_up(&mut self, motors: &Motors<N>, line_number: u32) {
         let taken = self.backlash.finish(&self.end.planned_steps.zip(&motors.tool(), i32::wrapping_sub).0);
@@ -496,8 +496,8 @@ impl<const N: usize> MoveQueue<N> {
     /// during a plunge, it would drag the drill sideways.
     #[inline(never)]
     fn take_up_before_plunge(&mut self, m: &Move<N>) {
-        // Do this only after a move mainly in X and Y: at such a corner the machine is slow anyway, but a profile of
-        // moves in Z must not be interrupted.
+        // Only after a move mainly in X and Y, because the machine is slow at such a corner anyway. A profile of moves
+        // in Z must not be interrupted.
         let across2 = self.end.direction.iter().take(2).fold(0.0, |sum, part| sum + part * part);
         if self.planner.capacity() < MOST_BLOCKS_OF_A_MOVE || across2 < 0.5 {
             return;
@@ -530,7 +530,7 @@ impl<const N: usize> MoveQueue<N> {
         block.jerk = self.limits.jerk_along(&shares, block.acceleration);
         block.programmed = block.limit;
         block.flags = NO_OVERRIDE | self.marked;
-        // The tool does not move: a laser would burn a hole.
+        // The tool does not move in this block, so a laser would burn a hole.
         block.power = 0;
         self.end.motors_only = true;
         self.end_join();

@@ -42,15 +42,16 @@ impl<const N: usize> InFlightSegment<N> {
     }
 }
 
-/// Ring of the records of segments not begun, and of the two begun last.
+/// Ring of records: of the segments that have not begun, and of the last two that have begun.
 #[derive(Debug)]
 #[cfg_attr(feature = "alloc", derive(Clone))]
 pub(super) struct SegmentsInFlight<const N: usize> {
-    /// The slots from `first` on hold the segments not begun, the two slots before it the segments begun last.
+    /// The slots from `first` on hold the segments that have not begun. The two slots before `first` hold the last two
+    /// that have begun.
     ring: Lent<[InFlightSegment<N>]>,
     first: usize,
     len: usize,
-    /// Total duration of the segments not begun, in step-clock ticks.
+    /// Total duration of the segments that have not begun, in step-clock ticks.
     queued: u32,
     /// Value that the step task's count of begun segments has until the segment at `first` begins.
     begun: u32,
@@ -94,7 +95,7 @@ impl<const N: usize> SegmentsInFlight<N> {
         self.moves
     }
 
-    /// Returns the total duration of the segments not begun, in step-clock ticks.
+    /// Returns the total duration of the segments that have not begun, in step-clock ticks.
     #[inline]
     pub(super) fn queued(&self) -> u32 {
         self.queued

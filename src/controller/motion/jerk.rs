@@ -39,7 +39,7 @@ impl Bounds {
         Self { acceleration: upper(self.acceleration), jerk: upper(self.jerk) }
     }
 
-    /// Returns the lower acceleration and the lower jerk of both.
+    /// Returns the lower acceleration and the lower jerk of two bounds.
     #[inline]
     pub(super) fn and(self, other: Self) -> Self {
         Self { acceleration: lesser(self.acceleration, other.acceleration), jerk: lesser(self.jerk, other.jerk) }
@@ -82,7 +82,7 @@ pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
         }
     }
     // With y = √x: y³ + 2·to·y = distance·√j. The left side is convex, so Newton's method converges from a y that is
-    // too great. Either term on the left, equated alone with the right side, gives such a y.
+    // too great. Setting either term on the left alone equal to the right side gives such a y.
     let wanted = distance * square_root(jerk);
     let mut root = cube_root(wanted);
     if 2.0 * to * root > wanted {
@@ -160,8 +160,8 @@ impl PathState {
         summit <= target || ramp_distance(summit, target, bounds) + ahead <= distance
     }
 
-    /// Returns the acceleration that the machine must have after `time` to reach `nominal` as soon as possible, and
-    /// with an acceleration of 0 there.
+    /// Returns the acceleration that the machine must have after `time` to reach `nominal` as soon as possible, and to
+    /// arrive there with an acceleration of 0.
     #[inline]
     pub(super) fn towards(self, nominal: f32, time: f32, bounds: Bounds) -> f32 {
         let Bounds { acceleration, jerk } = bounds;

@@ -35,8 +35,8 @@ impl Way {
         apart(own.acceleration, self.bounds.acceleration) || apart(own.jerk, self.bounds.jerk)
     }
 
-    /// Returns the speed of an additional anchor at the end of a block with bounds `own`, if the anchor makes a ramp
-    /// down from the speed² `cap2` shorter. Without this anchor, the tight bounds of one block would apply to all of a
+    /// Returns the speed of an additional anchor at the end of a block with bounds `own`, if this anchor shortens a
+    /// ramp down from the speed² `cap2`. Without this anchor, the tight bounds of one block would apply to all of a
     /// long ramp.
     #[inline(never)]
     pub(super) fn better_anchor(&self, own: Bounds, cap2: f32) -> Option<f32> {

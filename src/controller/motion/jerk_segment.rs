@@ -224,7 +224,7 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
     #[inline(never)]
     fn come_to_rest(planner: &Planner<N>, speed: f32, way: f32, left: f32, bounds: Bounds) -> Travelled {
         let exit = if left > way { speed } else { lesser(speed, planner.target(0, left, bounds).speed) };
-        // The second form is the time to rest with constant jerk.
+        // `3.0 * way / speed` is the time to rest with constant jerk.
         let seconds = if exit > 0.0 { 2.0 * way / (speed + exit) } else { 3.0 * way / speed };
         Travelled { seconds, end: PathState { speed: exit, acceleration: 0.0 } }
     }

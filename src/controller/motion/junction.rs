@@ -28,7 +28,7 @@ pub(super) const SURELY: f32 = 0.99;
 pub(super) struct TurnRule<const N: usize> {
     /// Maximum acceleration of each axis, mm/s².
     pub acceleration: [f32; N],
-    /// The least of them, mm/s².
+    /// The minimum of `acceleration`, mm/s².
     pub least: f32,
     /// Upper bound of the acceleration along any path: that of a path on which all axes reach their limits, mm/s².
     pub most: f32,
@@ -41,9 +41,9 @@ pub(super) struct TurnRule<const N: usize> {
 /// The axes that move before or after a turn.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MovingAxes {
-    /// The least of their accelerations, mm/s².
+    /// Minimum acceleration limit of these axes, mm/s².
     pub least: f32,
-    /// Whether there are no more than two.
+    /// Whether at most two axes move.
     pub are_two: bool,
 }
 
@@ -98,7 +98,7 @@ impl<const N: usize> TurnRule<N> {
     /// Returns the maximum acceleration along the change of direction at which no axis exceeds its limit.
     #[inline(never)]
     pub(super) fn across(&self, before: &[f32; N], after: &[f32; N], turn: f32) -> f32 {
-        // The axis with the least ratio of limit and part, which is divided once, at the end.
+        // Finds the axis with the lowest ratio of limit to part. Divides only once, at the end.
         let (mut least, mut least_part) = (UNLIMITED2, turn);
         for ((before, after), limit) in before.iter().zip(after).zip(&self.acceleration) {
             let part = (after - before).abs();

@@ -7,10 +7,10 @@
 //! of the dominant axis, the one with the most steps.
 //!
 //! A chord of a curve begins and ends between steps, f and g steps away from them, where f and g are fractions
-//! ([`AxisSteps`]). After u of M units, an axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ of them. That is 0
-//! at the start and n at the end, because f and g are less than a half, and always within half a step of the exact
-//! chord. In sevenths of a step the arithmetic is the same, with 7·M as the threshold, 7·n + 7·g - 7·f as the rate, and
-//! a first remainder that is smaller by 7·f·M.
+//! ([`AxisSteps`]). After u of M units, an axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ of them. This number
+//! is 0 at the start and n at the end, because f and g are less than a half. It is always within half a step of the
+//! exact chord. In sevenths of a step the arithmetic is the same, with 7·M as the threshold, 7·n + 7·g - 7·f as the
+//! rate, and a first remainder that is smaller by 7·f·M.
 
 use crate::messages::{AxisSteps, UNITS_PER_STEP};
 
@@ -112,7 +112,7 @@ pub(super) fn inverse(odd: u32) -> u32 {
     inverse
 }
 
-/// Returns `value` plus or, if `negative`, minus `steps`.
+/// Returns `value` + `steps`, or `value` - `steps` if `negative`.
 #[inline]
 pub(super) fn signed_add(value: i32, steps: u32, negative: bool) -> i32 {
     if negative { value.wrapping_sub_unsigned(steps) } else { value.wrapping_add_unsigned(steps) }

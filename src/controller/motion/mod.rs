@@ -357,8 +357,8 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.exchange_ring(&mut other.source.in_flight);
     }
 
-    /// Starts to execute the queue. No segments are handed over before the first call, nor after the queue has run
-    /// empty until the next call.
+    /// Starts to execute the queue. Before the first call, no segments are handed over. After the queue has run empty,
+    /// none are handed over until the next call.
     pub fn start(&mut self) {
         if self.queue.planner.len() == 0 {
             self.queue.release();
@@ -474,7 +474,7 @@ impl<const N: usize> Motion<N> {
         self.queue.planner.replan(self.queue.overrides, state, left);
     }
 
-    /// Discards all queued moves. Ignored unless the segments handed over end at rest.
+    /// Discards all queued moves. Has an effect only if the last segment for the step task ends at rest.
     pub fn discard(&mut self) {
         if !self.source.ends_at_rest() {
             return;
@@ -501,7 +501,8 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.observe(observed.segments_begun, observed.step_idle);
     }
 
-    /// Returns whether a motion is in progress and the segments handed over last only a short time.
+    /// Returns whether a motion is in progress, and the segments that the step task has not begun yet take only a short
+    /// time.
     #[inline]
     pub fn is_short_of_segments(&self) -> bool {
         self.source.is_short_of_segments()
@@ -512,7 +513,7 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.is_empty() && self.step_idle && self.source.ends_at_rest() && !self.source.is_on()
     }
 
-    /// Returns whether the segments handed over end at rest, so that no deadline exists for the next one.
+    /// Returns whether the last segment for the step task ends at rest, so that there is no deadline for the next one.
     pub fn ends_at_rest(&self) -> bool {
         self.source.ends_at_rest()
     }
@@ -527,13 +528,13 @@ impl<const N: usize> Motion<N> {
         self.source.is_on()
     }
 
-    /// Returns whether the segments handed over but not begun last at least `us` microseconds (at most 1 s).
+    /// Returns whether the segments that the step task has not begun yet take at least `us` microseconds (at most 1 s).
     #[inline]
     pub fn holds_time(&self, us: u32) -> bool {
         self.source.holds_time(us)
     }
 
-    /// Returns the duration of the segments handed over but not begun, in microseconds.
+    /// Returns the duration of the segments that the step task has not begun yet, in microseconds.
     pub fn queued_us(&self) -> u32 {
         self.source.queued_us()
     }
@@ -575,7 +576,8 @@ impl<const N: usize> Motion<N> {
         self.queue.set_position(position);
     }
 
-    /// Returns the machine position for a reading of the step counters, taken in the current straight move from rest.
+    /// Returns the machine position for step counters that were read during the current move, a straight move from
+    /// rest.
     pub fn position_of_counter(&self, counter: &PerAxis<i32, N>) -> PerAxis<Coordinate, N> {
         let steps = counter.zip(&self.origin, i32::wrapping_add);
         self.queue.kinematics.place(&self.queue.backlash.followed(self.source.last_rest(), steps).tool())
@@ -596,7 +598,7 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.current().power
     }
 
-    /// Returns whether the mark can be changed: not while a long move is still being divided into blocks.
+    /// Returns whether the mark can be changed. It cannot while a long move is still being divided into blocks.
     pub fn takes_mark(&self) -> bool {
         self.queue.long.is_none()
     }

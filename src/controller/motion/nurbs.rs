@@ -35,7 +35,7 @@ const SHORTEST: i64 = UNIT >> 20;
 /// weights and rounding. A curve with more pieces counts as outside the limits; its remaining length is measured
 /// without halving.
 const MOST_PIECES: u32 = 1000;
-/// Maximum piece whose length is measured as a whole, as a share of a span.
+/// Maximum size, as a share of a span, of a piece whose length is measured as a whole.
 const LONGEST_MEASURED: i64 = UNIT / 8;
 /// A piece is measured as a whole only if its chord is shorter than its polygon by at most this share.
 const BENT: f32 = 0.03;
@@ -294,7 +294,8 @@ impl<const N: usize> Nurbs<N> {
             let has_both = from_first != [0.0; 2] && from_last != [0.0; 2];
             self.curve_radius = if has_both && turn > STRAIGHT { length(chord) / turn } else { f32::INFINITY };
             self.at = to;
-            // A piece of twice the length deviates four times as much.
+            // A piece of twice the length deviates four times as much, so the next piece may be twice as long only
+            // below a quarter of the tolerance.
             if 4.0 * away < self.tolerance {
                 self.step = (self.step * 2).min(LONGEST);
             }

@@ -102,8 +102,8 @@ pub(super) struct Planner<const N: usize> {
     /// Entries up to this place are final, whatever is appended; 0: no entry is known to be final. Only without a jerk
     /// limit.
     settled: usize,
-    /// Blocks whose limits bends have lowered since the last reverse pass, if settled entries depend on the entries of
-    /// these blocks.
+    /// Blocks whose limits were lowered by bends since the last reverse pass, if settled entries depend on the entries
+    /// of these blocks.
     lowered: Lowered,
     /// Whether ramps have bounded jerk.
     pub jerk_limited: bool,
@@ -502,9 +502,9 @@ impl<const N: usize> Planner<N> {
         if place < self.len { self.blocks.get(self.slot(place)) } else { None }
     }
 
-    /// Checks whether a machine `left` mm before the end of the first block is allowed to be in this state. It is if it
-    /// can ease off its acceleration, or continue to brake, and still meet all later anchors. In that case, returns the
-    /// minimum acceleration bound over the distance in which the machine eases off.
+    /// Checks whether a machine `left` mm before the end of the first block is allowed to be in this state. It is
+    /// allowed if it can ease off its acceleration, or continue to brake, and still meet all later anchors. In that
+    /// case, returns the minimum acceleration bound over the distance in which the machine eases off.
     pub(super) fn allows(&self, state: PathState, left: f32, nominal: f32) -> Option<f32> {
         let first = self.first()?;
         if state.acceleration < 0.0 {

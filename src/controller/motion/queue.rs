@@ -62,7 +62,7 @@ pub(super) struct MoveQueue<const N: usize> {
     pub substep_offset: Option<[i32; N]>,
     pub long: Option<LongMove<N>>,
     pub numbering: Numbering,
-    /// The mark of blocks from here on, as bits of their flags.
+    /// The mark of the blocks queued from now on, as bits of their flags.
     pub marked: u8,
     /// The straight moves at the end of the queue, from which the curvature of the path is determined.
     pub chain: Chain<N>,
@@ -157,7 +157,7 @@ impl<const N: usize> MoveQueue<N> {
             // move are five blocks, of which the next move's own block is not counted here.
             1 => 4,
             // The next move causes the first move and its corner to be queued (four blocks), and makes a second corner
-            // (five blocks, less its own).
+            // (five blocks, without the next move's own block).
             _ => 8,
         };
         if self.backlash.is_on() { pieces * MOST_BLOCKS_OF_A_MOVE } else { pieces }

@@ -46,7 +46,7 @@ impl Walk {
     }
 }
 
-/// Range of blocks whose limits bends have lowered.
+/// Range of blocks whose limits were lowered by bends.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lowered {
     /// Place of the first lowered block; `usize::MAX`: none.
@@ -58,7 +58,7 @@ pub(super) struct Lowered {
 impl Lowered {
     pub(super) const NONE: Self = Self { first: usize::MAX, planned_end: 0 };
 
-    /// Returns the range that covers both.
+    /// Returns the range that covers both ranges.
     #[inline]
     pub(super) fn and(self, other: Self) -> Self {
         Self { first: self.first.min(other.first), planned_end: self.planned_end.max(other.planned_end) }

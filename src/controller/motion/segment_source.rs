@@ -19,7 +19,7 @@ use crate::messages::{Segment, ToStep, UNITS_PER_STEP};
 pub const QUEUED_TIME_MS: u32 = 16;
 /// Intervals longer than this, ms, are divided into waits of [`WAIT_MS`], so that a hold need not wait for the tick.
 const FAR_MS: u32 = 4;
-/// Duration of such a wait, ms.
+/// Duration of each wait that a long interval is divided into, ms.
 const WAIT_MS: u32 = 1;
 /// If a motion ends at rest with less than this queued, ms, the next motion waits until the step task is at rest, and
 /// starts with several segments queued. The first segments of a motion are shorter than the time in which a small
@@ -51,7 +51,7 @@ struct LongTick {
     time: u64,
 }
 
-/// Returns at least 1, for a step clock below 1 MHz. (`Ord::max` is not `const`.)
+/// Returns `clocks`, but at least 1, because a step clock below 1 MHz would give 0. (`Ord::max` is not `const`.)
 const fn at_least_one(clocks: u32) -> u32 {
     if clocks == 0 { 1 } else { clocks }
 }
@@ -62,7 +62,7 @@ const fn at_least_one(clocks: u32) -> u32 {
 #[repr(C)]
 pub(super) struct SegmentSource<const N: usize> {
     state: FeedState,
-    /// The segments handed over end at rest.
+    /// The last segment for the step task ends at rest.
     rest: bool,
     /// State of motion at the end of the last segment handed over.
     pub(super) motion: PathMotion,
@@ -73,7 +73,7 @@ pub(super) struct SegmentSource<const N: usize> {
     last_rest: Motors<N>,
     long_tick: Option<LongTick>,
     step_clock_hz: u32,
-    /// `step_clock_hz` for shorter times, to avoid divisions.
+    /// Step-clock ticks per millisecond and per microsecond, kept to avoid divisions.
     clocks_per_ms: u32,
     clocks_per_us: u32,
     pacer: Pacer,
@@ -112,7 +112,7 @@ impl<const N: usize> SegmentSource<N> {
         self.step_clock_hz
     }
 
-    /// Returns the duration of the segments handed over but not begun, in microseconds.
+    /// Returns the duration of the segments that the step task has not begun yet, in microseconds.
     #[inline]
     pub(super) fn queued_us(&self) -> u32 {
         self.in_flight.queued() / self.clocks_per_us
@@ -156,7 +156,7 @@ impl<const N: usize> SegmentSource<N> {
         self.state = if any { FeedState::Running } else { FeedState::Idle };
     }
 
-    /// Ends handing over until the next start, and any hold.
+    /// Ends handing over until the next start. Also ends a hold.
     #[inline]
     pub(super) fn stop(&mut self) {
         self.state = FeedState::Idle;
@@ -170,7 +170,7 @@ impl<const N: usize> SegmentSource<N> {
         }
     }
 
-    /// Returns whether a hold is in force and the segments handed over end at rest.
+    /// Returns whether a hold is in force, and the last segment for the step task ends at rest.
     pub(super) fn is_held(&self) -> bool {
         self.state == FeedState::Held
     }
@@ -181,7 +181,7 @@ impl<const N: usize> SegmentSource<N> {
         matches!(self.state, FeedState::Running | FeedState::Braking)
     }
 
-    /// Returns whether the segments handed over end at rest.
+    /// Returns whether the last segment for the step task ends at rest.
     #[inline]
     pub(super) fn ends_at_rest(&self) -> bool {
         self.rest
@@ -200,7 +200,8 @@ impl<const N: usize> SegmentSource<N> {
         self.rest && self.in_flight.moves() && self.in_flight.queued() < self.clocks_per_ms * JOIN_MS
     }
 
-    /// Returns whether a motion is in progress and the segments handed over last only a short time ([`SHORT_MS`]).
+    /// Returns whether a motion is in progress, and the segments that the step task has not begun yet take only a short
+    /// time ([`SHORT_MS`]).
     #[inline]
     pub(super) fn is_short_of_segments(&self) -> bool {
         let has_begun = self.in_flight.moves() || !self.in_flight.is_empty();

@@ -135,8 +135,8 @@ impl<const N: usize> MoveQueue<N> {
         let own = way.zip(&skipped, |way, skipped| way - skipped);
         let length = square_root(own.iter().fold(0.0, |sum, part| sum + part * part)) + before.length_carry;
         let moved = target_steps.zip(&before.planned_steps, i32::wrapping_sub);
-        // If the new block would be too short for its steps, `append` would use other limits. If there are no steps,
-        // there is no block.
+        // Do not join if the new block would be too short for its steps, because `append` would use other limits. Do
+        // not join without steps either, because there would be no block.
         let too_many = |(steps, mm): (&i32, f32)| (steps.unsigned_abs() as f32 - 0.5) * mm > 1.001 * length;
         if moved.iter().all(|steps| *steps == 0) || moved.iter().zip(self.kinematics.least_mm).any(too_many) {
             return None;
@@ -148,8 +148,8 @@ impl<const N: usize> MoveQueue<N> {
                 return None;
             }
         }
-        // From any speed from which the machine could brake to a stop within the old block, it must be able to do so
-        // within the new one.
+        // If the machine could brake to a stop within the old block from some speed, it must be able to brake from this
+        // speed within the new block.
         let last = self.planner.last()?;
         let shares = shares(&way, length);
         let (acceleration, _) = self.limits.along_shares(&shares);

@@ -261,8 +261,8 @@ impl<const N: usize> Stepper<N> {
         self.is_next = true;
     }
 
-    /// Executes the next tick. From rest, the first tick makes no step and gives the interval to the first stepping
-    /// one.
+    /// Executes the next tick. From rest, the first tick makes no step and gives the interval to the first tick that
+    /// steps.
     #[inline]
     pub fn tick(&mut self) -> Tick {
         if self.latch.is_unnoted {

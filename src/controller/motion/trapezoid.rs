@@ -96,8 +96,8 @@ impl Trapezoid {
         if missing2 <= SAME * speed2 {
             return TrapezoidPhase { sign: 0.0, length: (brake2 - self.nominal2) / slope, end2: self.nominal2 };
         }
-        // Both edges have the same slope, so they meet half way between the present speed² and that of the falling edge
-        // here.
+        // Both edges have the same slope, so they meet half way between the present speed² and the speed² of the
+        // falling edge here.
         let meet2 = 0.5 * (brake2 - speed2);
         if meet2 < missing2 {
             TrapezoidPhase { sign: 1.0, length: meet2 / slope, end2: speed2 + meet2 }

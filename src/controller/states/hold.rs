@@ -153,7 +153,7 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Ends the job at a refused line, if the settings say so, or if the line would have prompted the operator for
-    /// another tool (`asks_for_tool`): the lines after it are meant for that tool.
+    /// another tool (`asks_for_tool`), because the lines after it are meant for that tool.
     pub(crate) fn stop_at_error(&mut self, asks_for_tool: bool) {
         let lacks_tool = asks_for_tool && self.m.prompts_for_tools() && self.dialect() != Dialect::Grbl;
         if matches!(self.state, State::Normal) && (lacks_tool || self.m.settings.is_on(Key::StopOnError)) {
@@ -169,8 +169,8 @@ impl<const N: usize> Controller<N> {
         self.m.probe.break_off();
         self.m.interpreter.set_position(self.m.motion.machine_position());
         self.m.start_idle_delay();
-        // A laser must not burn one point, the spindle of a locked machine must not turn, and a spindle that spins up
-        // for a dropped cut has no use. In all other cases the spindle stays as it is.
+        // A laser must not burn one point, the spindle of a locked machine must not turn, and there is no use for a
+        // spindle that spins up for a dropped cut. In all other cases the spindle stays as it is.
         let turns = !self.m.accessories.is_suspended() && !self.task.waits_for_spindle();
         if locked || !turns || self.m.settings.is_on(Key::Laser) {
             self.m.accessories.stop_spindle();
@@ -198,9 +198,9 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Jog { cancelling: true });
     }
 
-    /// Voids all jogs received so far, by the count of received bytes. A reset or a jog cancel tells older bytes from
-    /// later ones by opening an epoch (see `protocol::intake`), but a hold or a door opens none. In Grbl's dialect, a
-    /// hold or a door voids jogs only while a jog moves.
+    /// Voids all jogs received so far, by the count of received bytes. A reset or a jog cancel opens an epoch (see
+    /// `protocol::intake`), which separates older bytes from later ones. A hold or a door opens none, so the count is
+    /// needed here. In Grbl's dialect, a hold or a door voids jogs only while a jog moves.
     pub(crate) fn forget_received_jogs(&mut self) {
         if self.dialect() != Dialect::Grbl || matches!(self.state, State::Jog { .. }) {
             self.m.lines.end_received_jogs(self.m.step_supply.observed().received);

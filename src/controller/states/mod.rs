@@ -172,11 +172,12 @@ impl<const N: usize> State<N> {
 }
 
 impl<const N: usize> Controller<N> {
-    /// Enters a state; nothing else does.
+    /// Enters a state. No other function changes the state.
     pub(crate) fn enter(&mut self, next: State<N>) {
         debug_assert!(self.state.may_become(&next), "{:?} to {:?}", self.state, next);
         if self.state.is_suspended() {
-            // Lines had to wait in the suspended state, so the time spent in it is not a pause of the host.
+            // Lines had to wait in the suspended state, so the time in that state does not count as a pause of the
+            // host.
             self.m.last_line_at = self.m.now;
         }
         self.state = next;

@@ -65,7 +65,7 @@ impl<const N: usize> Controller<N> {
                 via.as_ref().is_some_and(outside) || outside(target)
             }
             gcode::MotionCommand::Probe { target, .. } if belts => outside(target),
-            // The curve lies within the polygon of its control points.
+            // The curve lies within the polygon of its control points, so it is enough to check these.
             gcode::MotionCommand::Spline(spline) if FULL_IMAGE && belts => spline.corners().iter().any(outside),
             gcode::MotionCommand::Nurbs(nurbs) if FULL_IMAGE && belts => self.nurbs_geometry(nurbs).leaves(outside),
             gcode::MotionCommand::Cycle(cycle) if belts => cycle.corners().iter().any(outside),
@@ -90,7 +90,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether soft limits are in force. They need a true position.
+    /// Whether soft limits are in force. They need a trusted position.
     pub(crate) fn limits_travel(&self) -> bool {
         self.m.settings.is_on(Key::SoftLimits) && !self.needs_homing()
     }
@@ -140,8 +140,8 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Returns the coordinate (mm) up to which a position counts as within `travel`. If the travel is not a whole
-    /// number of steps, an axis that was sent to its end can be half a step beyond that end, and a line that moves only
-    /// other axes from there must not be refused.
+    /// number of steps, an axis that was sent to its end can be half a step beyond that end. A line that then moves
+    /// only other axes must not be refused.
     #[inline(never)]
     fn reach(&self, axis: Axis, travel: f32) -> f32 {
         let resolution = self.m.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);

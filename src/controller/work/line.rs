@@ -76,7 +76,7 @@ impl<const N: usize> LineInWork<N> {
     }
 
     /// Puts the text of the line `held` before the reason. `held` is the wrong line, stored in a subroutine, loop or
-    /// macro; the host knows only the line that called it.
+    /// macro; the host knows only the line that called the subroutine, loop or macro.
     #[cold]
     pub(crate) fn explain_within(&mut self, held: &[u8]) {
         /// How many characters of `held` to show.

@@ -123,7 +123,7 @@ impl<const N: usize> Controller<N> {
             return Some(Stage::Flow);
         };
         let mv = self.move_of(&end, Speed::Feed(job.chord_feed), job.jog);
-        // There is room for a block, so the move is taken.
+        // There is room for a block, so `chord` takes the move.
         self.m.motion.chord(&mv, curvature);
         Some(Stage::Chords)
     }

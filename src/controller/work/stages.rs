@@ -70,7 +70,7 @@ impl<const N: usize> Controller<N> {
             && !settings.is_on(Key::Laser)
     }
 
-    /// Whether S changes a spindle that is on, or a laser that is on if the line does not move. The next report must
+    /// Whether S changes a running spindle or, in a line that does not move, a laser that is on. The next report must
     /// show the change.
     fn shows_speed(&self) -> bool {
         self.line.action.speed_changed
@@ -78,7 +78,7 @@ impl<const N: usize> Controller<N> {
             && !(self.m.settings.is_on(Key::Laser) && self.line.action.motion != gcode::MotionCommand::None)
     }
 
-    /// Whether there is a task that can advance. Checked before each segment, to save needless calls of
+    /// Whether there is a task that can advance. This is checked before each segment, to save needless calls of
     /// [`Controller::advance`].
     pub(crate) fn may_advance(&self) -> bool {
         match &self.task {
@@ -356,7 +356,8 @@ impl<const N: usize> Controller<N> {
         let place = self.m.interpreter.place();
         self.m.interpreter.commit(action);
         if !of_program {
-            // If the line ends a program, that is not the host's program.
+            // This line is not part of the host's program. If the line has ended a program, restore the place in the
+            // host's program.
             self.m.interpreter.return_to(place);
         }
         if before.is_some_and(|before| self.m.interpreter.work_zero(dialect) != before) {
@@ -521,7 +522,7 @@ impl<const N: usize> Controller<N> {
         self.m.interpreter.check_jog_into(line, dialect(&self.m.settings), &mut self.line.action)?;
         let is_over = self.m.lines.is_jog_stale() || self.m.replies.has_host_left(self.m.lines.hosts_cut());
         if is_over || matches!(self.state, State::Jog { cancelling: true }) {
-            // The jog was sent before the cancel or by a host that has disconnected since. It is answered without a
+            // The jog was sent before a jog cancel, or by a host that has disconnected since. It is answered without a
             // move.
             self.say_ok();
             return Ok(());

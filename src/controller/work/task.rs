@@ -14,7 +14,7 @@ pub(crate) enum Task {
     None,
     /// The startup line with this index is next. After the last startup line the answer is given, if there is one.
     Startup(usize, Option<Answer>),
-    /// The next stored line of a subroutine, loop or macro is to be run for this caller.
+    /// The controller runs the next stored line of a subroutine, loop or macro, for this caller.
     Held(Caller),
     /// An answer of many lines, and the index of its next line.
     Listing(Listing, usize),
@@ -138,7 +138,7 @@ pub(crate) enum Stage {
     SpinningDown,
     /// A tool change that measures the tool. `LineInWork` holds its progress.
     Measuring,
-    /// Modal state, spindle and coolant are to be set.
+    /// Sets modal state, spindle and coolant.
     Apply,
     /// A changed coordinate system is being stored.
     Storing,
@@ -153,13 +153,13 @@ pub(crate) enum Stage {
     Input,
     /// M66, suspended by a hold.
     InputSuspended,
-    /// The intermediate point of G28 or G30 is to be queued.
+    /// Queues the intermediate point of G28 or G30.
     Via,
-    /// The motion itself is to be started.
+    /// Starts the motion itself.
     Target,
     /// The probe moves.
     Probing,
-    /// Chords of the line's curve are still to be queued.
+    /// Queues the remaining chords of the line's curve.
     Chords,
     /// Motion has to end before the program pauses or ends.
     Flow,
@@ -167,7 +167,7 @@ pub(crate) enum Stage {
     Paused,
     /// The program is paused within a canned cycle. Ends with `~`.
     CyclePaused,
-    /// The line has been executed and is to be answered.
+    /// The line has been executed; its answer follows.
     Done,
 }
 
@@ -287,9 +287,9 @@ pub(crate) enum Listing {
 /// Progress of the request for a piece of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Ask {
-    /// To be requested once there is room for its text.
+    /// The controller requests the piece when there is room for its text.
     Wanted,
-    /// To be requested now.
+    /// The controller requests the piece now.
     Due,
     /// Requested.
     Asked,

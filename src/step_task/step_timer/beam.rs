@@ -49,8 +49,8 @@ impl Beam {
             return false;
         }
         if self.marks.is_full() {
-            // The new change replaces the newest stored change. No event lies between the two, so the power of the
-            // stored one would have acted on no step.
+            // The new change replaces the newest stored change. No event lies between the two changes, so no step would
+            // have had the power of the stored one.
             self.marks.pop_back();
         }
         let is_kept = self.marks.push_back((at, power)).is_ok();

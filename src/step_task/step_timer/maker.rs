@@ -26,7 +26,7 @@ const UNKNOWN: u8 = u8::MAX;
 
 /// Result of [`Maker::make_one`].
 enum Made {
-    /// No event or tick: there was none to generate, or no room.
+    /// No event or tick, because there was none to generate, or because there was no room.
     Nothing,
     /// An event, or a tick without one.
     One,
@@ -220,8 +220,8 @@ impl Maker {
         self.stepper.moment().wrapping_sub(self.free_from) as i32 >= 0 && self.directions == self.stepper.directions()
     }
 
-    /// Generates up to `most` plain ticks in a row and returns how many. Returns `most` if it could generate none, for
-    /// lack of room.
+    /// Generates up to `most` plain ticks in a row and returns how many. If there was no room to generate any, also
+    /// returns `most`.
     #[inline(always)]
     fn make_batch(&mut self, most: usize) -> usize {
         let Free { table, words, moments } = self.output.free();
@@ -243,7 +243,7 @@ impl Maker {
             return Made::Nothing;
         }
         if onset == Onset::FromRest && self.stepper.is_moving() {
-            // Before a motion begins there is time: receive what has arrived, and wait for the next segment.
+            // Before a motion begins there is time, so receive what has arrived, and wait for the next segment.
             self.receive();
             if self.stepper.lacks_segment() {
                 return Made::Nothing;
@@ -351,8 +351,8 @@ impl Maker {
         self.begins.is_full() || self.beam.is_full()
     }
 
-    /// Returns whether more events should be generated now: too few are ahead of the time `from`, there are more to
-    /// generate, and there is room for a batch.
+    /// Returns whether more events should be generated now: too few events are ahead of the time `from`, there are more
+    /// events to generate, and there is room for a batch.
     #[inline(always)]
     fn wants_more(&self, from: u32, ahead: usize) -> bool {
         let has_room = ahead + MOST_EVENTS <= StepPins::DEPTH;

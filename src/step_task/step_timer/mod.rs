@@ -57,8 +57,8 @@ enum State {
     Preparing(u32),
     /// Events are output.
     Running,
-    /// The events ahead are still output. After them the motion ends, or is resumed: its next event was too late, or
-    /// events must be output one by one from there on.
+    /// The events ahead are still output. After them the motion ends, or is resumed. It is resumed if its next event
+    /// was too late, or if events must be output one by one from there on.
     Ending,
 }
 
@@ -277,8 +277,8 @@ impl Step {
         self.state = State::Ending;
     }
 
-    /// Stops the stepper and reports an underrun: events were not ready in time, or (`miscounted`) the hardware did not
-    /// output what was generated. `undone`: net steps that were not output.
+    /// Stops the stepper and reports an underrun, because events were not ready in time, or (`miscounted`) because the
+    /// hardware did not output the generated events. `undone`: net steps that were not output.
     #[cold]
     fn give_up(&mut self, undone: [i32; AXES], miscounted: bool) {
         self.maker.take_back_segments();
@@ -296,8 +296,8 @@ impl Step {
         self.maker.beam.switch_off(&mut self.maker.output);
     }
 
-    /// When all events ahead have been output: goes to rest if the motion has ended; otherwise resumes it, because its
-    /// next event was too late, or because events must be output one by one from here on.
+    /// When all events ahead have been output: goes to rest if the motion has ended; otherwise resumes the motion,
+    /// because its next event was too late, or because events must be output one by one from here on.
     #[inline(never)]
     fn end(&mut self) {
         let out_at = self.maker.out_at();
@@ -320,8 +320,8 @@ impl Step {
         }
     }
 
-    /// Resumes a motion after the events ahead: its next tick is not before the planned time, and no step is before the
-    /// set-up time of the directions is over.
+    /// Resumes a motion after the events ahead. The next tick is not before its planned time, and no step is made
+    /// before the set-up time of the directions is over.
     #[cold]
     fn resume(&mut self) {
         let planned = self.maker.stepper.moment();
@@ -347,7 +347,8 @@ impl Step {
         let is_still = self.is_before_motion() && !undone.fault;
         self.maker.beam.switch_off(&mut self.maker.output);
         if undone.fault {
-            // The position is lost, whatever the reason for the requested stop: report this first, as a separate stop.
+            // The position is lost, whatever the reason for the requested stop. So report the loss first, as a separate
+            // stop.
             self.give_up(core::mem::take(&mut net), true);
         }
         self.maker.take_back_segments();
@@ -357,8 +358,8 @@ impl Step {
             if let StepEvent::Stopped { moving, .. } = &mut event {
                 // If the count is unreliable, the position is as lost as after a stop in motion.
                 *moving = !is_still && (*moving || undone.events > 0 || undone.fault);
-                // Only the newest stop is reported. So its report must also say if the machine was moving at an older
-                // stop.
+                // Only the newest stop is reported, so its report must also say whether the machine was moving at an
+                // older stop.
                 if let Some(StepEvent::Stopped { moving: before, .. }) = self.reports.stopped {
                     *moving |= before;
                 }

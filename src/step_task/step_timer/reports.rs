@@ -37,7 +37,7 @@ impl Reports {
         if self.touched {
             self.touched = !self.send(contact());
         }
-        // An event must not overtake an earlier one.
+        // An event must not overtake an earlier event.
         if !self.touched
             && let Some(event) = self.underrun
             && self.send(event)

@@ -62,7 +62,7 @@ impl Sbom {
     }
 
     fn crates(&self) -> Result<Crates, Failure> {
-        // With all features: otherwise the metadata would lack the crates that only a board's feature needs.
+        // With all features, because the metadata would otherwise lack the crates that only a board's feature needs.
         let metadata = parsed(&told(&["metadata", "--locked", "--all-features", "--format-version", "1"])?)?;
         let lock: toml::Table = text(&root().join("Cargo.lock"))?.parse().map_err(|e| format!("Cargo.lock: {e}"))?;
         Crates::new(&metadata, &lock, linked(&self.tree()?)?)

@@ -82,7 +82,7 @@ pub fn write(out: &mut dyn Write) -> Result<()> {
 type Trace = [[i64; 2]; 4];
 
 /// Returns eight traces above the chip and their mirror images below. Traces left of the middle run to the right, so
-/// each of them must turn below its right neighbour; those right of the middle are the mirror image.
+/// each of them must turn below its right neighbour; the traces right of the middle are the mirror image.
 fn traces() -> Vec<Trace> {
     let mut all = Vec::new();
     for side in [1, -1] {

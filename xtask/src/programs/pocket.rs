@@ -162,8 +162,8 @@ impl Pocket {
     /// pass.
     fn clear_level(&self, w: &mut Writer, words: [&'static str; 4]) -> Result<()> {
         let last = self.half.map(|half| half - self.tool_radius - self.allowance);
-        // From the wall, each rectangle lies one step-over farther in; the innermost is a slot at most two step-overs
-        // high.
+        // From the wall, each rectangle lies one step-over farther in; the innermost rectangle is a slot at most two
+        // step-overs high.
         let rings = (last[1] - 1) / self.step_over;
         for ring in (0..=rings).rev() {
             let size = last.map(|edge| edge - ring * self.step_over);

@@ -19,7 +19,8 @@ struct Reader {
     tool: [f64; AXES],
     /// Position in machine coordinates, without offsets.
     machine: [f64; AXES],
-    /// Whether the position is unknown: after a spline, of which only the number of control points is printed.
+    /// Whether the position is unknown, because the last move was a spline, of which `rs274` prints only the number of
+    /// control points.
     is_place_untold: bool,
     /// Feed rate, mm/min.
     rate: f64,

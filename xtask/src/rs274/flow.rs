@@ -2,8 +2,8 @@
 //! only in such programs: G93, G90.1, messages, stops, block delete, computed G and M numbers.
 //!
 //! A statement is one line or a whole construct, such as a loop. Statements that Oxmill rejects are omitted, except for
-//! the last statement of a batch: `rs274` must reject the same line of it. Lines that show the machine's state are
-//! mixed in, also within constructs.
+//! the last statement of a batch: `rs274` must reject the same line of that statement. Lines that show the machine's
+//! state are mixed in, also within constructs.
 //!
 //! Not generated, because the book lists it as a difference (see also `expressions`):
 //!
@@ -121,7 +121,7 @@ struct Writer {
     refused: Option<Refused>,
     /// Whether there are `do` loops, and therefore no `break` in a `while`.
     has_do: bool,
-    /// Number of labels so far.
+    /// Number of labels used so far.
     labels: u64,
     /// Labels of the subroutines that can be called.
     subroutines: Vec<String>,

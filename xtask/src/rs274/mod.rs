@@ -66,8 +66,8 @@ pub enum Event {
     Stop(bool),
 }
 
-/// Returns whether words are equal and numbers close. In messages with stored positions, `rs274` shows values below
-/// 0.0001 inch as 0.
+/// Returns whether the words of two texts are equal, and their numbers are close. In messages with stored positions,
+/// `rs274` shows values below 0.0001 inch as 0.
 fn is_same_text(a: &str, b: &str) -> bool {
     let least = if a.starts_with(PLACES_MARK) { TOLERANCE } else { VALUE_TOLERANCE };
     let is_same = |(a, b): (&str, &str)| match (a.parse::<f64>(), b.parse::<f64>()) {

@@ -126,7 +126,7 @@ impl Mill {
             MotionCommand::Spline(spline) => {
                 let is_cubic = matches!(checked.modal().motion, MotionMode::Spline(SplineKind::Cubic));
                 events.push(Event::Spline(if is_cubic { 4 } else { 3 }));
-                // `rs274` does not print where the spline ends; the next move shows it.
+                // `rs274` does not print where the spline ends; the move after the spline shows it.
                 self.place = mm(&spline.target);
                 self.is_place_untold = true;
             }
@@ -139,8 +139,8 @@ impl Mill {
                 let mut is_first = true;
                 while let Some(step) = cycle.step(CLEARANCE) {
                     match step {
-                        // `rs274` outputs no rise if the tool is already at R. The next move then shows where a spline
-                        // before it ended.
+                        // `rs274` outputs no rise if the tool is already at R. If a spline came before the cycle, the
+                        // next move then shows where the spline ended.
                         CycleStep::Rapid(place) if std::mem::take(&mut is_first) && mm(&place) == self.place => {}
                         CycleStep::Rapid(place) => self.go(&place, true, &mut events),
                         CycleStep::Feed(place, _) => self.go(&place, false, &mut events),
@@ -162,8 +162,8 @@ impl Mill {
             MotionCommand::Line { target, feed, .. } => {
                 let ([x, y, z, a], [from_x, from_y, from_z, from_a]) = (mm(target), self.place);
                 let way = distance(&[x, y, z], &[from_x, from_y, from_z]);
-                // Degrees do not depend on the unit of length, but `rs274` treats the rate that it derives from them as
-                // one in units of length.
+                // Degrees do not depend on the unit of length, but `rs274` treats the rate that it derives from degrees
+                // as a rate in units of length.
                 let unit = if self.interpreter.modal().units == Units::Inch { 25.4 } else { 1.0 };
                 (if way > 0.0 { way } else { (a - from_a).abs() * unit }, feed)
             }

@@ -53,8 +53,8 @@ struct Writer {
     refused: Option<String>,
 }
 
-/// Returns a batch of `programs` random programs in sequence. Its last line is one that is rejected, if one was found;
-/// otherwise M2.
+/// Returns a batch of `programs` random programs in sequence. Its last line is a line that Oxmill rejects, if the
+/// generator has found one; otherwise M2.
 pub fn batch(seed: u64, programs: usize) -> Batch {
     let outcome = Outcome { events: Vec::new(), of: Vec::new(), refused: None };
     let mut writer = Writer {
@@ -373,7 +373,8 @@ impl Writer {
     fn control_points(&mut self) {
         let order = 3 + self.below(3);
         let points = order - 1 + self.below(6);
-        // If the first line has a point, `rs274` uses its weight for the start; so this first line has none.
+        // If the first line has a point, `rs274` uses the weight of that point for the start. So the first line here
+        // has no point.
         let weight = 1 + self.below(3);
         if !self.put(format!("G5.2 P{weight} L{order}")) {
             return;
@@ -442,7 +443,7 @@ impl Writer {
         }
         let end = self.one_of(&["G80", "G0", "G1"]);
         let axes = self.axes();
-        // If that motion is rejected, G80 must end the series, because a change of plane can follow.
+        // If the motion that should end the series is rejected, G80 must end it, because a change of plane can follow.
         if end == "G80" || !self.put(format!("{end}{axes}")) {
             self.put("G80".into());
         }

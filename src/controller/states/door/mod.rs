@@ -99,7 +99,8 @@ impl Door {
         };
     }
 
-    /// Remembers which coolant is switched off. A second opening of the door keeps the coolant remembered at the first.
+    /// Remembers which coolant is switched off. If the door is opened a second time, keeps what was remembered the
+    /// first time.
     fn keep_coolant(&mut self, coolant: Coolant) {
         self.coolant.get_or_insert(coolant);
     }
@@ -400,7 +401,7 @@ impl<const N: usize> Controller<N> {
     fn rest_asleep(&mut self) {
         self.m.accessories.stop_spindle();
         self.m.drivers.switch_off();
-        // Axes can be moved by hand now.
+        // Axes can be moved by hand from here on, so the position is no longer trusted.
         self.m.reference.lose();
         self.enter(State::Sleep(self.state.alarm()));
     }

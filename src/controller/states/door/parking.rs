@@ -135,7 +135,7 @@ impl<const N: usize> Parking<N> {
     }
 
     /// Takes the position at which the step task has stopped. If the tool is away from the job, the job's `motion`
-    /// takes the position from the parking motion, which also knows on which side of the backlash each axis is.
+    /// takes the position from the parking motion, and with it the side of the backlash on which each axis is.
     pub fn stopped(&mut self, position: &PerAxis<i32, N>, motion: &mut Motion<N>) {
         self.motion.stopped(position);
         if self.is_away() {

@@ -70,7 +70,7 @@ pub(crate) enum Order<const N: usize> {
     },
     /// Wait.
     Wait(Duration),
-    /// The axes of the mask, those of one cycle, are at the given machine coordinates.
+    /// The axes of one cycle (the mask) are at these machine coordinates.
     Reached(AxisMask, PerAxis<Coordinate, N>),
     /// These axes have been homed; homing is over.
     Done(AxisMask),
@@ -95,7 +95,7 @@ pub(crate) struct HomingCycle<const N: usize> {
     cycles: heapless::Deque<AxisMask, 8>,
     homed: AxisMask,
     pass: Pass,
-    /// Number of locates of the current cycle still to come.
+    /// Number of locates that the current cycle has yet to make.
     locates_left: u32,
     /// Switches of the current seek or locate that have not closed.
     approaching: AxisMask,
@@ -253,8 +253,8 @@ impl<const N: usize> HomingCycle<N> {
         Order::Move { by, rate: rate * oxmill_sqrt::square_root(count), watch, motors }
     }
 
-    /// Returns the coordinates of the axes after their last pull-off: 0 with `zero_at_pull_off`; otherwise a pull-off
-    /// from the switch, in a range from -travel to 0.
+    /// Returns the coordinates of the axes after their last pull-off: 0 with `zero_at_pull_off`; otherwise the point
+    /// one pull-off away from the switch, where the travel lies between -travel and 0.
     fn places(&self) -> PerAxis<Coordinate, N> {
         PerAxis::from_axis(|axis| {
             if self.settings.zero_at_pull_off {

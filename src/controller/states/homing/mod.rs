@@ -21,7 +21,7 @@ use cycle::{HomingCycle, HomingSettings, Order};
 enum Wait {
     /// The end of a move, or the closing of one of these switches.
     Motion(AxisMask),
-    /// The stop of the step task that a switch has caused.
+    /// A stop of the step task, because a switch has closed.
     Stop,
     /// A point in time.
     Until(Instant),
@@ -72,7 +72,8 @@ impl<const N: usize> Homing<N> {
         }
     }
 
-    /// Carries out the next order if what homing waits for has happened. Call it only while no stop is awaited.
+    /// Carries out the next order if the event that homing waits for has happened. Call it only while no stop is
+    /// awaited.
     pub(crate) fn advance(&mut self, m: &mut Machine<N>) -> Next {
         let over = match self.wait {
             Wait::Motion(_) => m.motion.is_idle(),

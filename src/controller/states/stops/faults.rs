@@ -37,8 +37,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether the alarm comes from the bouncing of a limit switch, and the tool is already being parked for that
-    /// switch. A closed switch of the parking axis does not count as bouncing.
+    /// Whether the alarm comes from the bouncing of a limit switch, and the tool is already being parked because of
+    /// that switch. A closed switch of the parking axis does not count as bouncing.
     fn is_bounce(&self, alarm: Alarm) -> bool {
         matches!(self.state, State::Door(door) if door.opening.alarm == Some(alarm))
             && alarm == Alarm::HardLimit
@@ -58,8 +58,8 @@ impl<const N: usize> Controller<N> {
         // If the machine is at rest when the fault occurs, it must not start to move.
         let retract = braking == Braking::Retract && !self.m.motion.is_at_rest() && !self.is_parking_blocked();
         if self.m.settings.is_on(Key::Laser) || matches!(self.state, State::Door(_)) {
-            // A laser would still be on in the segments that remain while braking, and at an open door the spindle must
-            // be off.
+            // Needed for a laser, which would otherwise stay on in the segments that remain while braking, and for a
+            // door, because at an open door the spindle must be off.
             self.m.accessories.suspend();
         }
         self.tell_trip(self.m.motion.line_number());

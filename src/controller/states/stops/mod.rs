@@ -17,8 +17,8 @@ use crate::states::stops::orders::{Finished, StopReason};
 use crate::work::task::Task;
 
 impl<const N: usize> Controller<N> {
-    /// Stops the step task because of an input. If the input has already stopped the step task, gives that stop its
-    /// reason.
+    /// Stops the step task because of an input. If the input has already stopped the step task, records the reason of
+    /// that stop.
     pub(crate) fn stop_for(&mut self, reason: StopReason, stopped: &mut Stopped) {
         if stopped.already {
             stopped.answered = true;

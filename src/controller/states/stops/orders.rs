@@ -28,7 +28,7 @@ pub enum StopReason {
 }
 
 impl StopReason {
-    /// Returns the more serious of two reasons. That one is reported.
+    /// Returns the more serious of two reasons, which is the one that will be reported.
     pub fn heavier(self, other: StopReason) -> StopReason {
         if other.weight() > self.weight() { other } else { self }
     }
@@ -72,9 +72,9 @@ pub struct Stops {
     moving: bool,
     /// N word of the move in execution at the last stop reported to [`Stops::happened`], 0 = none.
     line: u32,
-    /// A stop order is still to be sent to the step task.
+    /// A stop order has not been sent to the step task yet.
     ordered: bool,
-    /// The step task is still to be reopened.
+    /// The order that reopens the step task has not been sent yet.
     resume: bool,
 }
 
@@ -129,7 +129,7 @@ impl Stops {
         self.wait_for(reason);
     }
 
-    /// Whether an order is still to be sent to the step task.
+    /// Whether a stop order has not been sent to the step task yet.
     pub fn has_order(&self) -> bool {
         self.ordered
     }
@@ -163,7 +163,8 @@ impl Stops {
         self.seen = stops;
         self.moving = true;
         if alarm == Alarm::Miscounted {
-            // The position is unknown, so homing or a probe must not continue. This alarm replaces their reason.
+            // The position is unknown, so homing or a probe must not continue. This alarm replaces the reason of the
+            // stop that they await.
             self.wait_for(StopReason::Alarm(alarm));
         } else {
             self.awaited.get_or_insert(StopReason::Alarm(alarm));

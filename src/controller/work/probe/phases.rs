@@ -33,7 +33,7 @@ enum Phase {
 #[derive(Clone, Copy, Debug)]
 pub struct Probe<const N: usize> {
     phase: Option<Phase>,
-    /// Message still to be sent to the step task.
+    /// Message that has not been sent to the step task yet.
     watch: Option<ToStep>,
     succeeded: bool,
     position: PerAxis<Coordinate, N>,
@@ -77,7 +77,7 @@ impl<const N: usize> Probe<N> {
         self.watch.take()
     }
 
-    /// Records a contact that the step task has seen. `position` returns where it was.
+    /// Records a contact that the step task has seen. `position` returns the position of the contact.
     pub fn contact(&mut self, position: impl FnOnce() -> PerAxis<Coordinate, N>) {
         if self.is_seeking() {
             self.phase = Some(Phase::Braking);
@@ -85,8 +85,8 @@ impl<const N: usize> Probe<N> {
         }
     }
 
-    /// Whether the step task is braking after a contact, or waits to be stopped after that. Until it has been stopped
-    /// it takes no messages.
+    /// Whether the step task is braking after a contact, or waits to be stopped after that. The step task takes no
+    /// messages until it has been stopped.
     pub fn is_braking(&self) -> bool {
         self.phase == Some(Phase::Braking)
     }
@@ -137,7 +137,7 @@ impl<const N: usize> Probe<N> {
         self.phase = None;
     }
 
-    /// Ends the probe without a result while the step task still watches, and tells the step task to end its watch.
+    /// Ends the probe without a result while the step task still watches, and requests the end of that watch.
     pub fn break_off(&mut self) {
         self.phase = None;
         self.watch = Some(WATCH_ENDS);
@@ -148,7 +148,7 @@ impl<const N: usize> Probe<N> {
         (self.position, self.succeeded)
     }
 
-    /// Resets the result to that of no probe.
+    /// Resets the result to what it is before the first probe.
     pub fn forget_result(&mut self) {
         self.position = PerAxis::default();
         self.succeeded = false;

@@ -37,7 +37,7 @@ pub struct ChangePlan<const N: usize> {
     pub seek_rate: f32,
     /// Rate of the second pass (`$343`).
     pub locate_rate: f32,
-    /// Whether the new tool is to be measured.
+    /// Whether the machine measures the new tool.
     pub measures: bool,
 }
 
@@ -90,7 +90,8 @@ impl<const N: usize> ChangePlan<N> {
     }
 
     /// Returns the ends of the two moves back to the work, with a tool that is longer than the old one by `longer`: a
-    /// rapid to `clear` above the end, and a slow move to the end. There the new tip is where the old tip was left.
+    /// rapid to `clear` above the end, and a slow move to the end. At that end, the new tip is where the old tip was
+    /// left.
     fn way_back(&self, longer: Coordinate, clear: Coordinate) -> [PerAxis<Coordinate, N>; 2] {
         let end = (along(&self.left) + longer).limited();
         let above = (end + clear).min(self.height()).max(end);
