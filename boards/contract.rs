@@ -13,7 +13,7 @@
 //! | `pac` | the device crate: registers and interrupt numbers, for RTIC |
 //! | `vectors!(app)` | calls the macro `app` with the names of the interrupt vectors of the tasks; if there is a vector `uart`, `serial` is the vector of an unused peripheral |
 //! | `PROFILE`, `AXES`, `BLOCKS` | the image's entry of [`profiles`](crate::profiles), and its two numbers that are const generics |
-//! | `profile()` | the profile of the board: `PROFILE` with the name and the pins of the [pin table](crate::pin_table) |
+//! | `profile()` | the profile of the board: `PROFILE` with the name and the pins of the [pin table](mod@crate::pin_table) |
 //! | `PORTS` | number of GPIO ports that have pins in use |
 //! | `RECORDING_PAGES` | pages of 256 bytes for the recording of inputs and received bytes; 0 = no recording |
 //! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running 32-bit counter, the program's clock |
