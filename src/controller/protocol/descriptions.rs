@@ -380,6 +380,7 @@ mod tests {
         (0..lines(what, 3, false)).map(|wanted| text(what, wanted)).collect()
     }
 
+    #[cfg(feature = "full")]
     /// Returns the line of a setting in one format.
     fn of(number: u16, format: Format) -> String {
         let found = (0..Settings::<3>::LINES)
@@ -387,6 +388,7 @@ mod tests {
         text(Described::Settings(format), found.expect("a setting") + usize::from(format != Format::Fields))
     }
 
+    #[cfg(feature = "full")]
     #[test]
     fn settings_are_described_in_the_formats_of_grblhal() {
         for (number, expected) in [

@@ -133,6 +133,7 @@ mod tests {
         }
     }
 
+    #[cfg(feature = "full")]
     #[test]
     fn no_byte_of_grblhal_has_another_command() {
         for byte in 0..=0xFF {
