@@ -75,6 +75,7 @@ fn f_of_a_move_that_only_turns_is_degrees_per_minute_as_written() {
 }
 
 /// With G95 F is in degrees per revolution if only the axis turns.
+#[cfg(feature = "full")]
 #[test]
 fn f_per_revolution_turns_it() {
     let mut program = Program::new("G21 G90 G95 S100");
