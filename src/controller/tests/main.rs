@@ -3,11 +3,14 @@
 
 mod board;
 mod program;
+#[cfg(feature = "full")]
+mod subprogram_sender;
 
 mod damaged_lines;
 mod gcode_cycles;
 mod gcode_document;
 mod gcode_errors;
+mod gcode_fanuc_macros;
 mod gcode_flow;
 mod gcode_habits;
 mod gcode_left_out;
@@ -24,6 +27,7 @@ mod gcode_splines;
 mod gcode_state;
 mod gcode_subprograms;
 mod gcode_tools;
+mod gcode_written_out;
 mod joined_start;
 mod pump;
 mod recorder;

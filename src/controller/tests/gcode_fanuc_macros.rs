@@ -1,0 +1,94 @@
+//! Tests of Fanuc's macro statements: WHILE, IF with THEN and GOTO, and M words that run macros.
+#![cfg(feature = "full")]
+
+use crate::subprogram_sender::{Sender, calling, fails, goes, with_macro};
+
+#[test]
+fn loops_of_fanuc() {
+    let count = "#1=0\nWHILE [#1 LT 3] DO1\n#1=[#1+1]\nX#1\nEND1";
+    goes(&calling(count), &[1, 1, 2, 3, 9]);
+    // In the stream they are held like the loops of O words.
+    goes(&format!("G0 X7\n{count}\nX9\nM30"), &[7, 1, 2, 3, 9]);
+    goes("G0 X7\nN10 WHILE [1 EQ 2] DO 3\nX1\nN20 END 3\nX9\nM30", &[7, 9]);
+    // Within each other, and one after the other with the same number.
+    let nested = "#1=0\nWHILE [#1 LT 2] DO1\n#2=0\nWHILE [#2 LT 2] DO2\nX[#1*10+#2]\n#2=[#2+1]\nEND2\n#1=[#1+1]\nEND1";
+    goes(&calling(nested), &[1, 0, 1, 10, 11, 9]);
+    goes(&calling(&format!("{count}\n{count}")), &[1, 1, 2, 3, 1, 2, 3, 9]);
+    goes(&format!("{nested}\nG0 X9\nM30").replacen('#', "G0 X4\n#", 1), &[4, 0, 1, 10, 11, 9]);
+    // M99 within a loop returns; the subprogram ends at the one behind it.
+    goes(&calling("WHILE [1] DO1\nX5\nM99\nEND1\nX6"), &[1, 5, 9]);
+    fails("G0 X1\nEND1\nX2\nM30", &[81], &[1, 2]);
+    fails("G0 X1\nWHILE [#1 LT 2] DO1\nX5\nEND2\nM30\n%\nX2", &[81], &[1, 2]);
+    fails("G0 X1\nWHILE [1] DO1\n#1=[#1+1]\nEND1\nX2\nM30", &[202], &[1, 2]);
+}
+
+#[test]
+fn conditions_of_fanuc() {
+    let body = "IF [#1 EQ 0] THEN #1=5\nIF [#1 EQ 0] THEN #1=6\nN7 IF [#1 GT 4] THEN G0 X#1\nIF [0] THEN X8";
+    goes(&format!("G0 X7\n{body}\nX9\nM30"), &[7, 5, 9]);
+    goes(&calling(body), &[1, 5, 9]);
+    goes(&format!("G0 X7\no1 repeat [2]\n{body}\no1 endrepeat\nX9\nM30"), &[7, 5, 5, 9]);
+    fails("G0 X1\nIF [1/0] THEN X3\nX2\nM30", &[72], &[1, 2]);
+    fails("G0 X1\nIF [1] THEN X3 X4\nX2\nM30", &[25], &[1, 2]);
+    for line in ["IF [1] THEN", "IF [1] THEN M98 P1", "IF [1] THEN X5 M99", "IF [1] THEN M30", "IF [1] THEN o1 if [1]"]
+    {
+        let mut sender = Sender::new();
+        sender.send_all(&format!("G0 X1\n{line}"));
+        assert_eq!((sender.went, sender.errors.len(), sender.ends), (vec![1], 1, 0), "{line}");
+    }
+}
+
+#[test]
+fn jumps_of_fanuc() {
+    goes(&calling("#1=0\nN10 #1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 10\nX8"), &[1, 1, 2, 3, 8, 9]);
+    goes(&calling("GOTO 020\nX5\nN20 X6\nX7"), &[1, 6, 7, 9]);
+    goes(&calling("#2=20\nGOTO #2\nX5\nN20 GOTO [#2+10]\nX6\nN30 X7"), &[1, 7, 9]);
+    // The next line with the number, not the first one of the subprogram.
+    goes(&calling("N5 #1=[#1+1]\nX#1\nIF [#1 GE 2] GOTO 6\nGOTO 5\nX4\nN5 X5\nN6 X6"), &[1, 1, 5, 6, 9]);
+    // Out of loops, to the end of a pass, and to the beginning of a loop.
+    goes(&calling("WHILE [1] DO1\n#1=[#1+1]\nX#1\nIF [#1 EQ 2] GOTO 50\nEND1\nN50 X8"), &[1, 1, 2, 8, 9]);
+    let twice = "WHILE [1] DO1\nWHILE [1] DO2\nX4\nGOTO 50\nEND2\nEND1\nN50 X8\nWHILE [#1 LT 2] DO1\n#1=[#1+1]\nEND1";
+    goes(&calling(twice), &[1, 4, 8, 9]);
+    let pass = "WHILE [#1 LT 3] DO1\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 5\nX#1\nN5 END1";
+    goes(&calling(pass), &[1, 1, 3, 9]);
+    let again = "N3 WHILE [#1 LT 3] DO1\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 3\nX#1\nEND1";
+    goes(&calling(again), &[1, 1, 3, 9]);
+    goes(&calling("o7 repeat [3]\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 5\nX#1\nN5 o7 endrepeat"), &[1, 1, 3, 9]);
+    goes(&calling("o7 do\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 5\nX#1\nN5 o7 while [#1 LT 3]"), &[1, 1, 3, 9]);
+    // In the held part of the program, in a loop of the stream, and in a macro call with its own parameters.
+    goes("G0 X1\nM98 P1\nN5 #1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 5\nM30\nO1\nX9\nM99\n%", &[1, 9, 1, 2, 3]);
+    goes("G0 X7\nWHILE [1] DO1\n#1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 5\no1 break\nN5 END1\nM30", &[7, 1, 2, 3]);
+    goes("G0 X1\nG65 P1 A2\nX9\nM30\nO1\nIF [#1 EQ 2] GOTO 6\nX5\nN6 X6\nM99\n%", &[1, 6, 9]);
+    // A number in another subprogram, in the program, above the call that holds it, or nowhere.
+    for body in ["GOTO 5", "GOTO 7", "GOTO 8", "GOTO 1.5", "GOTO -5"] {
+        let file = format!("N8 G0 X1\nM98 P1\nN5 X9\nM30\nO1\n{body}\nM99\nO2\nN7 X7\nM99\n%");
+        fails(&file, &[81, 203, 203, 203], &[1]);
+    }
+    // Into a loop or a condition.
+    fails(&calling("GOTO 5\nWHILE [1] DO1\nN5 X5\nEND1"), &[81], &[1, 5]);
+    fails(&calling("o1 if [1]\nGOTO 5\no1 endif\nN5 X5\nM99\nX6"), &[203, 203], &[1, 5, 9]);
+    fails(&calling("o1 if [1]\nGOTO 5\nX4\nN5 X5\no1 endif"), &[81], &[1, 5]);
+    fails(&calling("N5 GOTO 5"), &[202], &[1]);
+    fails("G0 X1\nGOTO 5\nX2\nN5 X3\nIF [1] GOTO 5\nM30", &[121, 121], &[1, 2, 3]);
+}
+
+/// M10, M11 and M100 to M199 run a macro with their number, if there is one.
+#[test]
+fn m_words_of_macros() {
+    let macros = ["O10SUB", "G0X3", "O10ENDSUB", "O150SUB", "X#1", "X#2", "O150ENDSUB"];
+    let send = |text: &str| {
+        let mut sender = with_macro(&macros);
+        sender.send_all(text);
+        (sender.went, sender.errors)
+    };
+    assert_eq!(send("G0 X1\nM10\nX2\nM150 P7 Q[2*4]\nN5 M150P6\nM30"), (vec![1, 3, 2, 7, 8, 6, 0], vec![]));
+    assert_eq!(send("G0 X1\no1 repeat [2]\nM010\no1 endrepeat\nM30"), (vec![1, 3, 3], vec![]));
+    assert_eq!(send(&calling("M10\nM150 P5 Q6")), (vec![1, 3, 5, 6, 9], vec![]));
+    // No macro of the number, other words in the line, and a subroutine of the program.
+    for (line, error) in [("M11", 20), ("M151", 20), ("M10.1", 23), ("M10 X5", 36), ("X5 M10", 20), ("M150 Q2 P1", 36)]
+    {
+        assert_eq!(send(&format!("G0 X1\n{line}\nX2\nM30")), (vec![1, 2], vec![error]), "{line}");
+    }
+    assert_eq!(send("o11 sub\nG0 X5\no11 endsub\nM11\nG0 X2\nM30"), (vec![2], vec![20]));
+    assert_eq!(send("o10 sub\nG0 X5\no10 endsub\nM10\no10 call\nM30"), (vec![3, 5], vec![]));
+}
