@@ -102,6 +102,26 @@ fn a_failure_locks_and_is_told_until_the_host_has_asked() {
     assert_eq!(board.line("G21"), "ok\r\n");
 }
 
+/// A board whose pin table or clock cannot be used must not move anything, whatever the host sends.
+#[test]
+fn a_fault_of_the_board_locks_until_it_is_gone() {
+    let fault = crash(CrashKind::Board, b"no crystal found");
+    let restart = Restart { cause: ResetCause::Power, crash: fault, is_recorded: false };
+    let (mut board, said) = Board::started(Some(restart));
+    assert!(said.contains("[MSG:Board: no crystal found]\r\n"), "{said}");
+    for _ in 0..2 {
+        assert_eq!(board.line("$X"), "[MSG:The board cannot be used: $RC tells why]\r\nerror:9\r\n");
+        for line in ["G1X5F100", "M3S100", "G38.2Z-1F10"] {
+            assert_eq!(board.line(line), "error:9\r\n", "{line}");
+        }
+        assert_eq!(board.line("$J=G91X1F100"), "error:8\r\n");
+        assert_eq!(board.line("$22=1"), "ok\r\n");
+        assert_eq!(board.line("$H"), "error:9\r\n");
+        assert!(board.line("$RC").contains("[CRASH:board:no crystal found]\r\n"));
+        board.reset();
+    }
+}
+
 #[test]
 fn a_watchdog_without_a_record_is_told_too() {
     let (_, said) = Board::started(Some(Restart { cause: ResetCause::Watchdog, crash: None, is_recorded: false }));
