@@ -41,8 +41,9 @@ const IS_OSCILLATOR: u32 = 0b10;
 /// SR: a capture has come.
 const CAPTURED: u32 = 1 << 1;
 
-/// Switches the external oscillator on and measures it, unless the table has its frequency. Returns the frequency in MHz,
-/// or `None` if there is no oscillator, or an unknown one. The chip must run on its internal oscillator, as after a reset.
+/// Switches the external oscillator on and measures it. Returns the frequency in MHz: that of the table, if it has one,
+/// or the known one that fits. Returns `None` if there is no oscillator, or if no frequency fits. The chip must run on
+/// its internal oscillator, as after a reset.
 #[inline(never)]
 pub fn find_oscillator(rcc: &pac::RCC, table: &PinTable) -> Option<u32> {
     // The two bits must not be set together (reference manual, RCC_CR, HSEBYP).
@@ -74,9 +75,10 @@ pub fn change_source(rcc: &pac::rcc::RegisterBlock, mhz: u32) {
         // The frequency of the PLL's own oscillator, which is a whole and even number of MHz at all our clocks.
         let vco_mhz = HSI_MHZ * u32::from(r.plln().bits()) / u32::from(r.pllm().bits());
         // The input of the PLL is 2 MHz, as the reference manuals recommend (RCC_PLLCFGR, PLLM), or 1 MHz.
-        let input_mhz = if mhz.is_multiple_of(2) { 2 } else { 1 };
-        // SAFETY: unsafe because the device crate cannot know which dividers are valid; safe because they are: PLLM is 4
-        // to 26, and PLLN 96 to 400.
+        // RM0368 asks for a PLLN of 192 or more, so an F401, whose PLL oscillates at 336 MHz, always takes 1 MHz.
+        let input_mhz = if mhz.is_multiple_of(2) && cfg!(not(feature = "stm32f401")) { 2 } else { 1 };
+        // SAFETY: unsafe because the device crate cannot know which dividers are valid; safe because they are: PLLM is 2
+        // to 26, and PLLN 168 to 400.
         unsafe { w.pllm().bits((mhz / input_mhz) as u8).plln().bits((vco_mhz / input_mhz) as u16).pllsrc().hse() }
     });
     rcc.cr().modify(|_, w| w.pllon().set_bit());

@@ -124,7 +124,8 @@ pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {
         oscillator_mhz: oscillator_mhz.unwrap_or(0) as u8,
         fault: match oscillator_mhz {
             _ if !table.is_intact() => Some("no pin table in this firmware, or a damaged one: load it again"),
-            None => Some("no crystal of 8, 12, 16 or 25 MHz found, runs on the internal clock"),
+            None if table.oscillator_mhz().is_some() => Some("no crystal with the frequency of the pin table"),
+            None => Some("no crystal of 8, 12, 16 or 25 MHz found"),
             Some(_) => None,
         },
     }

@@ -63,6 +63,8 @@ def crystals(bench):
                     bench.wait(lambda before=answered: len(bench.host.answers) > before, 1, f"an answer to {line}")
                 if not bench.status().startswith("<Alarm") or "ok" in bench.host.answers:
                     raise Failure("the machine is not locked")
+            if not fault and f"[CRYSTAL:{mhz} MHz]" not in bench.ask("$I+"):
+                raise Failure(f"{mhz} MHz are not told")
             if error == 0:
                 yield f"{mhz or 'no'} MHz: {'locked, and told' if fault else 'exact clock'}, also with the internal oscillator up to 4.5 % off"
     bench.wiring = own
@@ -76,11 +78,18 @@ def own_pins(bench):
     changes = {"step_x": own.step[1], "step_y": own.step[0], "flood": own.limits[0], "limit_x": own.flood}
     for function, pin in changes.items():
         text = re.sub(rf'^{function} = ".*"$', f'{function} = "{pin}"', text, flags=re.MULTILINE)
+    text = text.replace(f'name = "{own.name}"', 'name = "mine"')
     with tempfile.TemporaryDirectory() as folder:
         table, changed = Path(folder) / "mine.toml", Path(folder) / "mine.elf"
-        table.write_text(text.replace(f'name = "{own.name}"', 'name = "mine"'))
-        subprocess.run([bench.oxmill, "board", "write", image.path, table, "-o", changed], check=True, capture_output=True)
-        bench.image = Image(changed)
+
+        def with_table(text):
+            table.write_text(text)
+            subprocess.run([bench.oxmill, "board", "write", image.path, table, "-o", changed], check=True, capture_output=True)
+            return Image(changed)
+
+        other = 25 if own.hse_hz == 8 * MHZ else 8
+        wrong = with_table(text.replace('oscillator = "measured', f'oscillator = "{other} MHz'))
+        bench.image = with_table(text)
         bytes_ = bytearray(changed.read_bytes())
         bytes_[bytes_.index(b"mine\0")] ^= 1
         changed.write_bytes(bytes_)
@@ -94,8 +103,9 @@ def own_pins(bench):
     moved = {step.axes for step in scope.steps()}
     bench.ask("M8")
     board.run(seconds=0.05)
-    if moved != {1} or not board.shown(own.limits[0]) or "[VER:" not in "".join(bench.ask("$I")):
-        raise Failure(f"moved {moved}, flood {board.shown(own.limits[0])}")
+    identity = bench.ask("$I+")
+    if moved != {1} or not board.shown(own.limits[0]) or "[BOARD:mine]" not in identity:
+        raise Failure(f"moved {moved}, flood {board.shown(own.limits[0])}, {identity}")
     yield f"steps of X at {steps[0]}, flood at {own.limits[0]}"
     bench.image, bench.wiring = damaged, own
     board = bench.fresh()
@@ -105,8 +115,14 @@ def own_pins(bench):
         raise Failure(f"without a table {driven} are driven")
     if not bench.status().startswith("<Alarm"):
         raise Failure("the machine is not locked")
-    bench.image, bench.wiring = image, own
     yield "damaged: told, locked, no pin driven"
+    bench.image = wrong
+    board = bench.fresh()
+    bench.wait_text("[MSG:Board: no crystal with the frequency of the pin table", 1.5)
+    if board.clocks[-1][2] != own.core_hz or not bench.status().startswith("<Alarm"):
+        raise Failure(f"with {other} MHz in the table the core runs at {board.clocks[-1][2]} Hz")
+    bench.image, bench.wiring = image, own
+    yield f"{other} MHz in the table: told, locked"
 
 
 def tasks(bench):
