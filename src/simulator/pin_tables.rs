@@ -1,8 +1,8 @@
 //! `oxmill board`: shows and checks pin tables of boards, and writes them into images of the firmware.
 
-use crate::Ending;
 use crate::command_line::BoardCommand;
 use crate::files;
+use crate::job::{self, Ending};
 use anyhow::{Context, Result, anyhow};
 use oxmill_tables::{BOARDS, Board, image_file};
 use std::fs;
@@ -29,7 +29,7 @@ pub fn run(command: &BoardCommand) -> Result<Ending> {
             let changed =
                 image_file::write(&bytes, &board.table()).map_err(|why| anyhow!("{}: {why}", image.display()))?;
             let output = output.as_ref().unwrap_or(image);
-            fs::write(output, changed).with_context(|| format!("cannot write {}", output.display()))?;
+            job::output(output, "image")?.write(&changed)?;
             files::remark(&format!("{} has the pins of {} now", output.display(), board.name));
             Ok(Ending::Good)
         }
