@@ -93,7 +93,8 @@ struct ConfiguredMachine {
     hard_limits: Vec<(bool, FileEntry)>,
     /// ConfiguredMachine coordinate after homing, by axis.
     place: Vec<(Decimal, FileEntry)>,
-    step_low: Vec<(Axis, FileEntry)>,
+    /// Axis, whether the step pulse is low.
+    steps: Vec<(Axis, bool, FileEntry)>,
     /// Axis, number of the motor, whether the direction is low.
     directions: Vec<(Axis, usize, bool, FileEntry)>,
     /// Axes with a second motor.
@@ -223,7 +224,7 @@ impl Reader {
         }
         let is_limit = key.starts_with("limit_") && key.ends_with("_pin");
         match (motor, key) {
-            (0, "step_pin") if is_low(value) => self.machine.step_low.push((axis, entry)),
+            (0, "step_pin") => self.machine.steps.push((axis, is_low(value), entry)),
             (1, "step_pin") => self.machine.second_motors.push((axis, entry)),
             (_, "direction_pin") => self.machine.directions.push((axis, motor, is_low(value), entry)),
             (0, "disable_pin") if is_low(value) => {
@@ -298,16 +299,19 @@ impl Reader {
             number(speed).zip(number(part.trim_end_matches('%')))
         };
         let points: Option<Vec<_>> = map.split([' ', ';']).filter(|text| !text.is_empty()).map(point).collect();
-        let Some(((first, least), (last, most))) =
-            points.as_ref().and_then(|points| Some((*points.first()?, *points.last()?)))
-        else {
+        // A map may be in falling order.
+        let by_speed = |points: &Vec<(Decimal, Decimal)>| {
+            let least = points.iter().min_by_key(|(speed, _)| speed.0)?;
+            Some((*least, *points.iter().max_by_key(|(speed, _)| speed.0)?))
+        };
+        let Some(((first, least), (last, most))) = points.as_ref().and_then(by_speed) else {
             return self.import.leave(entry, "not of the form speed=percent");
         };
         self.import.take(Key::SpindleMinimum.number(), first, entry);
         self.import.take(Key::SpindleMaximum.number(), last, entry);
         let is_line = points.is_some_and(|points| points.len() <= 2) && least == Decimal::ZERO;
         if !is_line || most != Decimal::from_int(100) {
-            self.import.leave(entry, "only its first and last speed: the PWM is in proportion to S");
+            self.import.leave(entry, "only its least and greatest speed: the PWM is in proportion to S");
         }
     }
 
@@ -340,23 +344,26 @@ impl Reader {
         self.limits(&machine.soft_limits, Key::SoftLimits, is_homed);
         self.limits(&machine.hard_limits, Key::HardLimits, true);
         self.second_motor(&machine);
-        let inverted = machine.directions.iter().filter(|(_, motor, is_low, _)| *motor == 0 && *is_low);
-        let inverted: Vec<_> = inverted.map(|(axis, _, _, entry)| (*axis, entry)).collect();
-        self.mask(Key::DirectionInvert, &inverted);
-        self.mask(Key::StepInvert, &machine.step_low.iter().map(|(axis, entry)| (*axis, entry)).collect::<Vec<_>>());
-        for (.., entry) in machine.directions.iter().filter(|(_, motor, is_low, _)| *motor == 0 && !*is_low) {
-            self.import.leave(entry, OF_THE_BOARD);
-        }
+        // A mask without an axis is a setting, too: the machine may have another one.
+        let of_first = machine.directions.iter().filter(|(_, motor, ..)| *motor == 0);
+        let directions: Vec<_> = of_first.map(|(axis, _, is_low, entry)| (*axis, *is_low, entry)).collect();
+        self.mask(Key::DirectionInvert, &directions);
+        self.mask(
+            Key::StepInvert,
+            &machine.steps.iter().map(|(axis, low, entry)| (*axis, *low, entry)).collect::<Vec<_>>(),
+        );
         if let Some(entry) = &machine.a {
             self.import.take(Key::Axes.number(), decimal(LINEAR as u32 + 1), entry);
         }
         self.import.finish()
     }
 
-    /// Takes a mask of these axes, if there are any. The first entry counts as its source.
-    fn mask(&mut self, key: Key, axes: &[(Axis, &FileEntry)]) {
-        if let Some((_, entry)) = axes.first() {
-            self.import.take(key.number(), decimal(axes.iter().fold(0, |mask, (axis, _)| mask | bit(*axis))), entry);
+    /// Takes a mask of the axes that are set, if there are any axes at all. The first axis that is set counts as its
+    /// source, or else the first axis.
+    fn mask(&mut self, key: Key, axes: &[(Axis, bool, &FileEntry)]) {
+        if let Some((_, _, entry)) = axes.iter().find(|(_, is_set, _)| *is_set).or(axes.first()) {
+            let bits = axes.iter().filter(|(_, is_set, _)| *is_set).fold(0, |mask, (axis, ..)| mask | bit(*axis));
+            self.import.take(key.number(), decimal(bits), entry);
         }
     }
 
@@ -378,7 +385,7 @@ impl Reader {
             let entry = axes.first().map_or(first, |(.., entry)| entry);
             self.import.take(AxisKey::HomingCycle.number() + index as u16, decimal(mask), entry);
         }
-        let to_negative: Vec<_> = machine.to_negative.iter().map(|(axis, entry)| (*axis, entry)).collect();
+        let to_negative: Vec<_> = machine.to_negative.iter().map(|(axis, entry)| (*axis, true, entry)).collect();
         self.mask(Key::HomingDirection, &to_negative);
         if to_negative.is_empty() {
             self.import.take(Key::HomingDirection.number(), decimal(0), first);

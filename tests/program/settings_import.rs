@@ -137,6 +137,7 @@ fn a_configuration_of_fluidnc_becomes_settings() {
     let expected = [
         (0, 4.0),
         (1, 255.0),
+        (2, 0.0),
         (3, 1.0),
         (4, 1.0),
         (12, 0.004),
