@@ -309,8 +309,11 @@ impl<const N: usize> Controller<N> {
         let (mut show_offset, mut show_overrides) = self.m.replies.rare_fields(busy);
         let of_grblhal = if self.speaks_grblhal() {
             let full = self.m.replies.take_full_status();
-            (show_offset, show_overrides) = (show_offset | full, show_overrides | full);
-            [Some(self.grblhal_fields(full, spindle)); FULL_IMAGE as usize]
+            let fields = self.grblhal_fields(full, spindle);
+            // A host keeps these fields until it gets others, so a change must not wait for its turn.
+            let (place, wait) = self.m.replies.note_fields(fields.system, fields.tool, fields.waits_for_tool);
+            (show_offset, show_overrides) = (show_offset | full | place, show_overrides | full | wait);
+            [Some(fields); FULL_IMAGE as usize]
         } else {
             [None; FULL_IMAGE as usize]
         };

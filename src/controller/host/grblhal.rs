@@ -37,8 +37,9 @@ impl<const N: usize> Controller<N> {
                 if !self.measures_tools() {
                     return Err(Error::InvalidStatement);
                 }
-                let (place, success) = self.m.probe.result();
-                self.m.interpreter.set_tool_reference(success.then_some(place));
+                // Without a contact there is nothing to refer to, and an earlier reference stays.
+                let (place, true) = self.m.probe.result() else { return Err(Error::InvalidStatement) };
+                self.m.interpreter.set_tool_reference(Some(place));
                 self.say_ok();
             }
             Command::SingleBlock => {

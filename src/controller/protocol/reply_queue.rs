@@ -30,6 +30,9 @@ pub struct Replies {
     status_due: bool,
     /// The next report must have all fields (0x87). Takes no memory in the small image.
     is_full: [bool; FULL_IMAGE as usize],
+    /// Coordinate system, tool, and whether M6 waits, as in the last report of dialect `grblhal`; no system before the
+    /// first.
+    told: [(&'static str, u32, bool); FULL_IMAGE as usize],
     /// The text queued last is a status report.
     reported: bool,
     rare_fields: RareFields,
@@ -57,6 +60,7 @@ impl Replies {
             echoed: false,
             status_due: false,
             is_full: [false; FULL_IMAGE as usize],
+            told: [("", 0, false); FULL_IMAGE as usize],
             reported: false,
             rare_fields: RareFields::DUE,
             restart_told: false,
@@ -160,6 +164,15 @@ impl Replies {
     /// Returns whether the report made now has all fields, and clears that request.
     pub fn take_full_status(&mut self) -> bool {
         self.is_full.first_mut().is_some_and(core::mem::take)
+    }
+
+    /// Takes note of the coordinate system, the tool, and whether M6 waits, for a report of dialect `grblhal`. Returns
+    /// whether the previous report had another system or tool, and whether M6 has begun or ended to wait since.
+    pub fn note_fields(&mut self, system: &'static str, tool: u32, waits: bool) -> (bool, bool) {
+        let Some(told) = self.told.first_mut() else { return (false, false) };
+        let before = core::mem::replace(told, (system, tool, waits));
+        let is_first = before.0.is_empty();
+        (!is_first && (before.0, before.1) != (system, tool), !is_first && before.2 != waits)
     }
 
     /// Returns whether the caller must make a status report now. If so, clears the request.
