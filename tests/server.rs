@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Maximum time for an answer, also on a slow machine.
+/// Maximum time for an answer, even on a slow machine.
 const PATIENCE: Duration = Duration::from_secs(20);
 const WELCOME: &str = "Grbl 1.1h ['$' for help]";
 const BUSY: &str = "[MSG:Another host has the machine]\r\n";
@@ -128,7 +128,8 @@ fn a_web_page_moves_no_pin() {
     assert_eq!(answer_to(&pins, format!("{REQUEST}door 0\n").as_bytes()), "");
 }
 
-/// A line that is never ended is refused and moves no pin, also after complete lines and as the first line of a client.
+/// A line that is never ended is refused and moves no pin, whether it follows complete lines or is the first line of a
+/// client.
 #[test]
 fn a_line_without_an_end_moves_no_pin_and_is_refused() {
     let (_server, pins) = Server::with_pins();
@@ -367,8 +368,8 @@ fn a_recording_with_alarms_of_pins_is_played_again() {
     std::fs::remove_dir_all(&folder).expect("it is there");
 }
 
-/// A port without an address is on the loopback, also for the pins; a connection beyond the number that is served gets
-/// a message.
+/// A port given without an address is opened on the loopback only, even the one for the pins. A connection beyond the
+/// number that is served gets a message.
 #[test]
 fn a_port_alone_is_of_the_loopback() {
     for port in ["0", ":0"] {

@@ -277,7 +277,7 @@ impl Soak {
         self.finish();
     }
 
-    /// Sends some lines, with events in between.
+    /// Sends some lines, with events between them.
     fn chunk(&mut self) {
         if self.random.below(4) == 0 {
             self.settings();

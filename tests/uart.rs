@@ -1,6 +1,6 @@
 //! Tests the reader of a UART's received bytes, on memory: bytes keep their order, lost bytes are marked at their
 //! position, and no line with a damaged byte is carried out, whatever happens between any two memory accesses. The
-//! receive buffer is a ring of slots, one per byte. A look is one pass of the reader over the received bytes. A lap is
+//! receive buffer is a ring of slots, one per byte. A pass is one run of the reader over the received bytes. A lap is
 //! an overrun: DMA has overtaken the reader by one round of the ring.
 
 use oxmill_boards::calls::{Calls, REST, is_stop};
@@ -112,7 +112,7 @@ impl Out {
         true
     }
 
-    /// Looks once, with room for `room` messages.
+    /// Makes one pass, with room for `room` messages.
     fn glance<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>, room: &mut usize) -> Look {
         receiver.look(|message| self.send(room, message))
     }
@@ -121,7 +121,7 @@ impl Out {
         receiver.pass_on(calls, |message| self.send(room, message));
     }
 
-    /// Looks until all bytes have been output: a single look reads few bytes.
+    /// Makes passes until all bytes have been output: a single pass reads few bytes.
     fn look<S: ByteSource>(&mut self, receiver: &mut UartReceiver<S>) -> Look {
         let (mut room, mut found) = (usize::MAX, Look::default());
         loop {
@@ -160,7 +160,7 @@ impl Out {
     }
 }
 
-/// Maximum number of text bytes per look; half as many of other bytes.
+/// Maximum number of text bytes per pass; half as many of other bytes.
 const AT_A_TIME: usize = 28;
 
 #[derive(Clone, Debug)]
@@ -169,7 +169,7 @@ enum Step {
     Come(usize),
     /// A byte is counted, and written a little later.
     Count,
-    /// A look with room for this many messages.
+    /// A pass with room for this many messages.
     Look(usize),
 }
 
@@ -183,7 +183,7 @@ fn step() -> impl Strategy<Value = Step> {
 }
 
 proptest! {
-    /// While there is room, all bytes are output in order, whatever the timing of the looks.
+    /// While there is room, all bytes are output in order, whatever the timing of the passes.
     #[test]
     fn bytes_come_out_as_they_came(steps in prop::collection::vec(step(), 1..60)) {
         let (wire, mut receiver) = by_dma();
@@ -212,7 +212,7 @@ proptest! {
         prop_assert_eq!(out.0, sent.into_iter().map(Some).collect::<Vec<_>>());
     }
 
-    /// Some bytes are damaged and become other bytes, even line ends. Looks occur at any time, even between the signal
+    /// Some bytes are damaged and become other bytes, even line ends. Passes occur at any time, even between the signal
     /// of a damage and the damaged byte; other bytes arrive while the signal is cleared. No line is carried out that
     /// was not sent, none twice, and none with a damaged byte.
     #[test]
@@ -274,7 +274,7 @@ proptest! {
     }
 }
 
-/// A byte is damaged at each position of three lines, and becomes a digit or a line end; looks come more often or less
+/// A byte is damaged at each position of three lines, and becomes a digit or a line end; passes come more often or less
 /// often than bytes; the damage is signalled before the byte or with it. The damaged line is not carried out, not even
 /// in part.
 #[test]
@@ -329,7 +329,7 @@ fn nothing_is_dropped_behind_damaged_bytes() {
     }
 }
 
-/// A byte that is counted but not yet written does not count as arrived: the next look reads it. Until then, a damage
+/// A byte that is counted but not yet written does not count as arrived: the next pass reads it. Until then, a damage
 /// that has been signalled still applies to it.
 #[test]
 fn a_byte_that_is_counted_and_not_written() {
@@ -342,7 +342,7 @@ fn a_byte_that_is_counted_and_not_written() {
     wire.write();
     out.look(&mut receiver);
     assert_eq!(out.text(), "abc");
-    // The byte is damaged. It is still unwritten at the look that sees the damage, and at the next one.
+    // The byte is damaged. It is still unwritten at the pass that sees the damage, and at the next one.
     wire.damaged.set(true);
     wire.count(b'1');
     out.look(&mut receiver);
@@ -396,7 +396,7 @@ fn a_full_buffer_and_a_lap() {
 }
 
 /// Nobody takes the reader's messages while bytes arrive without end. The oldest bytes are lost, except those that stop
-/// the machine, and the loss is reported once. The reader moves bytes to make room, so DMA never laps it, and no look
+/// the machine, and the loss is reported once. The reader moves bytes to make room, so DMA never laps it, and no pass
 /// has to empty all slots.
 #[test]
 fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
@@ -431,7 +431,7 @@ fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     assert!(last.ends_with(&behind) && behind[0] == b'!' && behind.len() == 301, "{} behind the loss", behind.len());
 }
 
-/// A stop is seen at once or within a few looks, even if more text precedes it than there is room for. The task is
+/// A stop is seen at once or within a few passes, even if more text precedes it than there is room for. The task is
 /// called for the stop until the stop has been passed on.
 #[test]
 fn a_stop_is_seen_behind_text_that_has_no_room() {
@@ -457,7 +457,7 @@ fn a_stop_is_seen_behind_text_that_has_no_room() {
     }
 }
 
-/// A look waits until the last byte is complete. A byte that arrives during this wait does not hide an overrun.
+/// A pass waits until the last byte is complete. A byte that arrives during this wait does not hide an overrun.
 #[test]
 fn a_lap_is_seen_when_another_byte_comes_meanwhile() {
     let (wire, mut receiver) = by_dma();
@@ -470,7 +470,7 @@ fn a_lap_is_seen_when_another_byte_comes_meanwhile() {
     assert_eq!(out.text(), "#end\n");
 }
 
-/// The step task can interrupt a look anywhere, and bytes can arrive in that time. The reader must not mistake a slot
+/// The step task can interrupt a pass anywhere, and bytes can arrive in that time. The reader must not mistake a slot
 /// that such a byte has filled for an overrun.
 #[test]
 fn bytes_that_come_while_a_look_asks_where_it_is() {
@@ -544,8 +544,8 @@ fn bytes_that_come_while_the_slots_are_emptied() {
         let (wire, mut receiver) = by_dma();
         let mut out = Out::default();
         wire.come_all(&vec![b'x'; SLOTS + 5]);
-        // `place` is called by the look, twice after the last byte has settled, and then when the first and the last
-        // slot are emptied.
+        // `place` is called during the pass, twice after the last byte has settled, and then when the first and the
+        // last slot are emptied.
         wire.at_place.replace([b"", b"", b"", first, last].map(Vec::from).into());
         out.look(&mut receiver);
         wire.come_all(b"end\n");
@@ -561,7 +561,7 @@ fn a_byte_that_is_about_to_be_counted() {
     let mut out = Out::default();
     let place = wire.place.get();
     wire.buffer[place].store(u16::from(b'a'), Ordering::Relaxed);
-    // The byte is counted while the look waits for it.
+    // The byte is counted while the pass waits for it.
     wire.at_settle.replace(b"a".to_vec());
     out.glance(&mut receiver, &mut 0);
     out.look(&mut receiver);
@@ -573,7 +573,7 @@ fn what_is_to_be_called_for() {
     let (wire, mut receiver) = by_dma();
     let (mut out, mut room) = (Out::default(), usize::MAX);
     assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
-    // Text without a line end is held back for some looks, in case the end follows; then it is passed on anyway.
+    // Text without a line end is held back for some passes, in case the end follows; then it is passed on anyway.
     wire.come_all(b"G1X1");
     for _ in 1..4 {
         assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
@@ -611,7 +611,7 @@ fn what_is_to_be_called_for() {
         out.pass_on(&mut receiver, &mut room, calls);
     }
     assert_eq!(out.text(), "??");
-    // A look reads few bytes. The task is called again for the rest.
+    // A pass reads few bytes. The task is called again for the remaining ones.
     out.0.clear();
     wire.come_all(&[b'x'; 100]);
     out.glance(&mut receiver, &mut room);
@@ -665,7 +665,7 @@ fn an_interrupt_fills_the_slots() {
     let kept = (0..2 * SLOTS).filter(|_| put(&mut receiver, b'x')).count();
     assert!(put(&mut receiver, b'!'));
     assert!(!put(&mut receiver, b'y') && kept < SLOTS);
-    // A look reads fewer bytes than with DMA.
+    // A pass reads fewer bytes than with DMA.
     let looks = (0..SLOTS).filter(|_| out.look(&mut receiver).stop).count();
     assert!(looks > 0);
     assert_eq!(out.text(), format!("{}#!", "x".repeat(kept)));

@@ -9,7 +9,7 @@ pub struct Digest {
     order: u64,
 }
 
-/// Offset basis and prime of 64-bit FNV-1a (Fowler, Noll, Vo), here applied to whole words instead of bytes.
+// Offset basis and prime of 64-bit FNV-1a (Fowler, Noll, Vo), here applied to whole words instead of bytes.
 const BASIS: u64 = 0xCBF2_9CE4_8422_2325;
 const PRIME: u64 = 0x0000_0100_0000_01B3;
 

@@ -28,7 +28,7 @@ const OUTPUTS_LOOK: Duration = Duration::millis(1);
 pub struct Profile {
     /// Name of the board.
     pub name: &'static str,
-    /// Ticks of the step timer in a second.
+    /// Frequency of the step timer, in ticks per second.
     pub step_clock_hz: u32,
     /// Step rates that the step task can follow.
     pub rates: StepRates,

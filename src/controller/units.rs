@@ -146,7 +146,7 @@ impl Coordinate {
         Coordinate(value as i64 * DECIMAL_ONE)
     }
 
-    /// Whole micrometres, towards zero; within ±2 km.
+    /// Returns whole micrometres, rounded towards zero; correct within ±2 km.
     pub fn micrometres(self) -> i32 {
         let size = self.0.unsigned_abs();
         let whole = quotient([0, (size >> 32) as u32, size as u32], 10_000) as i32;

@@ -1,7 +1,7 @@
 //! Copies memory eight words at a time: `__aeabi_memcpy`, `__aeabi_memcpy4` and `__aeabi_memcpy8` in assembly replace
 //! the compiler's routines.
 //!
-//! Lines, blocks and arcs are passed by value, which copies some thousand bytes for each line of a program. The
+//! Lines, blocks and arcs are passed by value, which copies several thousand bytes for each line of a program. The
 //! compiler's routines take four instructions per word. A load or store of several words takes only a fraction of an
 //! instruction per word. (Without this file copying takes 9,700 of the 23,500 instructions of a short line, counted by
 //! `cargo xtask count`.)

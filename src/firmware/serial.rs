@@ -1,15 +1,14 @@
 //! The links to the hosts, UART and USB: splits received bytes into realtime commands and line bytes, queues them for
-//! `control`, and sends replies to the host that has the floor: the host whose lines are accepted.
+//! `control`, and sends replies to the active host: the host whose lines are accepted.
 //!
 //! ```text
 //!  USART ──▶ link ───┐                                   ┌─▶ USART
-//!                    ├─▶ realtime, lines   replies ─floor─┤
+//!                    ├─▶ realtime, lines   replies ───────┤
 //!  USB   ──▶ link ───┘                                   └─▶ USB
 //! ```
-//! Both links are always read. Realtime commands act from either link; lines are accepted only from the link that has
-//! the floor. The floor can change when the machine has nothing to do, when the host that has the floor disconnects,
-//! and with a reset. When a reset is received, this task itself stops the step task, before anything is queued or
-//! decided.
+//! Both links are always read. Realtime commands act from either link; lines are accepted only from the link of the
+//! active host. The active host can change when the machine has nothing to do, when the active host disconnects, and
+//! with a reset. When a reset is received, this task itself stops the step task, before anything is queued or decided.
 
 use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
 use crate::shared::{self, ASKED, CONTROL, SERIAL, Wake};
@@ -350,7 +349,7 @@ impl Serial {
         let holder = self.arbiter.holder();
         let to_usb = holder == USB;
         if self.sending_to != holder {
-            // The floor has changed, so the rest of a reply to the other host is dropped.
+            // The active host has changed, so the remaining part of a reply to the previous one is dropped.
             self.sent = self.sending.as_bytes().len();
         }
         let mut more = false;

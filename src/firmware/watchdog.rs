@@ -18,7 +18,7 @@ use crate::shared::{ASKED, STEP, STEP_ASKED, Wake};
 use core::sync::atomic::Ordering;
 use oxmill_controller::messages::CrashKind;
 
-/// Samples between two checks: 100 ms.
+/// Number of samples between two checks: 100 ms.
 const PERIOD: u32 = SAMPLE_HZ / 10;
 /// Number of failed checks in a row after which a task counts as stuck.
 const PATIENCE: u32 = 5;

@@ -13,10 +13,10 @@ use crate::simulator::Simulator;
 use oxmill_controller::messages::{Noted, Signals, Standing, Stopping};
 use oxmill_controller::protocol::realtime;
 
-/// The times of simulator and board can differ by up to 1/20 s. This is the denominator.
+/// The times of simulator and board can differ by up to 1/20 s. This constant is the denominator of that fraction.
 const SLACK_PARTS: u64 = 20;
 /// A line that the board took within 1/1000 s of the previous line counts as having waited together with that line.
-/// This is the denominator.
+/// This constant is the denominator of that fraction.
 const AT_ONCE_PARTS: u64 = 1000;
 /// Part of the modal words of a state in which no feed rate F is set.
 const NO_FEED: &str = "F0.0000000S";
@@ -212,7 +212,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.start(inputs, left_out, notes)?;
         for (at, (time, input)) in inputs.iter().enumerate().skip(1) {
             // The first part of a line that has not ended is recorded with the time of the next input. If the part
-            // waited behind another line, it arrived before that time, so play it now.
+            // waited after another line, it arrived before that time, so play it now.
             let waited = at > 0 && matches!(inputs[at - 1].1, Input::Told(Told::Noted(Noted::More))) && is_begin(input);
             let time = if waited { self.simulator.clock().now() } else { time + self.shift };
             let later = inputs.get(at + 1..).unwrap_or_default();

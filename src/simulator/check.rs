@@ -175,7 +175,7 @@ impl Check {
         Self { simulator, origin, began_at: [0; AXES], outcome, done: true }
     }
 
-    /// Advances the job by up to `rounds` rounds, each to the next event. A round takes the host some microseconds.
+    /// Advances the job by up to `rounds` rounds, each to the next event. A round takes the host a few microseconds.
     /// Returns whether the job has ended.
     pub fn advance(&mut self, rounds: u32) -> bool {
         for _ in 0..rounds {
@@ -295,7 +295,7 @@ impl Check {
         self.outcome.complete = false;
     }
 
-    /// Bytes of the job read so far.
+    /// Number of bytes of the job that have been read so far.
     pub fn consumed(&self) -> u64 {
         self.simulator.job().map_or(0, JobText::consumed)
     }
@@ -480,12 +480,12 @@ mod tests {
         close(sum(|row| row.rapid_s), summary.rapid_s);
         close(sum(|row| row.dwell_s), summary.dwell_s);
         close(sum(|row| row.spin_up_s), summary.spin_up_s);
-        // The rest of the standstill comes only from the look-ahead and the rounding to microseconds.
+        // The remaining standstill time comes only from the look-ahead and the rounding to microseconds.
         assert!((summary.standing_s - summary.dwell_s - summary.spin_up_s).abs() < 0.01, "{summary}");
     }
 
-    /// A boring cycle stops the spindle at the bottom and restarts it; the wait for the spindle is not a dwell. G4
-    /// beside M3 is a dwell.
+    /// A boring cycle stops the spindle at the bottom and restarts it; the wait for the spindle is not a dwell. G4 on a
+    /// line with M3 is a dwell.
     #[test]
     fn waiting_for_the_spindle_within_a_cycle_is_no_dwell() {
         let text = "G21 G91\nM3 S1000 G4 P0.5\nG86 G99 X0 Y0 Z-1 R0.5 P0.25 F600\nG80\n";
@@ -511,7 +511,7 @@ mod tests {
         assert!(check.simulator().trace().events() > 500);
     }
 
-    /// The last line is read while the machine is still in its first move.
+    /// A move keeps its tool and line, even if the last line is read while the machine is still in its first move.
     #[test]
     fn a_move_keeps_its_tool_and_line_however_many_lines_follow() {
         let text = format!("G21 G91 T5 M6\nG1 X1 F60\n{}", "F60\n".repeat(70_000));

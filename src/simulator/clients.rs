@@ -15,16 +15,16 @@ use tungstenite::WebSocket;
 /// Reading stops when this many bytes of a client wait in its inbox. On a platform where `hung_up` detects nothing, a
 /// disconnection is then noticed only after there is room again, because TCP reports it after the last byte.
 const AHEAD: usize = (1 << 24) - PIECE;
-/// Bytes without a line end after which a client is disconnected. A board rejects lines of over 255 bytes.
+/// Number of bytes without a line end after which a client is disconnected. A board rejects lines of over 255 bytes.
 pub(crate) const LONGEST_LINE: usize = 1 << 16;
 /// Maximum number of bytes in one read.
 pub(crate) const PIECE: usize = 1024;
 /// Maximum number of reply chunks that wait for a slow client.
 pub(crate) const ANSWERS: usize = 64;
-/// How often a reader that waits for room, or a writer whose client does not read, checks whether the client is still
-/// connected.
+/// Interval at which a reader that waits for room, or a writer whose client does not read, checks whether the client is
+/// still connected.
 pub(crate) const LOOK: Duration = Duration::from_millis(20);
-/// How often a writer retries if its client does not read.
+/// Interval at which a writer retries if its client does not read.
 const AGAIN: Duration = Duration::from_millis(1);
 /// Sent to a client before its connection is closed because its line does not end.
 pub(crate) const ENDLESS: &[u8] = b"[MSG:The line has no end]\r\n";
@@ -37,9 +37,9 @@ pub(crate) enum Happened {
     Connected(Client),
     /// A connection was accepted. Its reader thread will report to the loop through this sender.
     Connecting(Incoming, SyncSender<Happened>),
-    /// Bytes of the client have arrived, or the client has disconnected: see its [`Inbox`].
+    /// The client has sent bytes or has disconnected: see its [`Inbox`].
     Heard,
-    /// A line of the pin protocol; the reply goes to the sender.
+    /// A line of the pin protocol, and the channel through which the reply returns to its client.
     Pins(String, Sender<String>),
 }
 
@@ -90,7 +90,7 @@ pub(crate) struct Inbox {
 #[derive(Default)]
 struct InboxState {
     bytes: VecDeque<u8>,
-    /// Bytes since the last line end, without realtime commands.
+    /// Number of bytes since the last line end, without realtime commands.
     line: usize,
     /// The client sends nothing more.
     ended: bool,

@@ -19,7 +19,7 @@ impl Clock {
         Self { hz: u64::from(hz.max(1)), now: 0 }
     }
 
-    /// Ticks since power-up.
+    /// Number of ticks since power-up.
     pub fn now(&self) -> u64 {
         self.now
     }

@@ -191,7 +191,7 @@ pub struct Replay {
 pub struct ResumeJob {
     /// The job: any text file.
     pub job: PathBuf,
-    /// The line where the rest begins.
+    /// The place at which the job is resumed: a line of the file, or an N word.
     #[command(flatten)]
     pub begin: BeginOptions,
     /// Z of the move to the position, in mm in the program's coordinates. The default is the highest Z of the job so far, if all

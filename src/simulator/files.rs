@@ -100,7 +100,8 @@ pub fn without_mark(text: &str) -> &str {
     text.strip_prefix('\u{FEFF}').unwrap_or(text)
 }
 
-/// Reads the description of a machine. Returns the fittings and the text of the file.
+/// Reads the description of a machine. Returns the machine's hardware (switches, probe plate and so on) and the text of
+/// the file.
 ///
 /// # Errors
 /// If it cannot be read or understood.

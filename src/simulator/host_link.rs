@@ -72,7 +72,7 @@ impl Queues for ToControl {
     }
 }
 
-/// The link, with the host's port in front of it and the controller's queues after it.
+/// The host's port, the link after it, and the controller's queues.
 #[derive(Clone)]
 pub struct HostLink {
     /// Bytes that the host has sent and the link has not fetched yet, for lack of room.
@@ -225,14 +225,14 @@ impl HostLink {
         self.queues.lines.pop_front()
     }
 
-    /// Line bytes in the queue.
+    /// Number of line bytes in the queue.
     pub fn queued(&self) -> usize {
         self.queues.lines.len()
     }
 
-    /// Number of line bytes in the queue and in the link. Plus one if a cut must be queued before the bytes in the link
-    /// (`HOST_CHANGED`, which voids the unfinished line of the former host), and plus one if more bytes wait in a
-    /// replay.
+    /// Number of line bytes in the queue and in the link. Counts one more if a cut must be queued before the bytes in
+    /// the link (`HOST_CHANGED`, which voids the unfinished line of the former host), and one more if more bytes wait
+    /// in a replay.
     pub fn received(&self) -> usize {
         let held = self.link.held();
         self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut()) + usize::from(self.more)
@@ -245,7 +245,7 @@ impl HostLink {
         self.heard
     }
 
-    /// Bytes sent and not yet taken by the controller: in the queue, the link and the port.
+    /// Number of bytes sent and not yet taken by the controller: in the queue, the link and the port.
     pub fn unread(&self) -> usize {
         self.port.len() + self.received() - usize::from(self.more)
     }

@@ -60,7 +60,7 @@ pub fn import(text: &str) -> Result<Import, String> {
         let entry = FileEntry::new(&format!("{}: {value}", keys.join("/")), index + 1);
         entries.push((keys, value, entry));
     }
-    // Of a key that is there twice, the last value counts.
+    // If a key occurs twice, the last value counts.
     for at in 0..entries.len() {
         let (keys, value, entry) = entries[at].clone();
         let is_repeated = |later: &(Vec<&str>, &str, FileEntry)| later.0 == keys && !later.1.is_empty();
@@ -91,7 +91,7 @@ struct ConfiguredMachine {
     to_negative: Vec<(Axis, FileEntry)>,
     soft_limits: Vec<(bool, FileEntry)>,
     hard_limits: Vec<(bool, FileEntry)>,
-    /// ConfiguredMachine coordinate after homing, by axis.
+    /// Machine coordinate after homing, by axis.
     place: Vec<(Decimal, FileEntry)>,
     /// Axis, whether the step pulse is low.
     steps: Vec<(Axis, bool, FileEntry)>,
@@ -344,7 +344,7 @@ impl Reader {
         self.limits(&machine.soft_limits, Key::SoftLimits, is_homed);
         self.limits(&machine.hard_limits, Key::HardLimits, true);
         self.second_motor(&machine);
-        // A mask without an axis is a setting, too: the machine may have another one.
+        // A mask without an axis is a setting, too: the machine may have another mask.
         let of_first = machine.directions.iter().filter(|(_, motor, ..)| *motor == 0);
         let directions: Vec<_> = of_first.map(|(axis, _, is_low, entry)| (*axis, *is_low, entry)).collect();
         self.mask(Key::DirectionInvert, &directions);
@@ -358,8 +358,8 @@ impl Reader {
         self.import.finish()
     }
 
-    /// Takes a mask of the axes that are set, if there are any axes at all. The first axis that is set counts as its
-    /// source, or else the first axis.
+    /// Takes a mask of the axes that are set, if there are any axes at all. The entry of the first axis that is set
+    /// counts as the source of the mask, or else that of the first axis.
     fn mask(&mut self, key: Key, axes: &[(Axis, bool, &FileEntry)]) {
         if let Some((_, _, entry)) = axes.iter().find(|(_, is_set, _)| *is_set).or(axes.first()) {
             let bits = axes.iter().filter(|(_, is_set, _)| *is_set).fold(0, |mask, (axis, ..)| mask | bit(*axis));

@@ -29,7 +29,7 @@ use std::path::Path;
 use std::rc::Rc;
 use std::time::Instant;
 
-/// Rounds of [`Check::advance`] between updates of the progress display: some 10 ms on the host.
+/// Number of rounds of [`Check::advance`] between updates of the progress display: about 10 ms on the host.
 const ROUNDS: u32 = 4096;
 
 /// Bits of a flash word that are still programmed when an ordered power cut interrupts its write: the lower half.
@@ -87,7 +87,8 @@ pub fn power_up_as_board(options: &MachineOptions, recorded: bool) -> Result<(Si
     Ok((simulator, recorder))
 }
 
-/// Returns a simulator with its store and fittings, and the text of the machine description.
+/// Returns a simulator with its settings store and the machine's hardware (switches, probe plate and so on), and the
+/// text of the machine description.
 fn fitted(options: &MachineOptions) -> Result<(Simulator, String)> {
     let mut store = options.store.as_deref().map_or_else(|| Ok(Store::in_memory()), Store::open)?;
     if let Some(operations) = options.cut_power {

@@ -21,7 +21,7 @@ use std::collections::VecDeque;
 /// Minimum window for measuring acceleration, in seconds. In shorter windows the rounding of ticks has too much
 /// influence.
 const SHORTEST: f64 = 0.0002;
-/// Segments in the longest window.
+/// Number of segments in the longest window.
 const LONGEST_WINDOW: usize = 1024;
 /// Rounding error, as a fraction of a speed, up to which the speed is not reduced.
 const SPEED_TOLERANCE: f64 = 0.005;

@@ -11,7 +11,7 @@ use oxmill_controller::gcode::{
 use oxmill_controller::messages::SpindleDirection;
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE, Decimal};
 
-/// How the tool moves to where the rest of a job begins.
+/// How the tool moves to the position at which a job is resumed.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
     /// The position in program coordinates.

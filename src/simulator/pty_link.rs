@@ -17,7 +17,7 @@ use std::sync::mpsc::SyncSender;
 use std::thread;
 use std::time::Duration;
 
-/// How often a port without a client is polled.
+/// Interval at which a port without a client is polled.
 const CLOSED: Duration = Duration::from_millis(2);
 
 /// Makes a pseudo terminal, and a symbolic link to it if `link` is given.

@@ -390,7 +390,7 @@ fn outputs_of(simulator: &Simulator) -> u8 {
     simulator.outputs().map_or(0, |outputs| outputs.digital)
 }
 
-/// Returns a new simulator, just powered up, with the same settings, offsets and fittings. Limits and homing are
+/// Returns a new simulator, just powered up, with the same settings, offsets and hardware. Limits and homing are
 /// switched off, as the simulator is not homed and its positions may exceed the limits.
 fn powered_up_as(machine: &Simulator) -> Result<Simulator, String> {
     let store = machine.store().apart().map_err(|why| why.to_string())?;

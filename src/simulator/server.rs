@@ -33,11 +33,11 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Maximum number of a client's bytes that wait in front of the board's link, as in a host's port.
+/// Maximum number of a client's bytes that wait for the board's link, as in a host's port.
 const PORT: usize = 1 << 14;
-/// How often the loop checks the clock while the machine is busy.
+/// Interval at which the loop checks the clock while the machine is busy.
 const BUSY: Duration = Duration::from_millis(1);
-/// How often the loop checks the clock while nothing can happen without the host.
+/// Interval at which the loop checks the clock while nothing can happen without the host.
 const QUIET: Duration = Duration::from_millis(50);
 /// Sent to a second client.
 const TURNED_AWAY: &[u8] = b"[MSG:Another host has the machine]\r\n";

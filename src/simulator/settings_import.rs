@@ -31,7 +31,7 @@ mod tests {
         settings
     }
 
-    /// Lines of the forms that files have, in any order, with any numbers.
+    /// Generates a text that mixes entries of a FluidNC configuration, `$n=v` settings and arbitrary text.
     fn lines() -> impl Strategy<Value = String> {
         let key = prop::sample::select(vec![
             "axes",

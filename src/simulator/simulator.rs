@@ -271,12 +271,12 @@ impl Simulator {
         }
     }
 
-    /// Bytes sent and not yet taken by the controller: in its queue, in the link, and in the host's port.
+    /// Number of bytes sent and not yet taken by the controller: in its queue, in the link, and in the host's port.
     pub fn unread(&self) -> usize {
         self.host.unread()
     }
 
-    /// Bytes of output not yet fetched with [`Simulator::take_output`].
+    /// Number of bytes of output not yet fetched with [`Simulator::take_output`].
     pub fn unfetched(&self) -> usize {
         self.outgoing.len()
     }
@@ -424,7 +424,7 @@ impl Simulator {
         &mut self.world.trace
     }
 
-    /// Returns a new simulator with the same flash and fittings, just after power-up: idle, or locked if homing is on.
+    /// Returns a new simulator with the same flash and hardware, just after power-up: idle, or locked if homing is on.
     ///
     /// # Errors
     /// If the file of its store cannot be written.

@@ -45,7 +45,7 @@ pub struct StepTask {
     events: VecDeque<StepEvent<AXES>>,
     /// Next expiry of the step timer, in ticks; `None` while the timer is stopped.
     due: Option<u64>,
-    /// Ticks during which the task was busy.
+    /// Number of ticks during which the task was busy.
     busy: u64,
     directions: u8,
     begun: u32,
@@ -82,7 +82,7 @@ impl StepTask {
         self.due
     }
 
-    /// Ticks during which the task was busy: the time base of the trace's digest.
+    /// Number of ticks during which the task was busy: the time base of the trace's digest.
     pub fn busy(&self) -> u64 {
         self.busy
     }

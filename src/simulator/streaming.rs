@@ -39,7 +39,7 @@ pub struct Streamed {
     pub forecast_s: f64,
     /// Whether every line was answered and the machine came to rest.
     pub complete: bool,
-    /// Lines that were answered with an error.
+    /// Number of lines that were answered with an error.
     pub errors: u64,
     /// Lines with the most time lost compared with an unlimited link, the largest loss first.
     pub lost: Vec<Lost>,

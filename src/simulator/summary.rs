@@ -73,9 +73,9 @@ pub struct Summary {
     pub board: String,
     pub dialect: String,
     pub step_clock_hz: u32,
-    /// Lines of the file.
+    /// Number of lines of the file.
     pub lines: u64,
-    /// Lines that begin with `%` and were skipped.
+    /// Number of lines that begin with `%` and were skipped.
     pub tape_marks: u64,
     /// The first errors, at most 1000.
     pub errors: Vec<LineError>,
@@ -106,7 +106,7 @@ pub struct Summary {
     pub feed_s: f64,
     /// Part of the forecast in rapids.
     pub rapid_s: f64,
-    /// The rest of the forecast: dwells, spindle delays, tool changes.
+    /// Remaining part of the forecast: dwells, spindle delays, tool changes.
     pub standing_s: f64,
     /// Part of `standing_s` for G4 and the dwells of canned cycles.
     pub dwell_s: f64,
@@ -127,7 +127,8 @@ pub struct Summary {
     pub distance_mm: f64,
     pub rapid_distance_mm: f64,
     pub extents_mm: Extents,
-    /// Maximum path speed: an average over some milliseconds or more, reduced by what rounding to steps may have added.
+    /// Maximum path speed: an average over a few milliseconds or more, reduced by what rounding to steps may have
+    /// added.
     pub peak_speed_mm_s: f64,
     /// Maximum change of path speed per time (on ramps), measured likewise. Excludes the acceleration across the path
     /// in curves and corners.

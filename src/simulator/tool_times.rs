@@ -64,7 +64,7 @@ impl Times {
         self.tools.iter().filter(|row| row.feed_s + row.rapid_s + row.dwell_s + row.spin_up_s > 0.0).cloned().collect()
     }
 
-    /// Returns the sum of all tools.
+    /// Returns the times of all tools added up, with tool number 0.
     pub fn sum(&self) -> ToolTime {
         self.tools.iter().fold(ToolTime::default(), |sum, row| ToolTime {
             tool: 0,

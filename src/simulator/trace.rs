@@ -169,7 +169,7 @@ impl Trace {
         self.events
     }
 
-    /// Ticks from the first to the last step event.
+    /// Number of ticks from the first to the last step event.
     pub fn duration(&self) -> u64 {
         match (self.first, self.last) {
             (Some(first), Some(last)) => last.at - first.at,

@@ -22,7 +22,7 @@ use tungstenite::{Message, WebSocket};
 const REQUEST_TIME: Duration = Duration::from_secs(5);
 /// Maximum size of a request's head, bytes.
 const REQUEST: usize = 1 << 14;
-/// How often the thread looks for replies while the page sends nothing.
+/// Interval at which the thread checks for replies while the page sends nothing.
 const LOOK: Duration = Duration::from_millis(3);
 /// Maximum time for which a page that does not read blocks its thread.
 const PATIENCE: Duration = Duration::from_secs(5);

@@ -35,13 +35,13 @@ pub struct SerialStatus {
     /// Line bytes received since power-up (wrapping): `bytes_queued` plus the bytes that wait for room. A command that
     /// waits for room counts as one byte.
     pub bytes_received: AtomicU32,
-    /// Bytes received that belong neither to lines nor to commands, since power-up (wrapping).
+    /// Number of bytes received that belong neither to lines nor to commands, since power-up (wrapping).
     pub bytes_ignored: AtomicU32,
-    /// Commands received and line bytes queued since power-up (wrapping).
+    /// Number of commands received and of line bytes queued since power-up (wrapping).
     pub heard: AtomicU32,
-    /// Number of times that a host opened a port and got control, since power-up (wrapping).
+    /// Number of times that a host opened a port and was the active host then, since power-up (wrapping).
     pub hosts_came: AtomicU8,
-    /// Number of times that the host in control disconnected, since power-up (wrapping).
+    /// Number of times that the active host disconnected, since power-up (wrapping).
     pub hosts_went: AtomicU16,
     /// Commands that found no room in the queue and must not be lost; `control` takes them.
     owed: AtomicU32,

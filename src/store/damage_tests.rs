@@ -64,7 +64,7 @@ fn image(spare: Spare) -> (Log<Mock>, Vec<(Range<u32>, Store)>) {
     (log, spans)
 }
 
-/// Returns whether wrong bytes at these addresses destroy a record. Its padding bytes do not count.
+/// Returns whether wrong bytes at these addresses destroy a record. The padding bytes of a record do not count.
 fn is_hit(span: &Range<u32>, change: &Store, addresses: &[u32]) -> bool {
     let length = match change {
         Store::Put(record) => record.value.len() as u32,

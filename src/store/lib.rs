@@ -109,18 +109,18 @@ impl<E> From<E> for StoreError<E> {
     }
 }
 
-/// Free bytes below which an erase is urgent. A setting takes 12 bytes.
+/// Number of free bytes below which an erase is urgent. A setting takes 12 bytes.
 const RESERVE: u32 = 1024;
 const ERASED: u32 = u32::MAX;
-/// Bytes of a sector's header: sequence, its crc, the mark of a completed erase.
+/// Size of a sector's header, in bytes: sequence, crc of the sequence, mark of a completed erase.
 const HEADER: u32 = 12;
 /// Address of the mark in a sector.
 const MARK_AT: u32 = 8;
 /// Value of the mark of a sector that was erased completely.
 const MARK: u32 = u32::from_le_bytes(*b"wipe");
-/// Bytes of the longest value.
+/// Size of the longest value, in bytes.
 const LONGEST: u32 = 100;
-/// Words of the longest record.
+/// Size of the longest record, in words.
 const LONGEST_WORDS: usize = 27;
 /// Maximum number of remembered gaps (damaged bytes between records). After further gaps, records are checked each time
 /// they are read.

@@ -47,19 +47,19 @@ pub struct Order {
     /// Lines that the machine executes before its job, to set its offsets and tools, such as `G10 L1 P1 Z12.5`. For
     /// [`check`] and [`stream`] only.
     pub stored: Vec<String>,
-    /// Where the rest of an interrupted job begins. For [`resume()`] only.
+    /// Where an interrupted job is resumed. For [`resume()`] only.
     pub resume: Option<Resume>,
     /// Bits per second of the link over which a job is sent; 0 for an unlimited link. For [`stream`] only.
     pub baud: u32,
 }
 
-/// Where the rest of a job begins, like the options of `oxmill resume`.
+/// Where a job is resumed, like the options of `oxmill resume`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Resume {
-    /// The first line of the rest, from 1.
+    /// The line of the file at which the job is resumed, from 1.
     pub line: u64,
-    /// Z at which the tool travels to the position where the rest begins, in mm of program coordinates.
+    /// Z at which the tool travels to the position at which the job is resumed, in mm of program coordinates.
     pub clearance: Option<f64>,
     /// Feed rate from this Z down to the workpiece, in mm/min.
     pub plunge: Option<f64>,
@@ -195,8 +195,8 @@ pub fn turn(machine: &mut Simulator, bytes: &[u8], microseconds: u32) -> String 
     machine.take_output()
 }
 
-/// Numbers per row of the path: x, y, z in mm of machine coordinates, speed in mm/s, start and end in seconds from the
-/// start of the job.
+/// Number of values per row of the path: x, y, z in mm of machine coordinates, speed in mm/s, start and end in seconds
+/// from the start of the job.
 pub const ROW: usize = 6;
 /// The bit of a row's line number that marks a rapid.
 pub const RAPID: u32 = 1 << 31;

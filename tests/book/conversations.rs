@@ -10,8 +10,8 @@ const FENCE: &str = "```conversation\n";
 /// Pages on which every line that the reader sends to the machine must be in a fence named `conversation`.
 const HANDS_ON: [&str; 5] = ["boards", "first-cut", "set-up", "tuning", "troubleshooting"];
 
-/// Returns a new machine. The mark `<!-- machine: FILE -->` in the page names the file with its fittings, as for
-/// `--machine`.
+/// Returns a new machine. The mark `<!-- machine: FILE -->` in the page names the file that describes its hardware, as
+/// for `--machine`.
 fn machine(page: &str) -> Simulator {
     let fittings = page.split("<!-- machine: ").nth(1).and_then(|rest| rest.split_once(" -->")).map(|(file, _)| {
         let text = fs::read_to_string(root().join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));

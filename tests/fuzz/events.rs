@@ -278,7 +278,7 @@ fn back_to_idle(mut board: Board) {
         return;
     }
     board.inputs(0);
-    // A startup line can keep the machine moving for long, also after a dwell. The second reset then comes during this
+    // A startup line can keep the machine moving for long, even after a dwell. The second reset then comes during this
     // motion and locks the machine, so the startup line is not run again.
     let is_restored = (0..4).any(|_| {
         for time in [20_000, 200_000] {

@@ -1,5 +1,5 @@
 //! `$` commands, and values of settings, startup lines, macros and build info in each dialect, with a store that works
-//! or fails, and power-ups in between. The first byte chooses the dialect.
+//! or fails, and power-ups between them. The first byte chooses the dialect.
 //!
 //! Invariants: each line is answered once; a rejected line leaves every listing unchanged; an accepted value is listed
 //! as it was set and changes nothing else; after a power-up, everything that the store has accepted is as before.
@@ -49,7 +49,7 @@ const LINES: [&str; 10] =
 const COMMANDS: [&str; 10] = ["$X", "$", "$G", "$I", "$C", "$RC", "$PINS", "$ES", "$EG", "$SLP"];
 /// Commands that list everything that can be set.
 const LISTINGS: [&str; 5] = ["$$", "$#", "$N", "$I", "$M"];
-/// Lines of `$#` that a power-up resets.
+/// Beginnings of the lines of `$#` that a power-up resets.
 const PASSING: [&str; 4] = ["[G92", "[TLO", "[TLR", "[PRB"];
 
 impl Number {

@@ -1,5 +1,5 @@
 //! Messages to the step generator: blocks of any steps, cut into any segments that a planner can produce, loaded early
-//! or late, with stops in between.
+//! or late, with stops between them.
 //!
 //! Invariants: no axis makes more than one step per tick; the reported position is that of the steps made; a complete
 //! block makes exactly its steps; after a stop or an underrun nothing moves until motion is resumed.

@@ -1,7 +1,7 @@
 //! Flash memory with arbitrary contents, and changes to it, each of which a power cut can interrupt.
 //!
 //! Invariants: opening never fails, whatever the contents; a key is never counted twice; only erased words are written;
-//! a stored value is found, also after another power-up; if a change is interrupted, either all of it is stored or
+//! a stored value is found, even after another power-up; if a change is interrupted, either all of it is stored or
 //! nothing, and all other values stay.
 
 use super::work::at_most;

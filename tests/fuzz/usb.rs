@@ -21,14 +21,14 @@ const PACKET: usize = 64;
 enum Action {
     Open,
     Close,
-    /// Bytes of the connected host, and whether they end a line.
+    /// The connected host sends this many bytes. The flag: whether they end a line.
     Packet(u8, bool),
     /// This many bytes were in transit when the port was closed.
     LatePacket(u8),
     Plugged(bool),
     Time(u8),
     Read(u8),
-    /// The machine is working: no other host gets control.
+    /// While the machine works, no other host becomes the active host.
     Busy(bool),
     Uart(u8, bool),
 }

@@ -60,7 +60,7 @@ pub struct Course {
     pub meant: Vec<[f64; AXES]>,
     /// The same points as written in the program, rounded to its digits, mm.
     pub written: Vec<[f64; AXES]>,
-    /// Value of the program's last digit, mm.
+    /// Resolution of the program's coordinates (value of their last decimal place), mm.
     pub digit: f64,
     /// mm/s.
     pub feed: f64,

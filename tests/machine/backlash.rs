@@ -110,8 +110,8 @@ fn a_profile_is_not_interrupted() {
     assert!(seconds[1] < 1.02 * seconds[0], "{seconds:?}");
 }
 
-/// Moves shorter than the backlash, back and forth: when the second move starts, the carriage has not yet moved as far
-/// as the first one says.
+/// Moves shorter than the backlash, back and forth, end in the same place as without backlash, although the carriage
+/// has not reached the end of a move when the next one starts.
 #[test]
 fn short_moves_back_and_forth_end_in_the_right_place() {
     for line in
@@ -245,7 +245,7 @@ proptest! {
         let mut mill = compensated("");
         mill.send(&text);
         mill.run_for(Duration::from_millis(milliseconds));
-        // `press` acts at once. As a byte of the serial line, the command would wait behind the text.
+        // `press` acts at once. As a byte of the serial line, the command would wait for the text before it.
         mill.press(if reset { Realtime::Reset } else { Realtime::FeedHold });
         mill.run_for(Duration::from_millis(500));
         prop_assert!(!mill.is_stepping());
@@ -276,7 +276,8 @@ fn a_motor_that_takes_up_slack_is_not_too_fast() {
     assert!(fastest > 0.99 * least, "{fastest} of {least}");
 }
 
-/// A relief: X is fast, and the slow Z reverses while X moves.
+/// In a relief (X is fast, and the slow Z reverses while X moves), no axis exceeds its limits while Z takes up its
+/// backlash.
 #[test]
 fn a_slow_axis_takes_up_its_slack_no_faster_than_its_own_corners() {
     let acceleration = [2000.0, 500.0, 20.0];

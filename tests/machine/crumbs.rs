@@ -1,4 +1,4 @@
-//! Tiny moves, shorter than a step or than the last digit of a program, between long ones.
+//! Tiny moves between long ones: shorter than a step, or shorter than the resolution of the program's coordinates.
 
 use super::oracle::AXES;
 use super::rig::{HZ, Rig};
@@ -27,7 +27,7 @@ fn a_hairs_breadth_is_no_faster_than_its_axis() {
     assert!(least > 0.99 * 0.5 / 80.0 / 100.0, "{least} s");
 }
 
-/// An axis that makes a real move beside such a tiny move keeps its rate, too.
+/// An axis that makes a real move in the same block as such a tiny move keeps its rate, too.
 #[test]
 fn beside_a_hairs_breadth_axes_keep_their_rates() {
     let mut rig = Rig::with("$0=1\n$11=0.01\n$100=80\n$101=400\n$110=6000\n$111=600\n$120=500\n$121=100\n");
@@ -39,7 +39,7 @@ fn beside_a_hairs_breadth_axes_keep_their_rates() {
     assert!(1.0 / 400.0 / least < 10.5, "{} mm/s", 1.0 / 400.0 / least);
 }
 
-/// A straight line in short chords runs without corners, also on an axis with coarse steps beside one with fine steps.
+/// A straight line in short chords runs without corners, even if one axis has coarse steps and the other has fine ones.
 #[test]
 fn coarse_steps_make_no_corners() {
     let mut rig = Rig::with("$0=1\n$11=0.01\n$100=250\n$101=8.889\n$110=6000\n$111=6000\n$120=500\n$121=500\n");
@@ -80,8 +80,8 @@ fn a_wait_for_crumbs_is_a_corner() {
     }
 }
 
-/// Corners between moves shorter than the last digit of usual programs (0.001 mm), on a machine whose steps are shorter
-/// still.
+/// At a corner between moves shorter than the usual resolution of programs (0.001 mm), the machine slows down, even if
+/// its steps are shorter still.
 #[test]
 fn corners_between_moves_shorter_than_a_digit() {
     let mut rig = machine(10_000.0, 10.0, 100.0);
@@ -100,7 +100,7 @@ fn corners_between_moves_shorter_than_a_digit() {
     assert!(speed < 3.0, "{speed} mm/s into the turn");
 }
 
-/// A move that is split to take up backlash, on axes with extremely different step sizes.
+/// A program runs in which a move is split to take up backlash, on axes with extremely different step sizes.
 #[test]
 fn slack_on_the_longest_moves() {
     let settings = "$0=1\n$11=0\n$100=0.1\n$160=70\n$102=40000\n$110=60000\n$112=100\n$120=1000\n$122=100\n";

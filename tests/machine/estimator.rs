@@ -39,7 +39,7 @@ use std::collections::BTreeSet;
 
 /// Share by which a limit may be exceeded.
 pub const TOLERANCE: f64 = 0.01;
-/// Value of the last digit of the programs in these tests, mm.
+/// Resolution of the coordinates of the programs in these tests, mm.
 pub const DIGIT: f64 = 0.001;
 
 /// Distances of the points from which a bend is measured, mm.

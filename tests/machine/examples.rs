@@ -75,8 +75,8 @@ fn five_circles() {
     }
 }
 
-/// The drilling program of chapter 4.5 of the document on which this controller is based, in the dialect that has
-/// drilling cycles.
+/// The drilling program of chapter 4.5 of the document on which this controller is based drills its holes in order, in
+/// the dialect that has drilling cycles.
 #[test]
 fn drilling() {
     const INCH: f64 = 25.4;

@@ -141,7 +141,7 @@ impl Known {
                 }
             }
             "VER" => {
-                // The number behind the last point decides which commands gSender sends.
+                // The number after the last point decides which commands gSender sends.
                 let build = value.split('.').next_back().unwrap_or_default().replace(':', "");
                 self.build = build.parse().map_err(|_| "no build")?;
             }
@@ -223,7 +223,7 @@ struct Session {
 }
 
 impl Session {
-    /// Connects to a machine that has just been switched on, with these stored settings beside `$900=3`.
+    /// Connects to a machine that has just been switched on, with these stored settings in addition to `$900=3`.
     fn new(stored: &[(u16, f32)]) -> Session {
         let mut rig = Rig::new();
         rig.power_cycle(&[&[(2000, 3.0)], stored].concat());

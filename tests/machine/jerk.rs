@@ -106,7 +106,7 @@ fn least_time(length: f64, from: f64, to: f64, most: f64, acceleration: f64, jer
 const JERK: f64 = 5000.0;
 
 /// Returns the time that the trace does not cover. The motor starts half a step before the first step and ends half a
-/// step after the last one, which takes some milliseconds each.
+/// step after the last one, which takes a few milliseconds each.
 fn of_steps() -> f64 {
     2.0 * (6.0 * 0.5 / MACHINE.steps_per_mm[0] / JERK).cbrt()
 }
@@ -355,7 +355,7 @@ proptest! {
         job.run(&limits, jerk);
     }
 
-    /// Overrides and holds at any time, also during ramps up and down.
+    /// The jerk stays bounded with overrides and holds at any time, even during ramps.
     #[test]
     fn jerk_is_bounded_under_overrides_and_holds(
         (limits, jerk) in unequal(),

@@ -129,7 +129,8 @@ proptest! {
         cases: 24, max_shrink_iters: 20, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default()
     })]
 
-    /// Circles and helices of any size and feed; the quantity checked is the angle.
+    /// The jerk along the path, which is computed from the angle, is bounded on circles and helices of any size and
+    /// feed.
     #[test]
     fn jerk_is_bounded_on_arcs(
         radius in 1_u32..30, turns in 1_u32..4, depth in prop::sample::select(vec![0_i32, 0, -2, 9]), feed in 300_u32..6000,
@@ -215,7 +216,7 @@ fn straight(places: &[(f64, [f64; AXES])]) -> (bool, usize) {
     (axes.len() == 1, axes.first().copied().unwrap_or(0))
 }
 
-/// A jog along one axis is cancelled at any moment of its ramps.
+/// The jerk is bounded if a jog along one axis is cancelled at any moment of its ramps.
 #[test]
 fn jerk_is_bounded_when_a_jog_is_cancelled() {
     for milliseconds in (5..700).step_by(31) {

@@ -188,7 +188,7 @@ proptest! {
         cases: 200, max_shrink_iters: 300, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default()
     })]
 
-    /// Jobs of straight moves, compared step for step and interval for interval.
+    /// Jobs of straight moves keep path and limits, checked step for step and interval for interval.
     #[test]
     fn straight_moves_keep_path_and_limits(limits in machines(), pieces in pieces()) {
         let mut job = Job::new();
@@ -203,7 +203,7 @@ proptest! {
         }
     }
 
-    /// The same jobs under overrides and holds at any time: same path, same end, limits kept throughout.
+    /// Overrides and holds at any time change neither the path of the same jobs nor its end, and the limits are kept.
     #[test]
     fn overrides_and_holds_keep_path_and_limits(
         limits in machines(),
@@ -299,7 +299,7 @@ proptest! {
         };
         let step = limits.steps_per_mm.iter().map(|s| 1.0 / s).fold(0.0, f64::max);
         let places = places(&rig.trace, [0.0; AXES], limits.steps_per_mm);
-        // Radial allowance: the arc tolerance, the last digit of start and end, and the steps. Each axis is within half
+        // Radial allowance: the arc tolerance, the resolution of start and end, and the steps. Each axis is within half
         // a step of its position on the chord; the chord's ends are rounded to sevenths of a step; half a step (3.5
         // sevenths) becomes 3. So an axis is off by 1/2 + 1/14 of a step, and both axes can be at their worst at once.
         let radial = 0.002 + std::f64::consts::SQRT_2 * 4.0 / 7.0 * step + 0.001;

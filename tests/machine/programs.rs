@@ -8,7 +8,7 @@ use std::path::Path;
 const PATIENCE: f64 = 600.0;
 /// Maximum number of lines with axis words between two checks of the position; lines between O words do not count.
 const MOST_UNCHECKED: usize = 3;
-/// Maximum position error, mm: a step plus the last digit of the report.
+/// Maximum position error, mm: a step plus the resolution of the report.
 const TOLERANCE: f64 = 0.0011;
 /// A machine of usual speed with fine steps, and work positions in the reports.
 const SETTINGS: [&str; 12] = [

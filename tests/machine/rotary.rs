@@ -70,7 +70,8 @@ fn f_is_along_x_y_and_z_or_degrees_per_minute() {
     near(time_of("$J=A90 F600"), 9.0);
 }
 
-/// A quarter of a circle of radius 20 mm at 600 mm/min, and a helix of three turns, 5 mm each, in any plane.
+/// If A turns during an arc or helix, the arc still takes the time of F along X, Y and Z: here a quarter of a circle of
+/// radius 20 mm at 600 mm/min, and a helix of three turns, 5 mm each, in any plane.
 #[test]
 fn an_arc_takes_it_along_and_keeps_its_feed() {
     let quarter = 20.0 * core::f64::consts::FRAC_PI_2 / 10.0;

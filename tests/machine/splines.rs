@@ -153,7 +153,7 @@ fn frame() -> impl Strategy<Value = Frame> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, rng_seed: RngSeed::Fixed(24), ..ProptestConfig::default() })]
 
-    /// With a hold and an override along the way.
+    /// Even with a hold and an override on the way, the steps lie on the exact curves and end at their end.
     #[test]
     fn the_steps_of_splines_follow_the_exact_curves(
         frame in frame(), curves in prop::collection::vec(words(), 1..5), hold in 0.1_f64..2.0,
@@ -214,7 +214,7 @@ fn inverse_time() {
 }
 
 /// Four quarters of a circle by control points, each with the root of 1/2 as the weight of its corner. The steps lie on
-/// the circle, end at its end, and take the time of the arc, also with a hold and an override along the way.
+/// the circle, end at its end, and take the time of the arc, even with a hold and an override on the way.
 #[test]
 fn a_circle_of_control_points_is_the_circle() {
     for (radius, feed) in [(10.0, 1200), (3.0, 6000), (30.0, 6000)] {

@@ -248,7 +248,7 @@ fn any_stream_is_answered_line_by_line() {
     for number in 0..LINES {
         let mut bytes = line(&mut random).into_bytes();
         bytes.push(b'\n');
-        // A realtime byte at any position of the line, also after its end.
+        // A realtime byte at any position of the line, even after its end.
         if bytes.len() < ON_THE_WAY && random.below(8) == 0 {
             let command = match random.below(16) {
                 0..=3 => b'?',

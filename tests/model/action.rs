@@ -484,7 +484,7 @@ fn some() -> impl Strategy<Value = Vec<Action>> {
         40 => one().prop_map(|action| vec![action]),
         2 => sequence(vec![Action::Byte(RESET), Action::Line(Line::Unlock)]),
         1 => sequence(homed_by_hand()),
-        // A jog or another line, perhaps with a jog waiting behind it, and then an action that ends jogs.
+        // A jog or another line, perhaps with a jog waiting after it, and then an action that ends jogs.
         3 => ended_jog().prop_flat_map(sequence),
         1 => resumed_job().prop_flat_map(sequence),
         1 => job_with_a_fault().prop_flat_map(sequence),

@@ -74,7 +74,8 @@ fn drawings_and_traces_are_what_their_names_say() {
     assert_eq!(net, serde_json::json!(last.iter().map(|n| n.parse::<i64>().expect("steps")).collect::<Vec<_>>()));
 }
 
-/// Tries to write every output over one of the other files, by the file's own name and by others.
+/// An output that would overwrite another file of the run, by the file's own name or by others, is rejected, and no
+/// file is changed.
 #[test]
 fn no_file_is_written_over_another() {
     let program = "G1 X1 F300\n";

@@ -216,7 +216,7 @@ fn errors_of(name: &str, program: &str) -> (Value, Vec<(u64, u64, String)>) {
     (summary, errors)
 }
 
-/// Subprograms stand behind the end of their program. They run when they are called, and never otherwise.
+/// Subprograms stand after the end of their program. They run when they are called, and never otherwise.
 #[test]
 fn nothing_falls_into_a_subprogram_behind_the_end() {
     let (summary, errors) = errors_of("uncalled.nc", "%\nO1000\nG21 G0 X1\nM30\nO1001\nG1 Z-3 F100\nM99\n%\n");
@@ -306,8 +306,8 @@ fn a_job_of_errors_has_a_summary_of_bounded_size() {
     assert!(words.contains("30000") && words.contains("and 29980 more"), "{words}");
 }
 
-/// The rest of a job is a program that is accepted, on standard output or in a file. After an error, which is reported,
-/// there is no file.
+/// `resume` writes a program for the remaining part of a job, to standard output or to a file, and this program is
+/// accepted. After an error, which is reported, there is no file.
 #[test]
 fn the_rest_of_a_job_is_written() {
     let pocket = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/pocket_mm.nc");

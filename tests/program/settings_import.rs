@@ -119,7 +119,8 @@ fn masks_of_grblhal_come_apart() {
     assert!(four.left["$104=3"].contains("no axis B or C") && four.left["$341=3"].contains("at G30"));
 }
 
-/// A backup of Oxmill stays what it is; only the masks that `$900=3` shows become values.
+/// The import takes the values of an Oxmill dump unchanged. Exception: with `$900=3` the dump has grblHAL's masks, and
+/// the import converts these to Oxmill's values.
 #[test]
 fn a_dump_of_oxmill_is_restored() {
     let mask = import("import_own.txt", "$5=1\n$10=511\n$22=207\n$900=3\n$932=0\n");

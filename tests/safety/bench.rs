@@ -29,7 +29,7 @@ pub fn locking(message: &str) -> String {
 }
 
 impl Bench {
-    /// Returns a machine with these fittings (TOML) and these `$n=v` settings, separated by blanks.
+    /// Returns a machine with this hardware (TOML) and these `$n=v` settings, separated by blanks.
     pub fn new(machine: &str, settings: &str) -> Bench {
         let fittings = if machine.is_empty() { Fittings::default() } else { Fittings::parse(machine).unwrap() };
         let mill = Simulator::new(Options { keep_steps: true, fittings, ..Options::default() });

@@ -11,7 +11,8 @@ struct Job {
     lines: &'static str,
 }
 
-/// Corners of all kinds, a reversal, a move of a step and one of half a step, spindle, coolant, and a dwell in between.
+/// Corners of all kinds, a reversal, a move of a step and one of half a step, spindle, coolant, and a dwell between two
+/// moves.
 const LINES: Job = Job {
     settings: "$110=6000 $111=5000 $112=3000 $120=1500 $121=1200 $122=900",
     lines: "G21 G90 M3 S600 M8\nG1 X1.5 Y0.4 F3000\nX2 Y1.5 Z-0.3\nX2.004\nX2.006 Y1.502\nX1 Y1.5 Z-0.5\nG4 P0.04\nG0 X0.5 Y0.5 \

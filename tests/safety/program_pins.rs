@@ -83,8 +83,8 @@ fn held_motion_holds_an_output_off() {
 
 #[test]
 fn a_change_rides_with_its_motion() {
-    // The output must change where the block of its motion starts, also at a corner, and in a straight line whose moves
-    // would otherwise be joined.
+    // The output must change where the block of its motion starts. This holds at a corner, and on a straight line whose
+    // moves would otherwise be joined.
     for (name, lines, at) in [
         ("corner", vec!["G1 X10 F600", "M62 P0", "G1 Y10"], [2500, 0]),
         ("straight", vec!["G1 X10 F600", "M62 P0", "G1 X20"], [2500, 0]),

@@ -70,7 +70,7 @@ impl Conversation {
         Self { bytes, lines, stop, at, is_in_remark, breaks }
     }
 
-    /// Plays the conversation on a machine that is in motion for some seconds more.
+    /// Plays the conversation on a machine that is in motion for several more seconds.
     fn play(&self, mut bench: Bench, sending: Sending, what: &str) {
         let what = format!("{what}, {sending:?}: {:?}", self.bytes.escape_ascii().to_string());
         let (first, rest) = self.bytes.split_at(if sending == Sending::Stops { self.at + 1 } else { self.bytes.len() });

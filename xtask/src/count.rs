@@ -97,8 +97,8 @@ const ROWS: [Row; 23] = [
     row("walk_near", "", Figure::Base, None, UNBOUNDED),
 ];
 
-/// Rows of the step task. The firmware compiles the step task's package for speed in every profile; the benchmark
-/// program does not.
+/// Names of the rows of the step task. The firmware compiles the step task's package for speed in every profile; the
+/// benchmark program does not.
 const OF_THE_STEP_TASK: [&str; 5] = ["batch_3", "batch_1", "segment", "single", "stop"];
 
 /// Builds the program, runs it and checks the figures. With the profile of the small boards the figures are printed

@@ -25,7 +25,8 @@ const LIMIT: Duration = Duration::from_secs(300);
 /// Maximum size of an example that runs in QEMU, bytes.
 const LARGEST_EXAMPLE: u64 = 1024;
 
-/// The job whose streamed run must have the simulator's order of steps.
+/// File stem of the job in which only one axis moves at a time. Smoothing cannot change its order of steps, so the
+/// streamed run must have the same order as the simulator.
 const ONE_AXIS_AT_A_TIME: &str = "axes";
 
 /// Result of the step outputs.

@@ -2,7 +2,7 @@
 //! must fail. The tests of motion must detect faults of motion. The conversations with the simulator, which runs the
 //! boards' own code for the host link and the input filter, must detect faults of these two. A fault that no test
 //! detects is a gap in the tests. If the text that a fault replaces is no longer in its file, the fault must be
-//! rewritten. The run takes some minutes, so it is started by hand: `cargo xtask mutants [NAME..]`.
+//! rewritten. The run takes several minutes, so it is started by hand: `cargo xtask mutants [NAME..]`.
 
 use crate::{Failure, root, tree};
 use std::fs;

@@ -104,7 +104,7 @@ impl Job {
         self.records.push(Record { sent, end });
     }
 
-    /// Sends all waiting lines, with events in between; returns the number of lines.
+    /// Sends the waiting lines with events between them, up to an interruption. Returns the number of lines sent.
     fn chunk(&mut self) -> u64 {
         let mut sent = 0;
         while let Some(line) = self.waiting.pop_front() {

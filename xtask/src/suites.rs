@@ -69,7 +69,7 @@ pub fn on_board(board: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Runs the suites on a board, then the loop-back suite; prints the table of measured figures, also after a failure.
+/// Runs the suites on a board, then the loop-back suite; prints the table of measured figures, even after a failure.
 pub fn bench(board: &str) -> Result<(), Failure> {
     let runner = runner(board)?;
     require_probe()?;

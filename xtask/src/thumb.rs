@@ -68,9 +68,9 @@ pub struct Float {
 /// One instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Instruction {
-    /// Bytes: 2 or 4.
+    /// Size, in bytes: 2 or 4.
     pub size: u32,
-    /// What it does.
+    /// Effect of the instruction.
     pub kind: Kind,
 }
 

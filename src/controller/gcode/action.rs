@@ -22,15 +22,16 @@ use crate::units::{Coordinate, Decimal, Duration};
 pub struct Action<const N: usize> {
     /// The line number (N); 0 without an N.
     pub line_number: u32,
-    /// The spindle's new state, if it changes before the motion. (At the program's end it stops: see [`Flow::End`].)
+    /// The new state of the spindle, if the line changes it before the motion. (At the program's end the spindle stops:
+    /// see [`Flow::End`].)
     pub spindle: Option<SpindleDirection>,
     /// Whether S differs from the speed in force before the line.
     pub speed_changed: bool,
     /// S in revolutions per minute, in force from this line on.
     pub speed: f32,
-    /// The coolant's new state, if it changes before the motion.
+    /// The new state of the coolant, if the line changes it before the motion.
     pub coolant: Option<Coolant>,
-    /// M6 selects a tool other than the one in the spindle.
+    /// M6 asks for a tool other than the one in the spindle.
     pub tool_change: bool,
     /// Duration of a dwell before the motion.
     pub dwell: Option<Duration>,
@@ -118,7 +119,7 @@ impl<const N: usize> Action<N> {
         self.after.moves_only
     }
 
-    /// The modal state afterwards.
+    /// The modal state after the line.
     pub fn modal(&self) -> &Modal {
         &self.modal
     }
@@ -141,7 +142,7 @@ impl<const N: usize> Action<N> {
         self.spindle = (self.modal.spindle != SpindleDirection::Off).then_some(self.modal.spindle);
     }
 
-    /// The tool length offset afterwards.
+    /// The tool length offset after the line.
     pub fn tool_length(&self) -> PerAxis<Coordinate, N> {
         self.tool_length
     }
@@ -153,7 +154,7 @@ impl<const N: usize> Action<N> {
 
     /// Adapts the action to a tool that has been changed and measured while spindle and coolant were off. Spindle and
     /// coolant are switched on again if they are on in the modal state. The tool moves to `via` by a rapid, and then to
-    /// `target`. `length` is the tool length offset afterwards.
+    /// `target`. `length` is the tool length offset after the line.
     pub fn return_with_tool(
         &mut self,
         [via, target]: [PerAxis<Coordinate, N>; 2],
@@ -193,7 +194,7 @@ impl<const N: usize> Action<N> {
         self.tool_change || self.pins().is_some()
     }
 
-    /// The tool that the spindle holds afterwards.
+    /// The tool in the spindle after the line.
     pub fn spindle_tool(&self) -> u32 {
         self.after.spindle_tool
     }
@@ -203,12 +204,12 @@ impl<const N: usize> Action<N> {
         if self.modal.spindle == SpindleDirection::Off { 0.0 } else { self.speed }
     }
 
-    /// The machine position afterwards.
+    /// The machine position after the line.
     pub fn position(&self) -> &PerAxis<Coordinate, N> {
         &self.position
     }
 
-    /// Lets a straight move end at `place` instead. Used for a jog that is shortened to the end of the travel.
+    /// Changes the end of a straight move to `place`. Used for a jog that is shortened to the end of the travel.
     pub fn redirect(&mut self, place: PerAxis<Coordinate, N>) {
         if let MotionCommand::Line { target, .. } = &mut self.motion {
             *target = place;
@@ -373,9 +374,9 @@ pub enum MotionCommand<const N: usize> {
     Line {
         /// For G28 and G30: the intermediate point, reached by a rapid.
         via: Option<PerAxis<Coordinate, N>>,
-        /// Where it ends.
+        /// End point.
         target: PerAxis<Coordinate, N>,
-        /// How fast.
+        /// Speed of the move.
         feed: Feed,
     },
     /// An arc or helix.
@@ -388,7 +389,7 @@ pub enum MotionCommand<const N: usize> {
     Probe {
         /// The end position if the probe does not change.
         target: PerAxis<Coordinate, N>,
-        /// How fast.
+        /// Speed of the move.
         feed: Feed,
         /// The move ends at the loss of contact instead of at contact.
         away: bool,
@@ -404,9 +405,9 @@ pub enum MotionCommand<const N: usize> {
 /// mm at most), and the rounding of the words (see `arc`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArcMove<const N: usize> {
-    /// Where it begins.
+    /// Start point.
     pub start: PerAxis<Coordinate, N>,
-    /// Where it ends. If it is the start (within the plane), the arc is a full circle.
+    /// End point. If it equals `start` in the plane, the arc is a full circle.
     pub target: PerAxis<Coordinate, N>,
     /// The plane.
     pub axes: PlaneAxes,
@@ -418,7 +419,7 @@ pub struct ArcMove<const N: usize> {
     pub clockwise: bool,
     /// Number of full turns in addition to the arc from start to target.
     pub turns: u32,
-    /// How fast.
+    /// Speed along the arc.
     pub feed: Feed,
 }
 
@@ -426,15 +427,15 @@ pub struct ArcMove<const N: usize> {
 /// [`Coordinate::LIMIT`], and so is the curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SplineMove<const N: usize> {
-    /// Where it begins.
+    /// Start point.
     pub start: PerAxis<Coordinate, N>,
-    /// Where it ends.
+    /// End point.
     pub target: PerAxis<Coordinate, N>,
     /// Vector in X and Y from the start to the first control point.
     pub leaving: [Coordinate; 2],
     /// Vector in X and Y from the target to the last control point.
     pub arriving: [Coordinate; 2],
-    /// How fast.
+    /// Speed along the curve.
     pub feed: Feed,
 }
 
@@ -458,13 +459,13 @@ impl<const N: usize> SplineMove<N> {
 /// until the next G5.2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NurbsMove<const N: usize> {
-    /// Where it begins.
+    /// Start point.
     pub start: PerAxis<Coordinate, N>,
-    /// Where it ends.
+    /// End point.
     pub target: PerAxis<Coordinate, N>,
     /// Order of the curve: its degree plus one.
     pub order: u8,
-    /// How fast.
+    /// Speed along the curve.
     pub feed: Feed,
 }
 

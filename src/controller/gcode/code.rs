@@ -14,7 +14,7 @@ pub(super) struct Code {
 impl Code {
     /// A fraction that no command has.
     pub const NO_CODE: u16 = u16::MAX;
-    /// Units of a [`Decimal`] in a hundredth.
+    /// A hundredth, in units of a [`Decimal`].
     const HUNDREDTH: u32 = (DECIMAL_ONE / 100) as u32;
 
     /// Returns the code of a number. Grbl keeps only the low byte of the whole part and takes everything else as the

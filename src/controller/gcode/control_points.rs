@@ -8,7 +8,7 @@ use crate::units::{Coordinate, WeightedPoint};
 const MOST: usize = if FULL_IMAGE { 32 } else { 0 };
 /// Orders that L can select. The degree of the curve is one less.
 pub(super) const ORDERS: core::ops::RangeInclusive<u32> = 3..=8;
-/// The order without L.
+/// Order of a curve without L.
 pub(super) const ORDER: u8 = 3;
 
 /// The change that a line makes to the control points.

@@ -129,7 +129,7 @@ pub(super) enum CyclePhase {
 /// Cycle of one line: its holes and its progress.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cycle<const N: usize> {
-    /// Which cycle.
+    /// Kind of cycle, such as G83.
     pub kind: CycleKind,
     pub(super) axes: PlaneAxes,
     /// Position of the tool after the previous step.
@@ -195,8 +195,8 @@ impl<const N: usize> Cycle<N> {
     }
 
     /// Returns the next step, or `None` at the end of the cycle. `clearance` is the distance by which the tool backs
-    /// off after a peck. It is also the height above the bottom of the last peck at which the rapid down ends. Neither
-    /// move ends above R.
+    /// off after a peck, and the height above the bottom of the last peck at which the rapid down ends. Neither of
+    /// these moves ends above R.
     pub fn step(&mut self, clearance: Coordinate) -> Option<CycleStep<N>> {
         let r = self.r;
         let (next, depth, is_feed) = match self.next {

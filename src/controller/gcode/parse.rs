@@ -27,7 +27,7 @@ const CENTRE_OF_MACH: Letters = Letters::of(if FULL_IMAGE { b"AB".as_slice() } e
 /// Words whose value must not be negative.
 const NOT_NEGATIVE: Letters = Letters::of(b"DEFHNPTS");
 
-/// Those words of a line that Grbl does not have.
+/// The words of a line that Grbl does not have.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Extended {
     /// The line has any of these words, other than G50, G51, G68, G69 and M6.
@@ -35,9 +35,9 @@ pub(super) struct Extended {
     pub path: Option<PathControl>,
     /// The path control word is G64.
     pub is_path_tolerance: bool,
-    /// G68 (`true`), G69.
+    /// G68 (`true`) or G69 (`false`).
     pub rotation: Option<bool>,
-    /// G51 (`true`), G50.
+    /// G51 (`true`) or G50 (`false`).
     pub scaling: Option<bool>,
     /// P is negative, which is allowed only with G5.
     pub is_p_negative: bool,

@@ -31,7 +31,7 @@ impl<const N: usize> Interpreter<N> {
         self.place != ProgramPlace::Program || self.is_holding()
     }
 
-    /// Returns where the next line of the host stands.
+    /// Returns the place of the host's next line relative to the end of a program.
     pub fn place(&self) -> ProgramPlace {
         self.place
     }
@@ -80,7 +80,8 @@ impl<const N: usize> Interpreter<N> {
             ProgramPlace::End => rested,
             #[cfg(feature = "full")]
             ProgramPlace::Subprogram => rested && (!has_program_number(line) || self.begins_again(line)),
-            // What was on when the program failed can be switched off without `$X`.
+            // Lines that only switch spindle and coolant off are executed without `$X`, even after the program has
+            // failed.
             ProgramPlace::Refused if switches_off(line) => return Ok(()),
             ProgramPlace::Refused => {
                 self.computed.count_refused(line);
@@ -102,9 +103,9 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Takes note of a line that block delete (`/`) skips. An M2 or M30 in it ends the program all the same. After the
-    /// end of a program, an O number in the line begins a subprogram whose lines are refused, unless the machine has
-    /// `rested`.
+    /// Takes note of a line that block delete (`/`) skips. An M2 or M30 in the line ends the program all the same.
+    /// After the end of a program, an O number in the line begins a subprogram whose lines are refused, unless the
+    /// machine has `rested`.
     pub fn skipped_line(&mut self, line: &[u8], rested: bool) {
         if may_end_program(line) {
             self.note_end();
@@ -126,10 +127,10 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Takes note of a refused line. An M2 or M30 in it, also a computed one, ends the program all the same. After the
-    /// end of a program, the line begins a refused subprogram if the line has an O number anywhere, or if its text is
-    /// unknown (`None`: too long, damaged, or with an open remark). M99 means that a subprogram has been taken for the
-    /// program, unless the line belongs to a subroutine or loop that is being recorded.
+    /// Takes note of a refused line. An M2 or M30 in the line, even a computed one, ends the program all the same.
+    /// After the end of a program, the line begins a refused subprogram if the line has an O number anywhere, or if its
+    /// text is unknown (`None`: too long, damaged, or with an open remark). M99 means that a subprogram has been taken
+    /// for the program, unless the line belongs to a subroutine or loop that is being recorded.
     #[cold]
     #[inline(never)]
     pub fn refused_line(&mut self, line: Option<&[u8]>) {
@@ -194,7 +195,7 @@ mod tests {
         assert_eq!(taken(&lines), if FULL_IMAGE { "++...-" } else { "++----" });
     }
 
-    /// Whatever number opens the subprogram, and wherever its M99 is.
+    /// No line of a subprogram is executed, whatever number begins the subprogram, and wherever its M99 is.
     #[test]
     fn no_form_of_a_subprogram_is_run() {
         for number in [

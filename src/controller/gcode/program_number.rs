@@ -3,12 +3,12 @@
 use super::code::Code;
 use crate::number::{self, Digits};
 
-/// Returns the part of a line behind its line number (N and digits), or the whole line if it has none.
+/// Returns the part of a line after its line number (N and digits), or the whole line if it has none.
 pub(super) fn behind_line_number(line: &[u8]) -> &[u8] {
     line.strip_prefix(b"N").map_or(line, behind_digits)
 }
 
-/// Returns the part of a text behind the digits with which it begins.
+/// Returns the part of a text after the digits with which it begins.
 #[inline(never)]
 pub(super) fn behind_digits(text: &[u8]) -> &[u8] {
     let digits = text.iter().take_while(|byte| byte.is_ascii_digit()).count();
@@ -21,8 +21,8 @@ pub(super) fn has_program_number(line: &[u8]) -> bool {
     is_program_number(line.strip_prefix(b"N").map_or(line, from_next_word))
 }
 
-/// If the line consists of the number of a subprogram, with or without a line number before it: returns this number
-/// without leading zeros.
+/// Returns the number of a subprogram, without leading zeros, if the line consists of nothing else; a line number may
+/// precede it.
 #[inline(never)]
 #[cfg(feature = "full")]
 pub(super) fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
@@ -86,7 +86,7 @@ fn from_next_word(line: &[u8]) -> &[u8] {
     word.and_then(|at| line.get(at..)).unwrap_or_default()
 }
 
-/// The keywords of O words, also in the image that has none.
+/// The keywords of O words. The image without O words needs them, too.
 pub(super) const O_WORDS: [&[u8]; 15] = [
     b"SUB",
     b"ENDSUB",

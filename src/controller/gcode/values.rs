@@ -13,7 +13,7 @@ pub(super) fn whole(value: Decimal) -> Result<i32, Error> {
 
 /// Converts a time that a program gives in seconds; ignores its sign.
 pub(super) fn seconds(value: Decimal) -> Duration {
-    /// Units of a [`Decimal`] of seconds in a microsecond.
+    /// A microsecond, in units of a [`Decimal`] that holds seconds.
     const MICROSECOND: u64 = DECIMAL_ONE as u64 / 1_000_000;
     Duration::micros((value.0.unsigned_abs() + MICROSECOND / 2) / MICROSECOND)
 }

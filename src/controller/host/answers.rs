@@ -51,9 +51,9 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Sends the message of a line that is executed. `remark` is the message after its mark, a byte that tells whether
-    /// parameters are replaced by their values. Sends nothing in an alarm, or if the line would exceed the travel. When
-    /// the message is sent, moves queued before the line can still be running.
+    /// Sends the message of a line that is executed. `remark`: first a mark, the byte that tells whether parameters are
+    /// replaced by their values, then the message. Sends nothing in an alarm, or if the line would exceed the travel.
+    /// When the message is sent, moves queued before the line can still be running.
     pub(crate) fn tell_remark(&mut self, remark: &[u8]) {
         if let Some((mark, written)) = remark.split_first() {
             self.tell_message(*mark, written);
@@ -84,7 +84,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Tells for which subprogram the program waits, if it does.
+    /// If the program waits for a subprogram, tells the host which one.
     #[inline(never)]
     pub(crate) fn tell_awaited(&mut self) {
         if let Some(number) = self.m.interpreter.awaited_subprogram() {
@@ -310,7 +310,7 @@ impl<const N: usize> Controller<N> {
         let of_grblhal = if self.speaks_grblhal() {
             let full = self.m.replies.take_full_status();
             let fields = self.grblhal_fields(full, spindle);
-            // A host keeps these fields until it gets others, so a change must not wait for its turn.
+            // A host keeps these fields until it gets others, so the report that follows a change must have them.
             let (place, wait) = self.m.replies.note_fields(fields.system, fields.tool, fields.waits_for_tool);
             (show_offset, show_overrides) = (show_offset | full | place, show_overrides | full | wait);
             [Some(fields); FULL_IMAGE as usize]

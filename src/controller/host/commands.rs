@@ -13,7 +13,7 @@ use crate::states::{Homing, State};
 use crate::units::{DECIMAL_ONE, Decimal};
 use crate::work::task::{Answer, Ask, Caller, Listing, Task};
 
-/// Numbers of settings whose change has further effects.
+// Numbers of settings whose change has further effects.
 const DIALECT: u16 = Key::Dialect.number();
 const DIRECTION_INVERT: u16 = Key::DirectionInvert.number();
 const DOOR_FITTED: u16 = Key::DoorFitted.number();
@@ -138,7 +138,7 @@ impl<const N: usize> Controller<N> {
         if !matches!(self.state, State::Normal) {
             return Err(Error::NotIdle);
         }
-        // The check of the line can end a program (M2), and with the program its open blocks.
+        // Checking this line can end a program (M2), and with the program its open blocks.
         if self.m.interpreter.is_within_block() {
             return Err(Error::NotIdle);
         }
@@ -214,7 +214,8 @@ impl<const N: usize> Controller<N> {
             match number {
                 DOOR_FITTED if self.m.inputs.pins().door => return Err(Error::DoorOpen),
                 // These settings are refused while their input is active. Only an input that becomes active has an
-                // effect. So with the new value the pressed button would cause no alarm, and the open door no stop.
+                // effect. So a button that is pressed already would cause no alarm after the change, and a door that is
+                // open already no stop.
                 RESET_IS_EMERGENCY_STOP if self.m.inputs.pins().reset => return Err(Error::EmergencyStop),
                 _ => {}
             }
@@ -243,7 +244,7 @@ impl<const N: usize> Controller<N> {
         let soft_limits = self.m.settings.is_on(Key::SoftLimits);
         self.m.settings.set(number, value)?;
         let is_other = self.m.settings.by_number(number) != before;
-        // With the new value, the same S means another power, so the spindle is stopped.
+        // The new value gives the same S another power, so the spindle is stopped.
         if is_other && matches!(number, SPINDLE_MAXIMUM | SPINDLE_MINIMUM | LASER) {
             self.m.stop_spindle();
         }
@@ -258,7 +259,7 @@ impl<const N: usize> Controller<N> {
     /// were on before the change.
     fn follow_setting(&mut self, number: u16, soft_limits: bool) {
         self.reconfigure();
-        // With another resolution (steps/mm), the same steps are another position.
+        // With another resolution (steps/mm), the present step counts stand for another position.
         self.m.interpreter.set_position(self.m.motion.machine_position());
         if matches!(number, REPORT_INCHES | AXES) {
             self.m.replies.offset_changed();
@@ -269,8 +270,8 @@ impl<const N: usize> Controller<N> {
         self.m.records.save_setting(number, &self.m.settings);
     }
 
-    /// Ends the trust in the position if the changed setting gives positions other coordinates than the last homing
-    /// did, or switches homing on. The machine must be homed again.
+    /// Marks the position as untrusted if the changed setting switches homing on, or gives places other coordinates
+    /// than the last homing did. The machine must then be homed again.
     fn rename_places(&mut self, number: u16) {
         let to_negative = AxisMask(self.m.settings.whole(Key::HomingDirection) as u8);
         let moves_places = AxisKey::Resolution.axis(number).is_some() || number == KINEMATICS;

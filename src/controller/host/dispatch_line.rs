@@ -17,7 +17,8 @@ use crate::units::Instant;
 use crate::view::dialect;
 use crate::work::task::{Answer, Caller, Task};
 
-/// Message of a line, after its mark: a byte that tells whether parameters in the message are replaced by their values.
+/// A mark and the message of a line. The mark is the byte that tells whether parameters in the message are replaced by
+/// their values.
 type Remark = heapless::Vec<u8, { line_filter::MESSAGE_LENGTH + 1 }>;
 
 impl<const N: usize> Controller<N> {
@@ -27,8 +28,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns whether the next byte must be dropped: it was received before a reset or a stop, or the machine waits
-    /// only for a reset, which comes after the byte.
+    /// Returns whether the next byte must be dropped: either it was received before a reset or a stop, or the machine
+    /// waits only for a reset, and that reset was sent after the byte.
     pub fn is_old(&self, byte: LineByte) -> bool {
         if self.state.waits_for_reset() {
             return !self.m.stops.is_awaited() && !self.m.lines.is_ahead(byte);
@@ -42,7 +43,7 @@ impl<const N: usize> Controller<N> {
         self.m.lines.is_old(byte)
     }
 
-    /// Drops a byte for which [`Controller::is_old`] holds, even while no line is wanted.
+    /// Drops a byte for which [`Controller::is_old`] holds, even while the controller takes no line.
     pub fn drop_old(&mut self, byte: LineByte) {
         if self.state.waits_for_reset() {
             self.m.lines.drop_next();
@@ -257,10 +258,11 @@ impl<const N: usize> Controller<N> {
             Err(error) => self.refuse_host_line(error, known_text(line)),
         }
         let goes_on = match line.first() {
-            // A sender may send requests such as `$G` all the time, so they do not end the pause that `has_rested`
-            // measures.
+            // A sender may send requests such as `$G` all the time, so they do not end the host's pause that
+            // `has_rested` measures.
             Some(b'$') => true,
-            // The next program can begin with remarks.
+            // After a rest, a line without words does not end the pause, because the next program can begin with
+            // remarks.
             None => rested,
             _ => false,
         };

@@ -124,8 +124,8 @@ impl<const N: usize> Controller<N> {
     }
 
     fn list_pin(&mut self, view: &PinView, bit: usize) -> bool {
-        // The switch of an unused axis is not listed. On a machine with more than three axes, the second motor's switch
-        // is not listed either.
+        // The limit switch of an unused axis is not listed. On a machine with more than three axes, the second motor's
+        // switch is not listed either.
         let axes = self.m.settings.axes_in_use();
         let counts =
             if bit < Axis::ALL.len() { bit < axes } else { axes <= LINEAR || 1 << bit != SECOND_SWITCH as usize };

@@ -44,7 +44,8 @@ impl<const N: usize> Controller<N> {
                 if matches!(self.state, State::Jog { cancelling: false }) {
                     self.cancel_jog();
                 }
-                // A jog that has been read but not queued is not in `State::Jog` yet, so it is dropped here.
+                // The machine enters `State::Jog` only when the jog has been queued. So a jog that has been read but
+                // still waits for room in the look-ahead is dropped here.
                 self.task.forget_jog();
                 self.release_held();
             }
@@ -114,7 +115,7 @@ impl<const N: usize> Controller<N> {
             State::Jog { .. } => self.end_jog_of_no_host(self.m.settings.is_on(Key::HoldWithoutHost)),
             _ if !self.m.settings.is_on(Key::HoldWithoutHost) => {}
             State::Normal if self.is_at_work() => self.host_fault(),
-            // The loss of the host takes effect when the job is about to resume.
+            // The reaction to the lost host follows when the job is about to resume.
             State::Hold(hold) if hold.ends_with_spindle().is_some() => self.m.lines.heartbeat_mut().set_gone(true),
             _ if self.state.is_resuming() => {
                 self.m.lines.heartbeat_mut().set_gone(true);

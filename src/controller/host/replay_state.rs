@@ -60,7 +60,7 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Puts a machine that is at rest and unlocked into this state, for a replay. The caller then sends the words of
-    /// the state to the machine. The machine is locked only if `lock` is set.
+    /// the state to the machine. Locks the machine if `lock` is set.
     pub fn stand(&mut self, standing: &Standing, lock: bool) {
         let place =
             PerAxis::from_axis(|axis: Axis| standing.place.get(axis.index()).copied().unwrap_or(Coordinate::ZERO));

@@ -16,7 +16,7 @@ pub(crate) struct SettingsLock {
     /// Name of the board, and frequency of its oscillator, MHz.
     board: &'static str,
     oscillator_mhz: u8,
-    /// The board cannot be used as it is: motion stays locked until the next start.
+    /// The board has a fault: motion stays locked until the next start.
     has_board_fault: bool,
     /// Step rates of the board.
     rates: StepRates,
@@ -30,7 +30,7 @@ pub(crate) struct SettingsLock {
     setting: Option<u16>,
     /// The setting that locked motion at the last call of `name_after_change`.
     named: Option<u16>,
-    /// The setting has been named before the error of a refused line, so no further line names it.
+    /// The setting has been named before the error of a refused line, so later refused lines do not name it again.
     refused: bool,
 }
 

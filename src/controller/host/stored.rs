@@ -14,16 +14,16 @@ pub(crate) const STORED_TEXT: usize = 80;
 /// A stored text.
 pub(crate) type StoredText = heapless::Vec<u8, STORED_TEXT>;
 
-/// Keys of stored records. The key of a setting is its number (0 to 999). All keys that one `$RST` forgets form one
-/// range, which is removed as a whole, so a power cut cannot leave a part of it.
+// Keys of stored records. The key of a setting is its number (0 to 999). All keys that one `$RST` forgets form one
+// range, which is removed as a whole, so a power cut cannot leave a part of it.
 const KEY_OFFSETS: u16 = 1000;
-/// Entries of the tool table.
+/// Key of the first entry of the tool table.
 const KEY_TOOLS: u16 = 1040;
 const KEY_STARTUP: u16 = 1100;
 const KEY_BUILD_INFO: u16 = 1200;
-/// Lines of macros.
+/// Key of the first macro line.
 const KEY_MACROS: u16 = 1300;
-/// The dialect is outside the ranges that `$RST` forgets, because the connected host relies on it.
+/// Key of the dialect. It is outside the ranges that `$RST` forgets, because the connected host relies on the dialect.
 const KEY_DIALECT: u16 = 2000;
 const DIALECT: u16 = Key::Dialect.number();
 const SOFT_LIMITS: u16 = Key::SoftLimits.number();
@@ -404,7 +404,7 @@ mod tests {
     }
 
     /// Four changes wait, as after a reset during a confirmation. After one of them has been stored, a command makes
-    /// two more changes, and one of these finds no room.
+    /// two more changes. One of these finds no room, and the failure is reported.
     #[test]
     fn a_change_that_finds_no_room_is_told() {
         let mut records = Records::new(true);
@@ -437,7 +437,8 @@ mod tests {
         assert_eq!(interpreter.offsets().stored(StoredOffset::all().next().unwrap()), PerAxis::default());
     }
 
-    /// Older records have no angle, and older firmware ignores the angle in newer records.
+    /// Rotations are restored after a restart. Older records have no angle, and older firmware ignores the angle in
+    /// newer records.
     #[test]
     fn rotations_come_back() {
         let mut records = Records::new(true);

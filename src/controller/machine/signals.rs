@@ -17,7 +17,8 @@ pub const SETTLING: u8 = 8;
 #[derive(Clone, Debug)]
 pub struct Inputs {
     filter: Filter,
-    /// `None` until `control` has sent it. Without it, levels mean nothing.
+    /// The wiring of the inputs, with their polarity; `None` until `control` has sent it. Without the wiring, the
+    /// meaning of the levels is unknown.
     wiring: Option<InputWiring>,
     /// Samples still to take until the filter's levels are valid.
     settling: u8,

@@ -54,7 +54,8 @@ impl Stopping {
 pub enum Noted {
     /// Power was switched on.
     PowerUp,
-    /// Bytes of a line. The time of the entry is that of the end of the line.
+    /// Bytes of a line: all of them, or a part of a long line. The time of the entry is the time at which the line
+    /// ended.
     Host(heapless::Vec<u8, { Noted::HOST_BYTES }>),
     /// More bytes were waiting when the end of the previous line was taken.
     More,
@@ -105,7 +106,7 @@ pub enum Noted {
 }
 
 impl Noted {
-    /// Maximum bytes of the host in an entry. A longer line has several entries.
+    /// Maximum number of bytes of a line in an entry. A longer line has several entries.
     pub const HOST_BYTES: usize = 60;
     /// Recorded in place of the number of a [`CrashKind`] if no crash is known.
     pub const NO_CRASH: u8 = u8::MAX;
@@ -119,7 +120,7 @@ pub enum Recorded {
     Board {
         /// Name.
         name: &'static str,
-        /// Ticks of the step clock per second.
+        /// Frequency of the step clock, in ticks per second.
         step_clock_hz: u32,
     },
     /// A stored record.

@@ -22,7 +22,7 @@ pub enum ToStep {
     /// The block just sent was interrupted for a detour (parking). The block continues after this many units of
     /// progress (see [`Segment`]) instead of at its start.
     Reenter {
-        /// Units of the block that are already done.
+        /// Number of units of the block that are already done.
         units: u32,
     },
     /// A piece of the current block.
@@ -40,7 +40,7 @@ pub enum ToStep {
     /// Lets the step task run again after a stop. Everything queued before this message is discarded. `stops` is the
     /// count of stops known to `control`. If the step task has been stopped again since, it stays stopped.
     Resume {
-        /// Value of [`StepEvent::Stopped::stops`] that this answers.
+        /// Value of [`StepEvent::Stopped::stops`] that this message answers.
         stops: u16,
     },
 }
@@ -154,7 +154,7 @@ impl Segment {
 
 /// Fraction bits of [`Segment::interval`].
 pub const INTERVAL_FRACTION_BITS: u32 = 12;
-/// Units of progress in one step of the dominant axis.
+/// Number of units of progress in one step of the dominant axis.
 pub const UNITS_PER_STEP: u32 = 16;
 
 /// step -> control.

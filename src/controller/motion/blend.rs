@@ -141,7 +141,7 @@ pub(super) struct HeldMove<const N: usize> {
     pub m: Move<N>,
     /// Line number for its block.
     pub number: u32,
-    /// Whether it was merged from several moves.
+    /// Whether the move was merged from several moves.
     merged: bool,
     slopes: Slopes<N>,
 }
@@ -300,7 +300,7 @@ impl<const N: usize> HeldMove<N> {
             && self.m.tolerance == m.tolerance
     }
 
-    /// Extends this move to the end of the next one, if the straight line passes all points in between closely enough.
+    /// Extends this move to the end of the next one, if the straight line passes all merged points closely enough.
     /// Returns whether the move was extended.
     pub(super) fn merge(&mut self, m: &Move<N>, number: u32) -> bool {
         let whole = way(&self.start, &m.target);

@@ -186,7 +186,7 @@ pub(super) struct Ramp {
     /// Distance to the anchor, mm; 0: this entry is an anchor itself.
     pub distance: f32,
     /// Maximum speed² with which a ramp to the anchor can begin. From a higher speed, the machine would pass an entry
-    /// in between too fast.
+    /// before the anchor too fast.
     pub ceiling2: f32,
     /// The tightest bounds up to the anchor, each the upper half of an `f32` (rounded down by 0.8 % at most).
     acceleration: u16,

@@ -5,8 +5,9 @@ use super::course::Course;
 use crate::axes::PerAxis;
 use crate::messages::INTERVAL_FRACTION_BITS;
 
-/// Interval, in fixed point, at which braking ends: at some milliseconds per tick the speed is negligible, and sums
-/// stay within 32 bits.
+/// Upper limit of the tick interval during braking, in fixed point (2^18 step-clock ticks, a few milliseconds). If the
+/// next interval would reach it, the motion is negligibly slow and braking ends. The limit also keeps sums of intervals
+/// within 32 bits.
 const LONGEST_BRAKING: f32 = (1_u32 << 30) as f32;
 
 /// Catches the first contact of a watched probe.

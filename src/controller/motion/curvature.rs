@@ -1,7 +1,7 @@
 //! Determines how fast the machine can follow a path that turns, by one rule for every turn, from a single corner to a
 //! long curve of short chords. The path is divided into spans on several scales. Each new span is compared with the
 //! spans before it, and each `Bend` found limits speed and acceleration of some blocks. Turns that can come from the
-//! rounding of the program's last digit are ignored.
+//! rounding of the program's coordinates are ignored.
 //!
 //! A path that turns by an angle t within a length L requires a change of velocity of v·q in the time L/v, where q =
 //! 2·sin(t/2) is the length of the difference of the unit vectors. The axes' acceleration provides a·L/v of this
@@ -18,13 +18,14 @@
 //! span of several pieces is that of the path in its middle; the second form is stricter, and tends to v² = a·R on a
 //! long curve.
 //!
-//! The program's points are rounded: each can be off by half of the last digit on each axis. That can turn a span of
-//! length l by at most 1.5 digits / l, and this much of q is ignored (`noise`). So a straight line with rounded points
-//! counts as straight, and a program with finer digits loses no speed.
+//! The program's points are rounded to the resolution of its coordinates (one digit, the value of the last decimal
+//! place): each point can be off by half a digit on each axis. That can turn a span of length l by at most 1.5 digits /
+//! l, and this much of q is ignored (`noise`). So a straight line with rounded points counts as straight, and a program
+//! with a finer resolution loses no speed.
 //!
-//! If digits are coarse, short spans are unreliable; in long spans, short turns disappear. So the path is measured on
-//! several scales at once. On each scale it is divided into spans of at least the scale's length, and a new span is
-//! compared with the last [`HISTORY`] spans before it. A piece longer than the scale is a span of its own; the
+//! If the resolution is coarse, short spans are unreliable; in long spans, short turns disappear. So the path is
+//! measured on several scales at once. On each scale it is divided into spans of at least the scale's length, and a new
+//! span is compared with the last [`HISTORY`] spans before it. A piece longer than the scale is a span of its own; the
 //! unfinished span before it ends where the piece starts.
 
 use super::axis_limits::GREATEST_ACCELERATION;
@@ -63,8 +64,8 @@ const LEAVES_OUT: bool = FULL_IMAGE;
 /// Number of previous spans that a new one is compared with.
 const HISTORY: usize = 4;
 const _: () = assert!(HISTORY.is_power_of_two(), "the indices of a ring wrap");
-/// Sideways error of a span's two ends together, in digits. Half a digit on each of two axes shifts a point by 0.71
-/// digits, on each of three axes by 0.87; 1.5 lies between the sums for two points, 1.41 and 1.73.
+/// Sideways error of a span's two ends together, as a multiple of the digit. Half a digit on each of two axes shifts a
+/// point by 0.71 digits, on each of three axes by 0.87; 1.5 lies between the sums for two points, 1.41 and 1.73.
 pub(super) const DIGITS_ASIDE: f32 = 1.5;
 /// Minimum ratio of a span's chord to its path. Below it the span does not count as the chord of a bend. Half a circle
 /// has 2/π = 0.64.
@@ -94,8 +95,8 @@ const STEEP: f32 = 1.005;
 /// If a bend's speed² exceeds the maximum speed² by more than this factor, the bend leaves the acceleration along the
 /// path unchanged, within 5 %.
 pub(super) const NOTICEABLE: f32 = 3.2;
-/// Number of points whose finest digit counts as the program's. One point is not enough, because a number without its
-/// trailing zeros seems to have coarser digits.
+/// Number of points whose finest resolution counts as that of the program. One point is not enough, because a number
+/// without its trailing zeros seems to have a coarser resolution.
 const POINTS: u8 = 32;
 
 /// A limit for the blocks from `nearest` to `farthest`, counted back from the newest one, which is 0.
@@ -124,7 +125,7 @@ pub(super) struct Span<const N: usize> {
     path: f32,
     /// Maximum speed² of its moves under any override.
     fast2: f32,
-    /// Maximum speed² that the machine can have in it ([`Finder::attainable2`]); at most `fast2`.
+    /// Maximum speed² that the machine can have in the span ([`Finder::attainable2`]); at most `fast2`.
     attainable2: f32,
     /// Number of moves; 0: there is no span.
     blocks: u16,
@@ -302,7 +303,7 @@ pub(super) struct PathPiece<'a, const N: usize> {
     pub path: f32,
     /// Maximum speed² under any override.
     pub fast2: f32,
-    /// Value of the program's last digit, mm.
+    /// Resolution of the program's coordinates (value of their last decimal place), mm.
     pub digit: f32,
 }
 
@@ -512,7 +513,7 @@ impl<const N: usize> Scale<N> {
     }
 }
 
-/// The program's last digit: the finest one of its last 32 to 64 points.
+/// The resolution of the program's coordinates: the finest one of the last 32 to 64 points.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LastDigit {
     finest: f32,
@@ -581,12 +582,13 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Adds the digit of one more point, and returns the program's last digit, mm.
+    /// Adds the resolution of one more point, and returns the resolution of the program's coordinates, mm.
     pub(super) fn last_digit(&mut self, digit: f32) -> f32 {
         self.digit.with(digit)
     }
 
-    /// Returns the state of the program's last digit, to be restored after pieces with computed ends.
+    /// Returns the state from which the program's resolution is determined, to be restored after pieces with computed
+    /// ends.
     pub(super) fn program_digit(&self) -> LastDigit {
         self.digit
     }

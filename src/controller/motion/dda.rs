@@ -11,7 +11,7 @@
 //!  steps of Y for (X, Y) = (10, 3), threshold 10, in steps of X             1 2 3 4 5 6 7 8 9 10
 //!                                                                       Y     ^       ^     ^
 //! ```
-//! `measure` defines the rate and threshold of a block, also for a chord that begins between steps.
+//! `measure` defines the rate and threshold of a block, even for a chord that begins between steps.
 
 use core::sync::atomic::{Ordering, compiler_fence};
 

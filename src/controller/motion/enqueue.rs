@@ -194,7 +194,7 @@ impl<const N: usize> MoveQueue<N> {
                 self.long = None;
             }
             let steps = self.kinematics.steps(&piece.target);
-            // `false`: without exact ends, for which a piece has too many steps (`steps_with_ends`).
+            // `false`, because a piece has too many steps for exact ends (`steps_with_ends`).
             self.append(&piece, &steps, long.curve_speed2, false);
         }
     }

@@ -53,7 +53,8 @@ pub(super) struct SegmentsInFlight<const N: usize> {
     len: usize,
     /// Total duration of the segments that have not begun, in step-clock ticks.
     queued: u32,
-    /// Value that the step task's count of begun segments has until the segment at `first` begins.
+    /// The step task's count of begun segments, as far as it has been applied to the ring. If the step task's count
+    /// differs, the segment at `first` has begun.
     begun: u32,
     /// Whether a segment has begun since the step task was last at rest.
     moves: bool,

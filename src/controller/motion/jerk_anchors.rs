@@ -17,9 +17,9 @@ pub(super) struct Way {
     pub speed: f32,
     /// Distance to the anchor, mm.
     pub distance: f32,
-    /// Maximum speed² that the entries in between allow.
+    /// Maximum speed² that the entries before the anchor allow.
     pub ceiling2: f32,
-    /// The tightest bounds in between.
+    /// The tightest acceleration and jerk bounds of the blocks up to the anchor.
     pub bounds: Bounds,
 }
 

@@ -3,14 +3,14 @@
 //! moves to join.
 //!
 //! ```text
-//!            P1 ───┐ at most half a step of each motor, and at most what rounding to the last digit can cause
+//!            P1 ───┐ at most half a step of each motor, and at most what rounding of the coordinates can cause
 //!   A ─────────────┼───────────── C        the block from A is taken back, and the one from A to C is queued instead
 //!          P2 ─────┘
 //! ```
-//! In every motor, the line from A to C must pass all points in between within the distance shown. Line and point are
-//! compared at equal positions of the main motor, the one with the longest displacement. So each point allows a range
-//! of slopes of each other motor relative to the main one. Only the intersection of these ranges is kept: two numbers
-//! per motor for any number of points, and errors do not add up.
+//! In every motor, the line from A to C must pass all points between A and C within the distance shown. Line and point
+//! are compared at equal positions of the main motor, the one with the longest displacement. So each point allows a
+//! range of slopes of each other motor relative to the main one. Only the intersection of these ranges is kept: two
+//! numbers per motor for any number of points, and errors do not add up.
 //!
 //! A block is taken back by restoring the previous end of the queue. So lengths, corners and curvature are the same as
 //! if the program contained the joined move. The chain (the last pieces of the path, from which [`super::curvature`]
@@ -24,14 +24,15 @@ use super::path_end::PathEnd;
 use super::trapezoid::{greater, lesser};
 use super::{Move, Speed};
 
-/// Minimum value of the program's last digit, mm: an `f32` has an error of this order at 0.5 m from the last point.
+/// Minimum resolution that is assumed for the program's coordinates, mm: an `f32` has an error of this order at 0.5 m
+/// from the last point.
 const LEAST_DIGIT: f32 = 1.0e-4;
 /// Data of the last block of the queue, for joining moves to it.
 #[derive(Clone, Debug)]
 pub(super) struct Join<const N: usize> {
     /// Whether the block can be taken back for a longer one.
     pub open: bool,
-    /// Whether the block's piece has been withheld from the chain so far.
+    /// Whether the block's piece is still withheld from the chain.
     pub kept: bool,
     /// Whether no point of the line has been added yet.
     pub fresh: bool,
@@ -53,7 +54,8 @@ pub(super) struct Join<const N: usize> {
     pub block_path: f32,
     /// [`PathPiece::fast2`] of the block's piece.
     pub fast2: f32,
-    /// Value of the program's last digit, mm.
+    /// Resolution of the program's coordinates (value of their last decimal place; the finest one of several moves),
+    /// mm.
     pub digit: f32,
     /// Common speed of the block's moves. They also have `power`, `scale_power` and `line_number` in common.
     speed: Speed,
@@ -149,7 +151,8 @@ impl<const N: usize> Join<N> {
         let digit = greater(self.digit, LEAST_DIGIT);
         for ((least, most), (part, half)) in self.slopes.iter_mut().zip(way.iter().zip(self.half_mm)) {
             let slope = part * share;
-            // Rounding can shift the point and both ends by half a digit each, in this motor and in the main one.
+            // Rounding can shift the point and both ends by half of the resolution each, in this motor and in the main
+            // one.
             let range = lesser(half, digit * (1.0 + slope.abs())) * share.abs();
             *least = greater(*least, slope - range);
             *most = lesser(*most, slope + range);

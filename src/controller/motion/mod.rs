@@ -124,7 +124,7 @@ pub enum Speed {
 /// A straight move to be queued.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Move<const N: usize> {
-    /// Where it ends, machine coordinates within [`Coordinate::LIMIT`].
+    /// End point, in machine coordinates within [`Coordinate::LIMIT`].
     pub target: PerAxis<Coordinate, N>,
     /// Programmed speed.
     pub speed: Speed,
@@ -136,7 +136,7 @@ pub struct Move<const N: usize> {
     pub line_number: u32,
     /// Whether overrides have no effect on the move (jog, homing, probing).
     pub no_feed_override: bool,
-    /// Resolution of the program's coordinates (value of their last digit), mm; 0 = exact.
+    /// Resolution of the program's coordinates (value of their last decimal place), mm; 0 = exact.
     pub digit: f32,
     /// How far the tool is allowed to deviate from the path.
     pub tolerance: Tolerance,

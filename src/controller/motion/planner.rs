@@ -46,7 +46,7 @@ use core::ops::Range;
 
 /// Predicted speed of a machine that is faster than a lowered override allows. The machine brakes with the acceleration
 /// that bends leave. The entries that it passes meanwhile keep the predicted speed: for entries with a lower speed, the
-/// machine would brake with all of the acceleration, also the part that bends need.
+/// machine would brake with all of the acceleration, including the part that bends need.
 #[derive(Clone, Copy, Debug)]
 struct Fall {
     speed2: f32,

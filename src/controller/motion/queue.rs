@@ -119,8 +119,8 @@ impl<const N: usize> MoveQueue<N> {
         motors
     }
 
-    /// Sets the position from which the next move is measured. The queue must be empty, and the step at which it ends
-    /// must be the one nearest to the position.
+    /// Sets the position from which the next move is measured. The queue must be empty, and must end at the step
+    /// nearest to this position.
     pub(super) fn set_position(&mut self, position: &PerAxis<Coordinate, N>) {
         self.end.planned = *position;
         self.end.block_end = *position;

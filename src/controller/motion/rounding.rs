@@ -137,8 +137,7 @@ impl<const N: usize> MoveQueue<N> {
             (Speed::Feed(before), Speed::Feed(after)) => Speed::Feed(lesser(before, after)),
             (speed, _) => speed,
         };
-        // The ends of the pieces are computed, not read from the program, so they are not rounded to its digits: digit
-        // 0.
+        // The ends of the pieces are computed, not read from the program, so they are not rounded: their `digit` is 0.
         let digit = self.chain.program_digit();
         let places = cut.between.iter().flatten().chain(core::iter::once(&cut.last));
         for target in places {

@@ -21,12 +21,12 @@ pub const QUEUED_TIME_MS: u32 = 16;
 const FAR_MS: u32 = 4;
 /// Duration of each wait that a long interval is divided into, ms.
 const WAIT_MS: u32 = 1;
-/// If a motion ends at rest with less than this queued, ms, the next motion waits until the step task is at rest, and
-/// starts with several segments queued. The first segments of a motion are shorter than the time in which a small
-/// processor prepares them, so they would be late if they had to follow without a pause.
+/// If a motion ends at rest while less than this time is queued, ms, the next motion waits until the step task is at
+/// rest, and starts with several segments queued. The first segments of a motion are shorter than the time in which a
+/// small processor prepares them, so they would be late if they had to follow without a pause.
 const JOIN_MS: u32 = 2;
-/// While motion continues with less than this queued, ms, segments take precedence over lines. This is more than the
-/// time to execute one line and then to make the segments of a stop that begins after the line.
+/// While motion continues and less than this time is queued, ms, segments take precedence over lines. This is more than
+/// the time to execute one line and then to make the segments of a stop that begins after the line.
 const SHORT_MS: u32 = 8;
 /// Duration of the segment that puts the step task to rest when there is nothing to brake, in microseconds.
 const REST_US: u32 = 20;

@@ -16,8 +16,8 @@ use crate::units::{Coordinate, DECIMAL_ONE};
 const MOST_PIECE: i64 = DECIMAL_ONE / 1000 * 45;
 /// Maximum length of a joined move, mm.
 const MOST_JOINED: f32 = 0.5;
-/// Maximum ratio of the path through the points to the straight line. Rounding to digits makes the path a staircase, at
-/// most √3 times as long as the line. A longer path winds on purpose.
+/// Maximum ratio of the path through the points to the straight line. Rounding of the coordinates makes the path a
+/// staircase, at most √3 times as long as the line. A longer path winds on purpose.
 const MOST_WINDING: f32 = 1.75;
 
 impl<const N: usize> MoveQueue<N> {
@@ -71,7 +71,7 @@ impl<const N: usize> MoveQueue<N> {
         0.0
     }
 
-    /// Ends joining to the last block, and adds its piece to the chain.
+    /// Stops joining moves to the last block. If the block's piece has been withheld from the chain, adds it.
     #[inline(never)]
     pub(super) fn end_join(&mut self) {
         let join = &mut self.join;

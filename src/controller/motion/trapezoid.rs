@@ -33,7 +33,7 @@ pub(super) fn quotient(a: f32, b: f32) -> f32 {
     a / b
 }
 
-/// Relative difference below which two speeds² count as the same: some 30 rounding errors of an `f32`.
+/// Relative difference below which two speeds² count as the same: about 30 rounding errors of an `f32`.
 const SAME: f32 = 4.0e-6;
 /// If a speed² exceeds the falling edge by more than this factor, rounding is not the cause: the edge has been lowered
 /// meanwhile.
@@ -84,8 +84,8 @@ impl Trapezoid {
         let slope = 2.0 * self.acceleration;
         let brake2 = self.exit2 + slope * left;
         if speed2 >= brake2 * (1.0 - SAME) {
-            // The speed² lies on the falling edge, or above it. If it lies above, the block ends with the speed that
-            // remains.
+            // The speed² lies on the falling edge or above it. If the speed² is above the edge, the block ends with the
+            // speed that remains.
             let end2 = if speed2 > brake2 * OFF_CURVE { speed2 - slope * left } else { self.exit2 };
             return TrapezoidPhase { sign: -1.0, length: left, end2: greater(end2, self.exit2) };
         }

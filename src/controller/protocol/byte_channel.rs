@@ -191,7 +191,7 @@ mod tests {
 
     proptest! {
         /// Bytes come out as they went in. If the queue is full, a byte is not taken, and none of the bytes taken
-        /// before is lost.
+        /// earlier is lost.
         #[test]
         fn bytes_cross_in_their_order(
             steps in proptest::collection::vec((0_u8..10, any::<u8>(), 0_u16..3, any::<bool>()), 0..2000),

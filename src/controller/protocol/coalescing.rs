@@ -46,7 +46,7 @@ impl Coalescing {
         lines_wait && self.is_within
     }
 
-    /// Ends holding back: a round that begins at `now` or later holds no answers.
+    /// Stops holding answers back: a round that begins at `now` or later holds no answers.
     pub fn release(&mut self, now: Instant) {
         self.until = now;
     }

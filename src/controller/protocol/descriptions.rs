@@ -164,7 +164,7 @@ pub fn name(out: &mut Text, row: &Row) {
         put(out, &[axis.letter()]);
         put(out, b"-axis ");
         let mut bytes = row.description.name.bytes();
-        // No name of a per-axis setting starts with an abbreviation, so the first letter can become small.
+        // No name of a per-axis setting starts with an abbreviation, so its first letter can be made lower-case.
         put(out, &[bytes.next().unwrap_or_default().to_ascii_lowercase()]);
         put(out, row.description.name.as_bytes().get(1..).unwrap_or(&[]));
         return;
@@ -216,7 +216,7 @@ pub fn values_of(out: &mut Text, row: &Row) {
     put(out, END);
 }
 
-/// Returns the text about further values that grblHAL has for a setting. Here the setting is only a switch.
+/// Returns the text about the additional values that grblHAL has for a setting that is only a switch here.
 const fn beyond_a_switch(number: u16) -> &'static [u8] {
     match number {
         ENABLE_INVERT => b", for all drivers",
@@ -326,7 +326,7 @@ pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: 
     }
 }
 
-/// Lines above the rows of `$EEG` and `$EAG`, and the form of their rows.
+// Lines above the rows of `$EEG` and `$EAG`, and the form of their rows.
 const ERRORS_HEAD: &[u8] = b"\"Error Code in v1.1+\",\"Error Message in v1.0-\",\"Error Description\"\r\n";
 const ALARMS_HEAD: &[u8] = b"\"Alarm Code in v1.1+\",\" Alarm Message in v1.0-\",\" Alarm Description\"\r\n";
 const TABLE_ROW: &[u8] = b"\"#\",\"N/A\",\"%\"\r\n";

@@ -1,17 +1,17 @@
-//! `Floor`: arbitrates between two hosts. One of them holds the floor: its lines are read, and it gets the replies. A
-//! host claims the floor, seizes it by a reset, and leaves it when it disconnects. A `weak` holder does not keep the
-//! other host out.
+//! `Floor`: arbitrates between two hosts. One of them is the active host: its lines are read, and it gets the replies.
+//! A host claims this role, seizes it by a reset, and leaves it when it disconnects. A `weak` active host does not keep
+//! the other host out.
 
-/// The host that has the floor: its lines are read, and it gets the replies. Realtime commands do not need the floor.
+/// The active host: its lines are read, and it gets the replies. Realtime commands are accepted from any host.
 #[derive(Clone, Debug)]
 pub(super) struct Floor {
     holder: usize,
-    /// The holder has disconnected or has only sent realtime commands, or no host has sent anything yet.
+    /// The active host has disconnected or has only sent realtime commands, or no host has sent anything yet.
     weak: bool,
 }
 
 impl Floor {
-    /// No host has claimed the floor. Replies go to link 0, and the first claim succeeds.
+    /// No host has claimed to be the active one. Replies go to link 0, and the first claim succeeds.
     pub const fn new() -> Self {
         Self { holder: 0, weak: true }
     }
@@ -21,15 +21,15 @@ impl Floor {
         self.holder
     }
 
-    /// Returns whether the host of `link` has the floor and keeps the other host out.
+    /// Returns whether the host of `link` is the active host and keeps the other host out.
     #[inline]
     pub fn is_held_by(&self, link: usize) -> bool {
         self.holder == link && !self.weak
     }
 
-    /// Claims the floor for the host of `link`. Returns whether that host has the floor afterwards. `free`: the machine
-    /// has nothing to do for the holder. `firm`: the host opens its port or sends a line. A host that sends only a
-    /// realtime command gets the reply, but does not keep the other host out.
+    /// Claims the role of the active host for the host of `link`. Returns whether that host is the active one
+    /// afterwards. `free`: the machine has nothing to do for the present active host. `firm`: the host opens its port
+    /// or sends a line. A host that sends only a realtime command gets the reply, but does not keep the other host out.
     pub fn claim(&mut self, link: usize, free: bool, firm: bool) -> bool {
         if self.weak || free {
             self.holder = link;
@@ -38,14 +38,16 @@ impl Floor {
         self.holder == link
     }
 
-    /// Gives the floor to the host of `link`, which has reset the machine and so cancelled all work of the other host.
+    /// Makes the host of `link` the active host, because it has reset the machine and so cancelled all work of the
+    /// other host.
     pub fn seize(&mut self, link: usize) -> bool {
         self.holder = link;
         self.weak = false;
         true
     }
 
-    /// Records that the host of `link` has disconnected. If it is the holder, it no longer keeps the other host out.
+    /// Records that the host of `link` has disconnected. If it is the active host, it no longer keeps the other host
+    /// out.
     pub fn leave(&mut self, link: usize) {
         self.weak |= self.holder == link;
     }
@@ -68,7 +70,7 @@ mod tests {
         assert!(floor.claim(1, false, true));
         assert!(!floor.claim(0, false, true));
         assert_eq!(floor.holder(), 1);
-        // While the machine is idle, any host can claim the floor.
+        // While the machine is idle, any host can become the active one.
         assert!(floor.claim(0, true, true));
         assert!(floor.claim(0, false, true) && !floor.claim(1, false, true));
         floor.leave(1);
@@ -83,7 +85,7 @@ mod tests {
     fn a_question_keeps_nobody_out() {
         let mut floor = Floor::new();
         assert!(floor.claim(1, false, true));
-        // A realtime command of the holder does not make it weak.
+        // A realtime command of the active host does not make it weak.
         assert!(floor.claim(1, false, false) && !floor.claim(0, false, false));
         floor.leave(1);
         assert!(floor.claim(0, false, false));

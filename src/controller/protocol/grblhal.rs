@@ -48,7 +48,7 @@ const COMMANDS: [(&[u8], Command); 10] = [
     (b"$EEG", Command::Table(Described::ErrorTable)),
 ];
 
-/// Reads a `$` line (filtered). Returns `None` if Grbl or Oxmill may know it.
+/// Reads a `$` line (filtered). Returns `None` for any other command, which Grbl or Oxmill may know.
 #[inline(never)]
 pub fn read(line: &[u8]) -> Option<Command> {
     let Some(text) = line.strip_prefix(b"$SED=") else {
@@ -63,7 +63,7 @@ pub fn welcome(out: &mut Text) {
     put(out, b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n");
 }
 
-/// The commands that the answer to `$` lacks.
+/// grblHAL's commands that the answer to `$` does not list.
 pub fn help(out: &mut Text) {
     put(out, b"[HLP:$HELP $+ $SED=n $SPINDLES $SPINDLESH $TLR $S $B $O $EAG $EEG 0x80-83 0x87 0x88 0xA3]\r\n");
 }
@@ -149,7 +149,7 @@ pub fn tool_reference(out: &mut Text, height: Coordinate, inches: bool) {
     put(out, b"]\r\n");
 }
 
-/// The one spindle, as `$SPINDLES` or `$SPINDLESH` describes it. It turns both ways (D), can be a laser (L), and has a
+/// The only spindle, as `$SPINDLES` or `$SPINDLESH` describes it. It turns both ways (D), can be a laser (L), and has a
 /// variable speed (V); S: it reports that it is up to speed. `speeds`: the range in rpm.
 pub fn spindle(out: &mut Text, in_fields: bool, reports_speed: bool, speeds: [f32; 2]) {
     let reports = when(reports_speed, b"S");

@@ -3,7 +3,7 @@
 
 use crate::units::{Duration, Instant};
 
-/// When the host last sent something, and how it left.
+/// When the host last sent something, and whether it left during a jog or before a resume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
     /// Count of received bytes at the last [`Heartbeat::observe`] (wrapping).

@@ -1,12 +1,12 @@
-//! Decides which of two hosts has the floor: lines of that host are read, and it gets the replies. The links of UART
-//! and USB share a [`HostArbiter`]. It counts the epochs of line bytes in the order of the queue, and puts a
-//! [`HOST_CHANGED`] before the first line byte of another host.
+//! Decides which of two hosts is the active one: its lines are read, and it gets the replies. The links of UART and USB
+//! share a [`HostArbiter`]. It counts the epochs of line bytes in the order of the queue, and puts a [`HOST_CHANGED`]
+//! before the first line byte of another host.
 
 use crate::messages::{HOST_CHANGED, LineByte, Realtime};
 use crate::protocol::floor::Floor;
 use crate::protocol::queues::Queues;
 
-/// Arbitrates between the hosts on several links: the floor, and the state shared by their bytes.
+/// Arbitrates between the hosts on several links: the active host, and the state shared by the hosts' bytes.
 #[derive(Clone, Debug, Default)]
 pub struct HostArbiter {
     floor: Floor,
@@ -15,7 +15,7 @@ pub struct HostArbiter {
     epoch: u16,
     /// The unfinished line in the queue is void: a [`HOST_CHANGED`] must precede the next line byte.
     cut: bool,
-    /// Number of hosts that disconnected while they had the floor, since power-up (wrapping).
+    /// Number of times that the active host has disconnected, since power-up (wrapping).
     gone: u16,
 }
 
@@ -30,8 +30,7 @@ impl HostArbiter {
         self.floor.holder()
     }
 
-    /// Returns the number of hosts that disconnected while they had the floor, since power-up (wrapping), for
-    /// `Event::Disconnected`.
+    /// Returns how many times the active host has disconnected, since power-up (wrapping), for `Event::Disconnected`.
     pub fn gone(&self) -> u16 {
         self.gone
     }
@@ -56,7 +55,7 @@ impl HostArbiter {
         self.epoch
     }
 
-    /// Returns whether the link's line bytes can be queued without further steps: its host has the floor, and no
+    /// Returns whether the link's line bytes can be queued without further steps: its host is the active one, and no
     /// [`HOST_CHANGED`] has to precede them.
     #[inline]
     pub(super) fn reads(&self, link: usize) -> bool {
@@ -78,8 +77,8 @@ impl HostArbiter {
         queues.line(byte)
     }
 
-    /// Claims the floor for the host of `link`, which sends a line. Returns whether it has the floor afterwards. If the
-    /// other host loses the floor, `void` voids the unfinished line of the other host.
+    /// Claims the role of the active host for the host of `link`, which sends a line. Returns whether that host is the
+    /// active one afterwards. If the other host loses this role, `void` voids its unfinished line.
     #[inline]
     pub(super) fn claim(&mut self, link: usize, queues: &impl Queues, void: impl FnOnce()) -> bool {
         // The common case, which changes nothing.
@@ -90,8 +89,8 @@ impl HostArbiter {
         self.turn_to(|floor| floor.claim(link, free, true), void)
     }
 
-    /// Lets `ask` request the floor, and returns its result. If the floor changes hands, `void` voids the unfinished
-    /// line of the other host.
+    /// Lets `ask` request the role of the active host, and returns its result. If the active host changes, `void` voids
+    /// the unfinished line of the previous one.
     pub(super) fn turn_to(&mut self, ask: impl FnOnce(&mut Floor) -> bool, void: impl FnOnce()) -> bool {
         let before = self.floor.holder();
         let granted = ask(&mut self.floor);
@@ -102,7 +101,7 @@ impl HostArbiter {
         granted
     }
 
-    /// Handles a disconnected host. Returns whether it had the floor.
+    /// Call when the host of `link` has disconnected. Returns whether it was the active host, whose lines were read.
     pub(super) fn leave(&mut self, link: usize) -> bool {
         let held_floor = self.holder() == link;
         self.cut |= held_floor;

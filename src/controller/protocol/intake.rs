@@ -1,5 +1,5 @@
-//! Decides which received bytes are still valid, and assembles them into lines. If lines are checked, also verifies the
-//! checksum of each complete line.
+//! Decides which received bytes are still valid, and assembles them into lines. If lines are checked, this module also
+//! verifies the checksum of each complete line.
 //!
 //! Realtime commands and line bytes arrive through two queues, so their mutual order is lost. Each byte carries the
 //! epoch in which it was received ([`LineByte`]); each soft reset (Ctrl-X), stop and jog cancel opens a new epoch:

@@ -60,11 +60,11 @@ const SUBSTITUTES: [(u8, u8); 10] = [
     (b'y', b'Y'),
 ];
 
-/// Number of digits in each part of a header.
+// Number of digits in each part of a header.
 const NUMBER: usize = 3;
 const LENGTH: usize = 2;
 const SUM: usize = 8;
-/// Offset of the end of each part, including the colon.
+// Offset of the end of each part, including the colon.
 const NUMBER_END: u16 = 1 + NUMBER as u16;
 const LENGTH_END: u16 = NUMBER_END + LENGTH as u16;
 const HEADER_END: u16 = LENGTH_END + SUM as u16;
@@ -72,7 +72,7 @@ const HEADER_END: u16 = LENGTH_END + SUM as u16;
 /// Number of bytes before the text of a checked answer.
 pub const ANSWER_HEADER: usize = HEADER_END as usize;
 
-/// Line numbers are written modulo this.
+/// Line numbers are written modulo this number.
 const NUMBERS: u16 = 1 << (4 * NUMBER);
 /// Number of digits of the whole line number, which enters the CRC of a session.
 const WHOLE_NUMBER: usize = 8;
@@ -482,7 +482,7 @@ mod tests {
         }
     }
 
-    /// Lines can be delayed for any length of time.
+    /// A line of an earlier round of 4096 numbers, or of another session, is refused, however late it arrives.
     #[test]
     fn no_line_of_another_session_or_round_passes() {
         let mut host = Host::of("QKXW");
@@ -519,7 +519,8 @@ mod tests {
         {
             assert_eq!(is_session(text.as_bytes()), is, "{text}");
         }
-        // A host that does not expect checking sends its own `$LC` lines in plain form.
+        // `$LC=ON` and `$LC=OFF` are accepted without a checksum, so that a host that does not expect checking can end
+        // it. `$LC=ONAB` is refused, because a session has four letters or none.
         let mut host = Host::of("QKXW");
         host.send(b"$LC=ON\n$LC=ONABCD\n$LC=OFF\n$LC=ONAB\n");
         assert_eq!(host.answers, [Valid, Valid, Valid, Damaged]);
@@ -584,7 +585,7 @@ mod tests {
         }
     }
 
-    /// One and two damaged bits anywhere in a line, including its end.
+    /// One or two damaged bits anywhere in a line, including its end, never let a wrong line pass.
     #[test]
     fn no_two_damaged_bits_pass() {
         let first = [line(0, "G1X-98.1J2"), b"\n".to_vec()].concat();
@@ -617,10 +618,10 @@ mod tests {
         }
     }
 
-    /// Up to four damaged bits. The digits of the sum differ from each other in two or more bits, so two of the four
-    /// bits are needed to change one digit into another. Two bits remain for the covered bytes (number, length and
-    /// text). The test shows that one or two damaged bits of the covered bytes change the sum in more than one digit,
-    /// and that three or four always change the sum.
+    /// Up to four damaged bits are detected. The digits of the sum differ from each other in two or more bits, so two
+    /// of the four bits are needed to change one digit into another. Two bits remain for the covered bytes (number,
+    /// length and text). The test shows that one or two damaged bits of the covered bytes change the sum in more than
+    /// one digit, and that three or four always change the sum.
     #[test]
     fn no_four_damaged_bits_pass() {
         const COVERED: usize = NUMBER + super::LENGTH + 250;
@@ -643,7 +644,8 @@ mod tests {
     }
 
     proptest! {
-        /// The lines of two sessions differ in the letters, a burst of 32 bits, which the CRC always detects.
+        /// A line of one session is never valid in another: the two differ in the letters, a burst of 32 bits, which
+        /// the CRC always detects.
         #[test]
         fn no_line_of_another_session_passes(
             [session, other] in prop::array::uniform2("[A-Z]{4}"), text in "[A-Z0-9.]{0,60}", number in 0..3_u32,

@@ -18,7 +18,7 @@ pub const MESSAGE_LENGTH: usize = 80;
 /// M30.
 const DELETED_LENGTH: u8 = 40;
 
-/// Whether this build reports by how much a line is too long.
+/// Whether this build reports by how many bytes a line is too long.
 const COUNTS_EXCESS: bool = cfg!(feature = "reasons");
 
 /// What a byte completed.
@@ -77,7 +77,7 @@ enum Comment {
     /// In a remark in parentheses, with this many inner `(` open. Each of them has its own `)`; the `)` after these
     /// ends the remark.
     Parentheses(u8),
-    /// The same, but at least one inner pair of parentheses has been closed.
+    /// As `Parentheses`, but at least one inner pair of parentheses has been closed.
     Nested(u8),
     /// In a remark after `;`, up to the end of the line.
     Semicolon,

@@ -6,7 +6,7 @@ use crate::units::Coordinate;
 
 const MICROSECONDS: u64 = 1_000_000;
 
-/// Start and end of each line.
+// Start and end of each line.
 const BEGIN: &[u8] = b"[REC:";
 const CLOSE: &[u8] = b"]";
 

@@ -30,10 +30,10 @@ pub struct Replies {
     status_due: bool,
     /// The next report must have all fields (0x87). Takes no memory in the small image.
     is_full: [bool; FULL_IMAGE as usize],
-    /// Coordinate system, tool, and whether M6 waits, as in the last report of dialect `grblhal`; no system before the
-    /// first.
+    /// Coordinate system, tool, and whether M6 waits, as in the last report of dialect `grblhal`. Before the first such
+    /// report, the name of the system is empty.
     told: [(&'static str, u32, bool); FULL_IMAGE as usize],
-    /// The text queued last is a status report.
+    /// The text that was queued last is a status report.
     reported: bool,
     rare_fields: RareFields,
     /// The host has read, by `$RC`, why the machine was restarted.
@@ -166,8 +166,8 @@ impl Replies {
         self.is_full.first_mut().is_some_and(core::mem::take)
     }
 
-    /// Takes note of the coordinate system, the tool, and whether M6 waits, for a report of dialect `grblhal`. Returns
-    /// whether the previous report had another system or tool, and whether M6 has begun or ended to wait since.
+    /// Stores the coordinate system, the tool, and whether M6 waits, for a report of dialect `grblhal`. Returns whether
+    /// the system or the tool differs from the previous report, and whether M6 has begun or ended its wait since then.
     pub fn note_fields(&mut self, system: &'static str, tool: u32, waits: bool) -> (bool, bool) {
         let Some(told) = self.told.first_mut() else { return (false, false) };
         let before = core::mem::replace(told, (system, tool, waits));

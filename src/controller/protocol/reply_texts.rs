@@ -23,7 +23,7 @@ pub struct Release {
     pub date: &'static str,
 }
 
-/// This release. A new version has a new date.
+/// Version and release date of this firmware. When you change the version, change the date, too.
 pub const RELEASE: Release = Release { version: "0.2.0", date: "20261123" };
 
 /// `ok`
@@ -36,7 +36,7 @@ pub fn error(out: &mut Text, code: u8) {
     put(out, END);
 }
 
-/// The answer `known` to a checked line that was received before (it is not executed again), or to an empty one.
+/// The answer `known` to a checked line that is empty, or that was received before and is not executed again.
 pub fn known(out: &mut Text) {
     put(out, b"known\r\n");
 }

@@ -16,7 +16,7 @@ pub struct Status<const N: usize> {
     pub machine: PerAxis<Coordinate, N>,
     /// Work offset: WCS + G92 + tool length.
     pub offset: PerAxis<Coordinate, N>,
-    /// `$10` bit 0: machine position, else work position.
+    /// `$10` bit 0: whether the report shows the machine position instead of the work position.
     pub show_machine: bool,
     /// Free blocks, and free bytes of the receive buffer.
     pub buffer: Option<(usize, u16)>,
@@ -118,7 +118,7 @@ pub fn status<const N: usize>(out: &mut Text, status: &Status<N>, form: PlaceFor
     put(out, b">\r\n");
 }
 
-/// Appends the fields behind `Ov`. Those that change rarely come together with `WCO`.
+/// Appends the fields after `Ov`. Fields that change rarely come together with `WCO`.
 #[inline(never)]
 fn fields_of_grblhal(out: &mut Text, more: &GrblHalFields, rare: bool, accessories: bool) {
     if accessories || more.waits_for_tool {

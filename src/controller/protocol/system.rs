@@ -146,8 +146,8 @@ pub fn allowed(line: &[u8]) -> Allowed {
 
 /// Parses a `$` line (filtered; begins with `$`).
 ///
-/// # Errors
-/// [`Error::InvalidStatement`] for a known command with an invalid rest, [`Error::BadNumber`] for an unknown command.
+/// # Errors [`Error::InvalidStatement`] for a known command with invalid text after it, [`Error::BadNumber`] for an
+/// unknown command.
 pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
     let rest = line.get(2..).unwrap_or(&[]);
     let alone = |command| if rest.is_empty() { Ok(command) } else { Err(Error::InvalidStatement) };
@@ -211,8 +211,8 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
     }
 }
 
-/// Parses the rest of a `$E` line. An unknown rest gets the error that Grbl gives to each `$E` line, because Grbl has
-/// no such command.
+/// Parses the part of a line after `$E`. An unknown command gets the error that Grbl gives to each `$E` line, because
+/// Grbl has no such command.
 fn describe(rest: &[u8]) -> Result<System<'_>, Error> {
     Ok(System::Describe(match rest {
         b"" => return Ok(System::Refusal),

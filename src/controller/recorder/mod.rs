@@ -46,7 +46,7 @@ const LINE_END: usize = 1 + 10 + 1;
 /// watchdog ends a turn after half a second or two seconds.)
 const LONGEST_TURN_US: u32 = 10_000_000;
 
-/// Basis and prime of 32-bit FNV-1a, here applied to whole words.
+// Basis and prime of 32-bit FNV-1a, here applied to whole words.
 const BASIS: u32 = 0x811C_9DC5;
 const PRIME: u32 = 0x0100_0193;
 /// Factor in the sum of a page: odd, so that one wrong byte always changes the sum.

@@ -152,7 +152,7 @@ mod tests {
         assert_eq!(s.unrunnable(rates(100_000), true), None);
     }
 
-    /// The bounds given in `docs/settings.md`.
+    /// Each bound is the one that `docs/settings.md` gives.
     #[test]
     fn each_bound_of_what_can_run_is_where_it_is_said_to_be() {
         let (homing, parking): (&[_], &[_]) = (&[(22, 1)], &[(22, 1), (41, 1)]);

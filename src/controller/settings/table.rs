@@ -16,7 +16,7 @@ const CONTROL_LABELS: &str = "Reset,Feed hold,Cycle start,Safety door,N/A,N/A,Em
 /// Labels of the bits of the limit inputs.
 const LIMIT_LABELS: &str = "X axis,Y axis,Z axis,A axis,B axis,C axis,Second motor";
 
-/// Greatest value of `$900`, and the names of the dialects. The small image lacks the dialect of grblHAL.
+// Maximum value of `$900`, and the names of the dialects. The small image lacks the dialect of grblHAL.
 const MOST_DIALECT: u32 = if FULL_IMAGE { GRBLHAL } else { 2 };
 const DIALECT_LABELS: &str = if FULL_IMAGE { "Grbl,Oxmill,Seed document,grblHAL" } else { "Grbl,Oxmill,Seed document" };
 /// Value of `$900` with which hosts are answered like grblHAL.
@@ -163,7 +163,7 @@ pub(super) const fn homing_cycle(n: usize) -> u8 {
 
 /// Number of the setting that switches soft limits on.
 pub(super) const SOFT_LIMITS: u16 = Key::SoftLimits.number();
-/// Number of the one setting that may be negative.
+/// Number of the only setting that may be negative.
 pub(super) const PARKING_PLACE: u16 = Key::ParkingTarget.number();
 
 #[cfg(test)]

@@ -331,7 +331,7 @@ mod tests {
         }
     }
 
-    /// The stored form of the step pulse is in microseconds, also for tenths. Records that were written when only whole
+    /// The stored form of the step pulse is in microseconds, even for tenths. Records that were written when only whole
     /// microseconds were possible are read unchanged.
     #[test]
     fn a_step_pulse_stored_in_whole_microseconds_is_read_as_it_was() {

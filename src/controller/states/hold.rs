@@ -142,7 +142,7 @@ impl<const N: usize> Controller<N> {
         if going && (!self.m.motion.is_idle() || !self.task.is_none() || locked || !matches!(self.state, State::Normal))
         {
             if self.is_spinning_up() {
-                // The cut for which the spindle is spinning up is dropped.
+                // The spindle spins up only for a cut that is dropped, so switch it off.
                 self.m.accessories.stop_spindle();
             }
             self.m.motion.hold();

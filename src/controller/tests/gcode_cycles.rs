@@ -147,7 +147,7 @@ fn g88_pauses_at_the_bottom() {
     play(&[("G88 X6 Z-1 R2 P1", "r 6 1 10, r 6 1 2, f 6 1 -1, dwell 1, stop, pause, r 6 1 10, turn")]);
 }
 
-/// The tool retracts at the feed rate all the way to the clear level (the height to which G98 retracts), also above R.
+/// The tool retracts at the feed rate all the way to the clear level (the height to which G98 retracts), even above R.
 #[test]
 fn g89_feeds_out_all_the_way() {
     play(&[
@@ -161,7 +161,7 @@ fn levels_of_g98_and_g99() {
     play(&[
         ("G99 G81 X2 Z-1 R2", "r 2 1 10, r 2 1 2, f 2 1 -1, r 2 1 2"),
         ("X3", "r 3 1 2, f 3 1 -1, r 3 1 2"),
-        // The clear level is where the series began, also after a change of the cycle word.
+        // The clear level is where the series began, even after a change of the cycle word.
         ("G98 X4", "r 4 1 2, f 4 1 -1, r 4 1 10"),
         ("G99 G82 X5 Z-1 R3 P0", "r 5 1 10, r 5 1 3, f 5 1 -1, dwell 0, r 5 1 3"),
         ("G98 X6", "r 6 1 3, f 6 1 -1, dwell 0, r 6 1 10"),

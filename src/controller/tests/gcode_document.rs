@@ -142,7 +142,7 @@ fn the_house() {
     }
 }
 
-/// One line with all words that have an order: feed mode, F, S, spindle, dwell, plane, system, distance, motion, stop.
+/// The words of a line act in a fixed order: feed mode, F, S, spindle, dwell, plane, system, distance, motion, stop.
 #[test]
 fn order_within_a_line() {
     for dialect in DIALECTS {
@@ -231,7 +231,7 @@ fn arc_distance_modes() {
         program.run("G91.1 F100");
         assert_eq!(centre(&program.check("G2 X8 Y9 I2 J0").unwrap()), [2.0, 0.0]);
         program.run("G90.1");
-        // Work (4,9) is machine (5,10); the centre at work (6,9) lies 2 mm beside it.
+        // Work (4,9) is machine (5,10); the centre at work (6,9) is 2 mm away.
         assert_eq!(centre(&program.check("G2 X8 Y9 I6 J9").unwrap()), [2.0, 0.0]);
         assert_eq!(program.error("G2 X8 Y9 I6"), 35);
         program.run("G91");
@@ -542,7 +542,8 @@ fn two_commands_with_axis_words() {
     }
 }
 
-/// The drilling program begins with G0, G49 and G80 on one line.
+/// The document's drilling example has G0, G49 and G80 on one line. Grbl refuses that; the other dialects accept it,
+/// and G0 is in force afterwards.
 #[test]
 fn g80_beside_a_motion_word() {
     for line in ["G0 G40 G17 G80 G90", "G80 G40 G17 G0 G90"] {
@@ -566,7 +567,8 @@ fn g80_beside_a_motion_word() {
     }
 }
 
-/// After G80 the drilling program continues with a bare `X-7 Y-4`.
+/// The document's drilling example has a bare `X-7 Y-4` after G80. Grbl and Oxmill refuse it (`error:31`); in the
+/// dialect `seed` it moves like the last G0 or G1.
 #[test]
 fn axis_words_after_g80() {
     for dialect in [Dialect::Grbl, Dialect::Oxmill] {
@@ -581,6 +583,6 @@ fn axis_words_after_g80() {
     assert_eq!((target(&rapid), feed(&rapid)), ([-7.0, -4.0, 0.0], Feed::Rapid));
     program.run_all("G1\nG80");
     assert_eq!(feed(&program.run("G53 X0")), Feed::PerMinute(100.0 / 60.0));
-    // With G80 on the line itself, the axis words have no motion to continue with.
+    // If G80 is on the line itself, the axis words have no motion mode to use.
     assert_eq!(program.error("G80 X1"), 31);
 }

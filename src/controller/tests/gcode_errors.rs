@@ -133,7 +133,7 @@ fn axis_words_of_other_commands_under_g80() {
     }
 }
 
-/// CAM programs round each word to its last digit. A mismatch that this rounding explains is not an error of the arc.
+/// CAM programs round each word to a resolution. A mismatch that this rounding explains is not an error of the arc.
 #[test]
 fn arcs_of_rounded_words() {
     let new = [Dialect::Oxmill, Dialect::Seed];

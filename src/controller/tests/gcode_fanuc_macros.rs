@@ -7,15 +7,15 @@ use crate::subprogram_sender::{Sender, calling, fails, goes, with_macro};
 fn loops_of_fanuc() {
     let count = "#1=0\nWHILE [#1 LT 3] DO1\n#1=[#1+1]\nX#1\nEND1";
     goes(&calling(count), &[1, 1, 2, 3, 9]);
-    // In the stream they are held like the loops of O words.
+    // In the stream, these loops are held like the loops of O words.
     goes(&format!("G0 X7\n{count}\nX9\nM30"), &[7, 1, 2, 3, 9]);
     goes("G0 X7\nN10 WHILE [1 EQ 2] DO 3\nX1\nN20 END 3\nX9\nM30", &[7, 9]);
-    // Within each other, and one after the other with the same number.
+    // Loops can be nested, and two loops with the same number can follow each other.
     let nested = "#1=0\nWHILE [#1 LT 2] DO1\n#2=0\nWHILE [#2 LT 2] DO2\nX[#1*10+#2]\n#2=[#2+1]\nEND2\n#1=[#1+1]\nEND1";
     goes(&calling(nested), &[1, 0, 1, 10, 11, 9]);
     goes(&calling(&format!("{count}\n{count}")), &[1, 1, 2, 3, 1, 2, 3, 9]);
     goes(&format!("{nested}\nG0 X9\nM30").replacen('#', "G0 X4\n#", 1), &[4, 0, 1, 10, 11, 9]);
-    // M99 within a loop returns; the subprogram ends at the one behind it.
+    // M99 within a loop returns to the caller. The definition of the subprogram ends at the M99 after the loop.
     goes(&calling("WHILE [1] DO1\nX5\nM99\nEND1\nX6"), &[1, 5, 9]);
     fails("G0 X1\nEND1\nX2\nM30", &[81], &[1, 2]);
     fails("G0 X1\nWHILE [#1 LT 2] DO1\nX5\nEND2\nM30\n%\nX2", &[81], &[1, 2]);
@@ -43,9 +43,9 @@ fn jumps_of_fanuc() {
     goes(&calling("#1=0\nN10 #1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 10\nX8"), &[1, 1, 2, 3, 8, 9]);
     goes(&calling("GOTO 020\nX5\nN20 X6\nX7"), &[1, 6, 7, 9]);
     goes(&calling("#2=20\nGOTO #2\nX5\nN20 GOTO [#2+10]\nX6\nN30 X7"), &[1, 7, 9]);
-    // The next line with the number, not the first one of the subprogram.
+    // GOTO goes to the next line with the number, not to the first one in the subprogram.
     goes(&calling("N5 #1=[#1+1]\nX#1\nIF [#1 GE 2] GOTO 6\nGOTO 5\nX4\nN5 X5\nN6 X6"), &[1, 1, 5, 6, 9]);
-    // Out of loops, to the end of a pass, and to the beginning of a loop.
+    // GOTO can lead out of loops, to the end of a pass, and to the beginning of a loop.
     goes(&calling("WHILE [1] DO1\n#1=[#1+1]\nX#1\nIF [#1 EQ 2] GOTO 50\nEND1\nN50 X8"), &[1, 1, 2, 8, 9]);
     let twice = "WHILE [1] DO1\nWHILE [1] DO2\nX4\nGOTO 50\nEND2\nEND1\nN50 X8\nWHILE [#1 LT 2] DO1\n#1=[#1+1]\nEND1";
     goes(&calling(twice), &[1, 4, 8, 9]);
@@ -55,16 +55,16 @@ fn jumps_of_fanuc() {
     goes(&calling(again), &[1, 1, 3, 9]);
     goes(&calling("o7 repeat [3]\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 5\nX#1\nN5 o7 endrepeat"), &[1, 1, 3, 9]);
     goes(&calling("o7 do\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 5\nX#1\nN5 o7 while [#1 LT 3]"), &[1, 1, 3, 9]);
-    // In the held part of the program, in a loop of the stream, and in a macro call with its own parameters.
+    // GOTO works in the held part of the program, in a loop of the stream, and in a macro call with its own parameters.
     goes("G0 X1\nM98 P1\nN5 #1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 5\nM30\nO1\nX9\nM99\n%", &[1, 9, 1, 2, 3]);
     goes("G0 X7\nWHILE [1] DO1\n#1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 5\no1 break\nN5 END1\nM30", &[7, 1, 2, 3]);
     goes("G0 X1\nG65 P1 A2\nX9\nM30\nO1\nIF [#1 EQ 2] GOTO 6\nX5\nN6 X6\nM99\n%", &[1, 6, 9]);
-    // A number in another subprogram, in the program, above the call that holds it, or nowhere.
+    // The number is in another subprogram, in the program, above the call that holds it, or nowhere: GOTO is an error.
     for body in ["GOTO 5", "GOTO 7", "GOTO 8", "GOTO 1.5", "GOTO -5"] {
         let file = format!("N8 G0 X1\nM98 P1\nN5 X9\nM30\nO1\n{body}\nM99\nO2\nN7 X7\nM99\n%");
         fails(&file, &[81, 203, 203, 203], &[1]);
     }
-    // Into a loop or a condition.
+    // A jump into a loop or a condition is an error.
     fails(&calling("GOTO 5\nWHILE [1] DO1\nN5 X5\nEND1"), &[81], &[1, 5]);
     fails(&calling("o1 if [1]\nGOTO 5\no1 endif\nN5 X5\nM99\nX6"), &[203, 203], &[1, 5, 9]);
     fails(&calling("o1 if [1]\nGOTO 5\nX4\nN5 X5\no1 endif"), &[81], &[1, 5]);
@@ -84,7 +84,8 @@ fn m_words_of_macros() {
     assert_eq!(send("G0 X1\nM10\nX2\nM150 P7 Q[2*4]\nN5 M150P6\nM30"), (vec![1, 3, 2, 7, 8, 6, 0], vec![]));
     assert_eq!(send("G0 X1\no1 repeat [2]\nM010\no1 endrepeat\nM30"), (vec![1, 3, 3], vec![]));
     assert_eq!(send(&calling("M10\nM150 P5 Q6")), (vec![1, 3, 5, 6, 9], vec![]));
-    // No macro of the number, other words in the line, and a subroutine of the program.
+    // A line is refused if the number has no macro, or if the line has other words. A subroutine of the program is not
+    // called.
     for (line, error) in [("M11", 20), ("M151", 20), ("M10.1", 23), ("M10 X5", 36), ("X5 M10", 20), ("M150 Q2 P1", 36)]
     {
         assert_eq!(send(&format!("G0 X1\n{line}\nX2\nM30")), (vec![1, 2], vec![error]), "{line}");

@@ -152,7 +152,7 @@ fn loops() {
         fails(&format!("o1 repeat [{count}]\nX1\no1 endrepeat\nX9"), &[202], &[9]);
     }
     fails("o1 repeat [2]\nX1\no2 repeat [100001]\nX2\no2 endrepeat\no1 endrepeat\nX9", &[202], &[1, 9]);
-    // A condition in a loop in a loop.
+    // A loop can contain another loop with a condition.
     goes(
         "o1 repeat [2]\no2 repeat [3]\n#1=[#1+1]\no3 if [#1 MOD 2]\nX#1\no3 endif\no2 endrepeat\nX-1\no1 endrepeat",
         &[1, 3, -1, 5, -1],
@@ -165,7 +165,7 @@ fn loops() {
     goes("o1 do\n#1=[#1+1]\no2 if [#1 EQ 1]\no1 continue\no2 endif\nX#1\no1 while [#1 LT 3]\nX9", &[2, 3, 9]);
     goes("o1 do\nX1\no1 break\nX2\no1 while [1]\nX9", &[1, 9]);
     goes("o1 repeat [3]\n#1=[#1+1]\no2 if [#1 EQ 2]\no1 continue\no2 endif\nX#1\no1 endrepeat\nX9", &[1, 3, 9]);
-    // A loop within a branch.
+    // A branch can contain a loop.
     goes("o1 if [1]\no2 repeat [2]\nX1\no2 endrepeat\no1 else\nX2\no1 endif\nX9", &[1, 1, 9]);
 }
 
@@ -180,7 +180,7 @@ fn subroutines() {
     );
     // Names are local unless they begin with an underline.
     goes("o1 sub\n#<a>=1 #<_b>=2\no1 endsub\no1 call\nX[EXISTS[#<a>]] \nX#<_b>", &[0, 2]);
-    // Calls within calls, and from loops.
+    // Calls can be nested, and can stand in loops.
     goes("o1 sub\nX#1\no1 endsub\no2 sub\no1 call [#1+10]\nX#1\no2 endsub\no2 call [1]\nX9", &[11, 1, 9]);
     goes("o1 sub\no2 if [#1 GT 0]\nX#1\no1 call [#1-1]\no2 endif\no1 endsub\no1 call [3]\nX9", &[3, 2, 1, 9]);
     goes("o1 sub\nX#1\no1 endsub\no3 repeat [2]\no1 call [5]\no3 endrepeat\nX9", &[5, 5, 9]);
@@ -256,7 +256,7 @@ fn unknown_keywords() {
     fails("o1000 G0 X5\nX1", &[36], &[1]);
 }
 
-/// A subroutine that calls itself within two conditions, sixteen calls deep.
+/// A subroutine can call itself within two conditions, sixteen calls deep.
 #[test]
 fn recursion_within_conditions() {
     let sub = "o1 sub\no2 if [#1 GT 0]\no3 if [1]\nX#1\no1 call [#1-1]\no3 endif\no2 endif\no1 endsub\n";
@@ -365,7 +365,7 @@ fn the_end_of_a_program() {
     assert_eq!(sender.went, [2, 4]);
 }
 
-/// `open_since` returns the line with which the outermost open block began, also after the end of the program.
+/// `open_since` returns the line with which the outermost open block began, even after the end of the program.
 #[test]
 fn blocks_that_are_left_open() {
     for (text, since) in [
@@ -375,7 +375,7 @@ fn blocks_that_are_left_open() {
         ("X1\n\no1 do\no2 repeat [2]\no2 endrepeat", Some(3)),
         ("o1 repeat [2]\nX1\no1 endrepeat", None),
         ("o1 if [0]\nM2\no1 endif\nX1\nM2", None),
-        // M2 within an open block, run or skipped.
+        // An open block contains an M2, which is run or skipped.
         ("X1\no1 if [1]\nM2", Some(2)),
         ("X1\no1 if [0]\nM2", Some(2)),
         ("o1 if [1]\nM2\nG4 P0\no2 if [1]\no2 endif", None),

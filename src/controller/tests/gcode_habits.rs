@@ -123,7 +123,7 @@ fn look_ahead() {
         program.run("X3");
         assert_eq!(program.machine()[0], 3.0);
         for (line, error) in [
-            // Words of lathes and of splines.
+            // Words of lathes and of splines are refused.
             ("G8", 121),
             ("G7 P1", 121),
             ("G8.1 P1", 20),

@@ -1,5 +1,5 @@
-//! Macros are lines that outlive programs. In memory they lie in front of the lines that programs store (subroutines
-//! and loops).
+//! Macros are lines that outlive programs. In memory they precede the lines that programs store (subroutines and
+//! loops).
 #![cfg(feature = "full")]
 
 use oxmill_controller::error::Error;

@@ -11,7 +11,7 @@ fn dialect() -> impl Strategy<Value = Dialect> {
     prop::sample::select(DIALECTS.to_vec())
 }
 
-/// Lines that are mostly made of words that exist.
+/// Generates lines that are mostly made of words that exist.
 fn line() -> impl Strategy<Value = Vec<u8>> {
     let number = prop_oneof![
         4 => (-20_i32..20).prop_map(|number| number.to_string()),

@@ -132,7 +132,7 @@ fn a_rotated_program() {
             ("G53 X3 Y4", [3.0, 4.0, 0.0]),
             ("G55 X3", [3.0, 3.0, 0.0]),
             ("G54 X3 Y0", [100.0, 3.0, 0.0]),
-            // G68 and a rotated system together.
+            // G68 and a rotated system act together.
             ("G10 L2 P1 R-90", [100.0, 3.0, 0.0]),
             ("X3 Y4", [103.0, 4.0, 0.0]),
         ],
@@ -233,7 +233,7 @@ fn jogs() {
     assert_eq!(jog("G53X7F100"), [7.0, 5.0, 0.0]);
 }
 
-/// Also with rotated axes, the words of G92 change the offset before the motion of their line.
+/// G92.1, G92.2 and G92.3 change the offset before the motion on the same line, even if the axes are rotated.
 #[test]
 fn g92_changes_before_a_rotated_motion() {
     play(

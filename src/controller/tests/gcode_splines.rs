@@ -66,7 +66,7 @@ fn what_acts_on_control_points() {
 }
 
 /// If the tool is where the last G5 ended, a G5 without I and J continues it in the direction of its end, whatever
-/// lines lie between.
+/// lines come between the two.
 #[test]
 fn going_on_smoothly() {
     let first = "G5 I1 J2 P-1 Q.5 X3 Y0";

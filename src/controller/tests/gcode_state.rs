@@ -89,7 +89,7 @@ fn g52_and_g92_are_one_offset() {
         ("G0 X11", [21.0, 2.0, 3.0]),
         ("G92 Y5", [21.0, 2.0, 3.0]),
         ("X1 Y1", [11.0, -2.0, 3.0]),
-        // G52 sets only the named axes. The value is absolute also with G91.
+        // G52 sets only the named axes. The value is absolute even with G91.
         ("G91 G52 X1", [11.0, -2.0, 3.0]),
         ("G90 X1 Y1", [2.0, -2.0, 3.0]),
         ("G92.1", [2.0, -2.0, 3.0]),

@@ -12,12 +12,12 @@ fn the_usual_file() {
         &[1, 2, 3, 9, 2, 3],
     );
     goes("N1 :1000\nN2 G0 X1\nN3 M98 P7\nN4 M2\n\nN5 :0007\n\nN6 X2\nN7 M099\n%", &[1, 2]);
-    // Two subprograms, in either order, one of which calls the other.
+    // One of two subprograms calls the other; they can be defined in either order.
     for definitions in [["O1\nX2\nM98 P2\nX3\nM99\n", "O2\nX5\nM99\n"], ["O2\nX5\nM99\n", "O1\nX2\nM98 P2\nX3\nM99\n"]]
     {
         goes(&format!("G0 X1\nM98P1\nM98P2\nX9\nM30\n{}%\n", definitions.concat()), &[1, 2, 5, 3, 5, 9]);
     }
-    // Subprograms that nothing calls.
+    // Subprograms that nothing calls do not run.
     goes("G0 X1\nM30\nO5\nG1 X-3 F100\nM99\nO6\nX7\nM99\n%", &[1]);
     goes("G0 X1\nM98 P6\nM30\nO5\nG1 X-3 F100\nM99\nO6\nX7\nM99\nO8\nX8\nM99\n%", &[1, 7]);
 }
@@ -26,7 +26,7 @@ fn the_usual_file() {
 fn repeats() {
     goes("G91 G0 X1\nM98 P1 L3\nM30\nO1\nX2\nM99", &[1, 3, 5, 7]);
     goes("G0 X1\nM98 L2 P1\nM30\nO1\nX2\nM98 P2 L2\nM99\nO2\nX5\nM99", &[1, 2, 5, 5, 2, 5, 5]);
-    // A return from within a condition begins the next pass, too.
+    // An M99 within a condition begins the next pass, too.
     goes("M98 P1 L2\nM30\nO1\nG0 X1\no5 if [1]\nM99\no5 endif\nX2\nM99", &[1, 1]);
     goes("#5=2\nM98 P[0.5*2] L#5\nM30\nO1\nG0 X1\nM99", &[1, 1]);
     for (words, error) in [
@@ -62,7 +62,7 @@ fn parameters() {
         goes(&format!("G65 P1 {letter}42\nM30\nO1\nG0 X#{number}\nM99"), &[42]);
     }
     goes("#5=3\nG65 A-2.0 B[#5*2] P1 C#5 DSQRT[16]\nM2\nO1\nG0 X#1\nX#2\nX#3\nX#7\nM99", &[-2, 6, 3, 4]);
-    // What the first pass has set, the next pass finds.
+    // The values that a pass sets are still set in the next pass.
     goes("G65 P1 L3 A1\nM2\nO1\nG0 X#1\n#1=[#1+1]\nM99", &[1, 2, 3]);
     goes("G65 P1 A1\nM2\nO1\nG0 X#1\nG65 P2 A[#1+1]\nX#1\nM99\nO2\nX#1\nM98 P3\nM99\nO3\nX[#1+5]\nM99", &[1, 2, 7, 1]);
     for (words, error) in [("P1 A1 A2", 25), ("P1 I1 J2 I3", 25), ("P1 G5", 36), ("P1 N5", 36), ("P1 A", 2), ("A1", 28)]
@@ -75,7 +75,7 @@ fn parameters() {
 fn subroutines_and_macros() {
     goes("o7 sub\nG0 X#1\nM99\nX9\no7 endsub\nM98 P7\nG65 P7 A4\no7 call [5]\nM2", &[0, 4, 5]);
     goes("G0 X1\nM98 P7\no7 call [5]\nM2\nO7\nX#1\nM99", &[1, 0, 5]);
-    // A macro calls a subprogram that is not known: the program waits in the middle of the call.
+    // A macro calls a subprogram that is not known yet: the program waits in the middle of the call.
     let mut sender = with_macro(&["O9000SUB", "G0X1", "M98P5", "G0X3", "O9000ENDSUB"]);
     sender.send_all("o9000 call\nG0 X4");
     assert_eq!(sender.went, [1]);
@@ -83,7 +83,8 @@ fn subroutines_and_macros() {
     sender.send_all("M30\nO5\nX2\nM99\n%");
     assert_eq!((sender.went.as_slice(), sender.errors.as_slice()), (&[1, 2, 3, 4][..], &[][..]));
     assert_eq!(sender.interpreter.macro_line(4), Some(&b"O9000ENDSUB"[..]));
-    // From a startup line, nothing can follow.
+    // After a startup line, no more lines come that could define subprogram 5. So the program does not wait for it: the
+    // call is `error:203`.
     assert_eq!(sender.interpreter.begin_call(b"O9000CALL"), Ok(true));
     sender.went.clear();
     sender.run_held();
@@ -91,7 +92,7 @@ fn subroutines_and_macros() {
     assert!(!sender.interpreter.is_within_block());
 }
 
-/// A macro with the number of a subprogram is no subprogram of the file, whose own comes behind its end.
+/// A call of a subprogram never runs a macro with the same number. The subprogram comes after the end of the program.
 #[test]
 fn a_macro_does_not_take_the_place_of_a_subprogram() {
     let macro_lines = ["O100SUB", "G0X-1", "O100ENDSUB"];
@@ -136,7 +137,7 @@ fn definitions_end_with_their_file() {
             assert_eq!((sender.went, sender.errors), (vec![1, 2], vec![203]), "{name}: {file}");
         }
     }
-    // After an error in the run, too.
+    // Definitions also end if an error ends the running program.
     for error in ["X", "M98 P1 L0", "o7 call"] {
         let mut sender = Sender::new();
         sender.send_all(&format!("M98 P5\nM30\nO1\nG0 X-3\nM99\nO5\nG0 X1\n{error}\nM99\nO2\nG0 X-3\nM99\n%"));
@@ -147,7 +148,8 @@ fn definitions_end_with_their_file() {
     }
 }
 
-/// Whatever is wrong in a subprogram, the rest of it is no program, even after a rest.
+/// Whatever is wrong in a subprogram, the rest of the subprogram is not run as a program, even after a rest of the
+/// machine.
 #[test]
 fn a_refused_subprogram_is_no_program_after_a_rest() {
     for program in ["G0 X1\nM30\n", "G0 X1\nM98 P1\nM30\n"] {
@@ -163,7 +165,7 @@ fn a_refused_subprogram_is_no_program_after_a_rest() {
             sender.send_all("%\nG0 X9");
             assert_eq!(sender.went.last(), Some(&9));
         }
-        // A line that is refused before anybody reads it.
+        // The same holds if a line is refused because of its length, before its words are read.
         let mut sender = Sender::new();
         sender.send_all(&format!("{program}O1\nG0 X-2"));
         sender.interpreter.refused_line(None);
@@ -171,7 +173,7 @@ fn a_refused_subprogram_is_no_program_after_a_rest() {
         sender.send_after_rest("G0 X-3\nM99");
         assert_eq!(sender.errors, [203, 203]);
     }
-    // Between two subprograms such a line can be a number.
+    // Between two subprograms, such a line may have been the number of a subprogram.
     let mut sender = Sender::new();
     sender.send_all("G0 X1\nM30\nO1\nG0 X-2\nM99");
     sender.interpreter.refused_line(None);
@@ -197,14 +199,14 @@ fn a_refused_end_is_an_end() {
     }
 }
 
-/// A rest while lines are held: the next line can be that of another file.
+/// If the machine rests while lines are held, the held program is dropped: the next line can be that of another file.
 #[test]
 fn a_rest_drops_a_held_program() {
     for held in ["M98 P8", "M98 P8\nG0 X2\nM30", "M98 P8\nM30\nO9\nG0 X-2", "M98 P9\nM98 P8\nM30\nO9\nM99", "M30\nO9"] {
         let mut sender = Sender::new();
         sender.send_all(held);
         assert!(sender.errors.is_empty(), "{held}: {:?}", sender.errors);
-        // Remarks do not count.
+        // A line that has only a remark is accepted.
         sender.rested = true;
         sender.send("(PART)");
         sender.send_after_rest("G21\nG0 X3\nO8\nG0 X4\nM99\nM30");
@@ -251,8 +253,8 @@ fn what_is_dropped_does_not_go_on_as_a_program() {
     }
 }
 
-/// An alarm in a subprogram, such as that of a probe without contact: neither its `$X` nor a rest makes a program of the
-/// subprograms that follow.
+/// After an alarm in a subprogram, such as that of a probe without contact, the subprograms that follow are not run as
+/// a program, neither after `$X` nor after a rest.
 #[test]
 fn an_alarm_in_a_subprogram_refuses_the_next_ones() {
     for refused in ["", "O2"] {
@@ -269,7 +271,7 @@ fn an_alarm_in_a_subprogram_refuses_the_next_ones() {
         sender.send("G0 X9");
         assert_eq!(sender.went, [1, 9]);
     }
-    // A stop, after which nothing needs to be unlocked.
+    // After a stop, nothing needs to be unlocked, and the lines that follow are refused, too.
     let mut sender = Sender::new();
     sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
     sender.interpreter.abandon_program();
@@ -290,7 +292,7 @@ fn a_return_without_a_call_refuses_the_rest() {
     ] {
         fails(&format!("O1001\nG0 X1\n{line}\nO1002\nG0 X-3"), &[error, 203, 203], &[1]);
     }
-    // Not a return: names and values.
+    // Names and values that contain M99 are no return.
     fails("#<M99>=1\nX5 X5 F[#<M99>*99]\nG0 X2", &[25], &[2]);
 }
 
@@ -303,7 +305,7 @@ fn a_skipped_end_is_an_end() {
         sender.interpreter.skipped_line(end.as_bytes(), rested);
         sender.send_all("O1001\nG0 X-3\nM99\nX-4");
         assert_eq!((sender.errors, sender.went), (vec![203], vec![1]));
-        // A program that goes on.
+        // If the program continues after the skipped line, its lines run.
         let mut sender = Sender::new();
         sender.interpreter.skipped_line(end.as_bytes(), rested);
         sender.send_all("G0 X2\nM30");
@@ -311,7 +313,7 @@ fn a_skipped_end_is_an_end() {
     }
 }
 
-/// Lines after a held end of the program are those of the next one, also if they are calls.
+/// Lines after a held end of the program are those of the next program, even if they are calls.
 #[test]
 fn calls_after_a_held_end_are_not_lost() {
     fails("M98 P1\nM30\nM98 P2\nG0 X5\nM30\nO1\nG0 X1\nM99", &[203; 6], &[]);
@@ -341,7 +343,7 @@ fn startup_lines_leave_the_place() {
     }
     sender.send_all("O1\nG0 X-3\nM99\nX-4");
     assert_eq!((sender.went.as_slice(), sender.errors.as_slice()), (&[1][..], &[203][..]));
-    // A call among subprograms.
+    // A startup line among subprograms can call a macro.
     let mut sender = with_macro(&["O9000SUB", "G0X1", "O9000ENDSUB"]);
     sender.send_all("M30\nO1\nM99");
     assert_eq!(sender.interpreter.begin_call(b"O9000CALL"), Ok(true));
@@ -380,7 +382,7 @@ fn a_skipped_number_begins_a_subprogram() {
     assert!(sender.errors.is_empty());
 }
 
-/// Words in front of M98 and M99 act before them.
+/// Words before M98 and M99 act first.
 #[test]
 fn words_in_front() {
     goes("G0 X1 M98 P1 L2\nN5 X2 M98 P1\nX8\nM30\nO1\nX5\nX6 M99\n%", &[1, 5, 6, 5, 6, 2, 5, 6, 8]);
@@ -408,46 +410,46 @@ fn conditions_and_loops() {
     fails("M98 P5\nG0 X3\no1 if [0]\nM2\nO5\nG0 X2\nM99\nG0 X4\n%", &[81, 203], &[2, 3]);
 }
 
-/// Whatever is missing, no line of a subprogram runs by itself, and nothing of a held program that is refused.
+/// Whatever is missing, no line of a subprogram runs by itself. If a held program is refused, none of its lines runs.
 #[test]
 fn nothing_falls_into_a_subprogram() {
-    // No subprogram of this number.
+    // There is no subprogram with this number.
     fails("G0 X1\nM98 P1\nX2\nM30\n%\nG0 X9", &[203], &[1, 9]);
     fails("G0 X1\nM98 P1\nX2\nM30\nO2\nX3\nM99\n%\nX9", &[203], &[1, 9]);
     fails("G0 X1\nM98 P1\nX2\nM30\nO2\nX3\nM99\nX4\nX5\n%\nX9", &[203, 203], &[1, 9]);
     fails("G0 X1\nM98 P1\nX2\nM30\nX3\nX4\nO1\nX5\nM99\n%\nX9", &[203; 5], &[1, 9]);
-    // No M30 in front of the subprogram.
+    // There is no M30 before the subprogram.
     fails("G0 X1\nM98 P1\nX2\nO1\nX5\nM99\n%\nX9", &[203; 3], &[1, 9]);
-    // M99 in the program.
+    // The program contains an M99.
     fails("O1000\nG0 X1\nM99\nO1\nX2\nM99\nX3\n%\nX9", &[203; 5], &[1, 9]);
     fails("G0 X1\nM98 P1\nX2\nM99\nO1\nX2\nM99\n%\nX9", &[203; 4], &[1, 9]);
-    // No M99 in a subprogram.
+    // A subprogram has no M99.
     fails("G0 X1\nM98 P1\nM30\nO1\nX2\nO2\nX3\nM99\n%\nX9", &[203; 3], &[1, 9]);
     fails("G0 X1\nM98 P1\nM30\nO1\nX2\nM30\nX3\nM99\n%\nX9", &[203; 3], &[1, 9]);
     fails("G0 X1\nM98 P1\nM30\nO1\nX2\n%\nX9", &[203], &[1, 9]);
     fails("G0 X1\nM30\nO1\nX2\n%\nG0 X9", &[81], &[1, 9]);
-    // A number twice.
+    // Two subprograms have the same number.
     fails("G0 X1\nM98 P2\nM30\nO1\nX2\nM99\nO1\nX3\nM99\nO2\nX4\nM99\n%\nX9", &[203; 6], &[1, 9]);
-    // M99 with other words.
+    // M99 has other words.
     fails("G0 X1\nM98 P1\nM30\nO1\nX2\nM99 P20\nX3\n%\nX9", &[121, 203], &[1, 9]);
     fails("G0 X1\nM98 P1\nX5 M99\nO1\nX2\nM99\n%\nX9", &[203; 4], &[1, 9]);
     fails("G0 X1\nX5 M99\nO1\nX2\nM99\n%\nX9", &[203; 4], &[1, 9]);
-    // Lines that are refused, but end a program.
+    // Lines that are refused end a program nevertheless.
     fails("G0 X1\nX5 X5 M99\nO1\nX2\nM99\n%\nX9", &[203; 4], &[1, 9]);
     fails("G0 X1\nX5 X5 M30\nO1\nX2\nM99\n%\nX9", &[25], &[1, 9]);
-    // An error within a call ends the program, and everything behind it is refused.
+    // An error within a call ends the program, and all lines after it are refused.
     fails("G0 X1\nM98 P1\nX5\nM30\nO1\nX2\nX\nX3\nM99\nO2\nX4\nM99\nX6\n%\nX9", &[2, 203, 203, 203, 203], &[1, 2, 9]);
     fails("G0 X1 X2\nM98 P1\nM98 P2 Q1\nX5\nM30\nO1\nX3\nM99\n%", &[25, 36], &[3]);
-    // Words of Fanuc's macros in other forms.
+    // Words of Fanuc's macros in other forms are refused.
     for jump in ["IF[#1EQ1]M99", "N5 IF#1EQ1GOTO5", "WHILE[#1LT5]DO", "GOTO", "END"] {
         fails(&format!("G0 X1\nM98 P1\nX2\nM30\nO1\nX3\n{jump}\n%\nX9"), &[121], &[1, 9]);
         fails(&format!("G0 X1\nM98 P1\n{jump}\n%\nX9"), &[121], &[1, 9]);
     }
-    // Calls without an end.
+    // Calls that never end are refused when they are nested too deeply.
     fails("M98 P1\nM30\nO1\nG0 X1\nM98 P1\nM99", &[82], &[1; 48]);
 }
 
-/// Forms of numbers that are none of a subprogram, behind a program that is held or not.
+/// A number that is not written like that of a subprogram is refused, after a program that is held or not.
 #[test]
 fn numbers_in_other_forms_are_refused() {
     for number in
@@ -459,7 +461,7 @@ fn numbers_in_other_forms_are_refused() {
             sender.send_all(&format!("{program}\n{number}\nG0 X5\nM99"));
             assert_eq!(sender.errors, vec![203; errors], "{number}");
             assert!(!sender.went.contains(&5) || errors == 0 && program.contains("M98"), "{number}");
-            // A program begins behind a tape mark.
+            // A program begins after a tape mark.
             sender.send("%");
             sender.went.clear();
             sender.errors.clear();
@@ -474,25 +476,25 @@ fn the_next_program() {
     let mut sender = Sender::new();
     sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
     assert_eq!(sender.went, [1]);
-    // Without a rest, further lines belong to no program.
+    // Without a rest, further lines do not belong to a program.
     sender.send("G0 X2");
     assert_eq!((sender.went.as_slice(), sender.errors.as_slice()), (&[1][..], &[203][..]));
     let mut sender = Sender::new();
     sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
     sender.send_after_rest("G0 X2\nO1000\nG0 X3\nM30");
     assert_eq!((sender.went, sender.errors), (vec![1, 2, 3], vec![]));
-    // The same file again, without tape marks: its number tells it from a subprogram.
+    // The same file is sent again, without tape marks. The number of its program shows that it is no subprogram.
     let file = "O1000\nG0 X1\nM98 P1\nM30\nO1\nX2\nM99\n";
     let mut sender = Sender::new();
     sender.send_all(file).send_after_rest(file).send_after_rest(&file.replace("O1000", ":01000"));
     assert_eq!((sender.went.clone(), sender.errors.clone()), ([1, 2].repeat(3), vec![]));
     sender.send_all(file);
     assert_eq!((sender.went.len(), sender.errors), (6, vec![203; 4]), "without a rest");
-    // Not if another program has begun since then.
+    // That does not hold if another program has begun since then.
     let mut sender = Sender::new();
     sender.send_all(file).send_after_rest("G0 X3\nM30\nO2\nX4\nM99").send_after_rest("O1000\nG0 X5\nM99");
     assert_eq!((sender.went, sender.errors), (vec![1, 2, 3], vec![]));
-    // A number is that of a subprogram, even behind a rest.
+    // Any other number is that of a subprogram, even after a rest.
     let mut sender = Sender::new();
     sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
     sender.send_after_rest("O2000\nG0 X3\nM30\nX4");
@@ -518,7 +520,7 @@ fn the_next_program() {
     }
 }
 
-/// A program that does not fit is refused from its call on.
+/// A program that does not fit is refused from its first call of a subprogram on.
 #[test]
 fn memory_for_programs() {
     let line = "G1 F100 X5 Y2.5 Z-0.5\n";
@@ -535,8 +537,8 @@ fn memory_for_programs() {
         sender.interpreter.reset();
         assert!(!sender.interpreter.is_within_block());
     }
-    // The count of what is too long is exact, wherever the text ends: in the program, in the subprogram for which it waits, or
-    // in another one before that.
+    // The count of the excess bytes is exact, wherever the text ends: in the program, in the subprogram for which the
+    // program waits, or in a subprogram before that one.
     for body in ["{}M30\nO1\nX2\nM99", "M30\nO1\n{}M99", "M30\nO2\n{}M99\nO1\nX3\nM99\nO3\nX4\nM99"] {
         let send = |lines: usize| {
             let mut sender = Sender::new();
@@ -550,7 +552,8 @@ fn memory_for_programs() {
         assert_eq!((send(fits), send(fits + 1).is_some()), (None, true), "{body}");
         assert_eq!(send(1500 + fits).unwrap() - send(fits + 500).unwrap(), 3000, "{body}");
     }
-    // However full the memory is, no line of a subprogram runs by itself, and none of the held program before its call.
+    // However full the memory is, no line of a subprogram runs by itself, and no line of the held program before the
+    // program's call.
     for free in 0..200 {
         let fill = 6144 - 64 - free;
         let mut sender = Sender::new();

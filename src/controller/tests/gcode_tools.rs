@@ -54,7 +54,7 @@ fn the_tool_in_the_spindle() {
         assert!(!program.run("M6").tool_change);
         program.run_all("G43\nZ0");
         assert_eq!(program.machine(), [1.0, 2.0, 5.0]);
-        // With all words in one line, the new tool's offset acts on the move.
+        // If all words are on one line, the new tool's offset acts on the move.
         program.run("T8 M6 G43 G0 Z1");
         assert_eq!(program.machine(), [1.0, 2.0, 7.0]);
         program.run_all("G43 H7\nG43 H0\nZ0");

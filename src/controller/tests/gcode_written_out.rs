@@ -10,7 +10,7 @@ use proptest::prelude::*;
 enum Step {
     Move(i64),
     Add(i64),
-    /// Which of the following subprograms, how often, and with an argument if it is a call by G65.
+    /// A call: which of the following subprograms, how often, and with an argument if it is a call by G65.
     Call(usize, u16, Option<i64>),
 }
 
@@ -22,7 +22,7 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// The programs: the main program first. A program calls only those behind it.
+/// The programs: the main program first. A program calls only programs after it.
 fn text_of(programs: &[Vec<Step>], index: usize) -> String {
     let lines = programs[index].iter().map(|step| match step {
         Step::Move(to) => format!("G0 X[{to} + #1]\n"),
@@ -51,7 +51,7 @@ fn written_out(programs: &[Vec<Step>], index: usize, one: &mut i64, went: &mut V
     }
 }
 
-/// A line of a program, or a call of a program behind it: which, how often, and with which arguments.
+/// A line of a program, or a call of a later program: which, how often, and with which arguments.
 #[derive(Clone, Debug)]
 enum Line {
     Text(&'static str),
@@ -179,8 +179,8 @@ proptest! {
         prop_assert_eq!(called, written, "{}\n---\n{}", text, lines.join("\n"));
     }
 
-    /// However the lines behind a program are mixed, and wherever the machine rests while lines are held, those behind
-    /// the first number run in calls only, and never in the next job.
+    /// However the lines after a program are mixed, and wherever the machine rests while lines are held, the lines
+    /// after the first number run only in calls, and never in the next job.
     #[test]
     fn no_mixture_falls_into_a_subprogram(
         program in prop::collection::vec(
@@ -199,12 +199,12 @@ proptest! {
         let mut sender = Sender::new();
         sender.send_all(&program.join("\n"));
         if sender.interpreter.is_within_block() {
-            // An open block is no concern of subprograms, and a held program is ended here.
+            // This test is not about open blocks, so they are closed here. A held program is ended, too.
             sender.send_all("o1 endif\no1 endrepeat\no9 endsub\nEND1");
         }
         sender.send_all("M30\nO5");
         for (line, rests) in &lines {
-            // Lines behind a complete subprogram and a rest are those of the next program.
+            // After a complete subprogram and a rest, lines are those of the next program.
             sender.rested = *rests && sender.interpreter.is_held();
             sender.send(line);
         }

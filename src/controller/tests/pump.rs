@@ -28,7 +28,7 @@ struct Scribe<const WOKEN: bool> {
     flood: Option<Realtime>,
     /// There is no room for replies.
     mute: bool,
-    /// How many reply pieces there is room for.
+    /// Number of reply pieces for which there is room.
     pieces: u32,
 }
 
@@ -473,8 +473,8 @@ fn a_host_that_floods_does_not_starve_the_step_task() {
     assert!(pump.lines > 200, "{} lines were read meanwhile", pump.lines);
 }
 
-/// If a host requests more reports than its link can carry, its lines are still answered in between, and listings
-/// continue.
+/// If a host requests more reports than its link can carry, its lines are still answered between the reports, and
+/// listings continue.
 #[test]
 fn a_host_that_floods_does_not_starve_its_own_lines() {
     for most in [1, 4, 20] {

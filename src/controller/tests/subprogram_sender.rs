@@ -14,7 +14,7 @@ pub struct Sender {
     pub rested: bool,
     /// X targets of moves in lines that ran as they came.
     pub at_once: Vec<i64>,
-    /// What the lines do, if it is wanted.
+    /// Motion, dwell and modal state of each executed line as text, if the test needs them.
     pub acts: Option<Vec<String>>,
 }
 

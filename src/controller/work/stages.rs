@@ -48,7 +48,7 @@ impl<const N: usize> Controller<N> {
             || self.starts_to_turn()
     }
 
-    /// Whether the machine comes to rest before this line, if G61.1 is in force for the previous line.
+    /// Whether the machine must come to rest before this line, given that G61.1 is in force for the previous line.
     fn ends_line_before(&self) -> bool {
         let action = &self.line.action;
         action.motion != gcode::MotionCommand::None || action.modal().path != PathControl::ExactStop
@@ -621,8 +621,8 @@ impl<const N: usize> Controller<N> {
         self.task = Task::Startup(index + 1, then);
     }
 
-    /// Sends the text of a startup line, directly before its answer. The startup line's own output, and reports in
-    /// between, have already been sent on lines of their own.
+    /// Sends the text of a startup line, directly before its answer. The output of the startup line, and the reports
+    /// made while it ran, have already been sent on lines of their own.
     fn echo_startup_line(&mut self, index: usize) {
         if let Some(line) = self.m.records.startup_line(index).cloned() {
             self.say(|out| reply_texts::startup_echo(out, &line));

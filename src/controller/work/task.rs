@@ -29,7 +29,7 @@ pub(crate) enum Task {
     Job(Job),
 }
 
-/// Who is waiting for `ok`.
+/// Receiver of the answer (`ok`) to a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Answer {
     /// The host.

@@ -17,7 +17,7 @@ pub enum Input {
     Connect,
     /// A host has closed the port.
     Disconnect,
-    /// Bytes of the host.
+    /// Bytes that the host has sent.
     Host(Vec<u8>),
     /// A line of the pin protocol.
     Pin(String),

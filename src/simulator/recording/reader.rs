@@ -58,7 +58,7 @@ impl Recording {
         Ok(recording)
     }
 
-    /// Parses a time and checks that a replay, at some 10,000 times real time, reaches it within a quarter of an hour.
+    /// Parses a time and checks that a replay, at about 10,000 times real time, reaches it within a quarter of an hour.
     fn parse_time(&self, text: &str) -> Result<u64, String> {
         let time = number(text)?;
         let last = LONGEST * u64::from(self.board.step_clock_hz);

@@ -20,9 +20,9 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Begins the recording of a simulator that has just been powered up. `machine` describes its fittings. The
-    /// recording is kept in memory until [`Recorder::write_to`] is called, so that an older recording in the file is
-    /// overwritten only after the machine has started successfully.
+    /// Begins the recording of a simulator that has just been powered up. `machine` describes the hardware of its
+    /// machine. The recording is kept in memory until [`Recorder::write_to`] is called, so that an older recording in
+    /// the file is overwritten only after the machine has started successfully.
     pub fn begin(simulator: &mut Simulator, machine: &str) -> Self {
         let (board, now) = (*simulator.board(), simulator.clock().now());
         let mut head = format!("{TITLE}\nboard {} {}\n", board.name, board.step_clock_hz);

@@ -156,7 +156,7 @@ fn another_machine_parts_from_it() {
     }
 }
 
-/// An editor or a mail program may change line ends and add a byte order mark.
+/// Other line ends and a byte order mark, as an editor or a mail program may write them, make no difference.
 #[test]
 fn line_ends_and_a_mark_in_front_are_no_difference() {
     let (text, _) = recorded("G1 X1 F600\n");

@@ -12,7 +12,7 @@ const fn in_ticks(cycles: u32) -> u32 {
     cycles.div_ceil(CORE_HZ / 1_000_000 / TICKS_PER_US)
 }
 
-/// Time from the first segment after rest to its first tick. The first segments of an abrupt start take some 50 us
+/// Time from the first segment after rest to its first tick. The first segments of an abrupt start take about 50 us
 /// each, which is less than the step task needs to prepare the next segment. So several segments must be ready before
 /// the first begins.
 pub const START_TICKS: u32 = 2_000 * TICKS_PER_US;

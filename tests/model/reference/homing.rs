@@ -3,11 +3,11 @@
 use super::super::action::{Pin, TRAVEL};
 use super::{Mode, Model, Span, Work};
 
-/// Rates of [`Setup::settings`]: seek (`$25`) and locate (`$24`) in mm/s, and debounce (`$26`) in s.
+// Rates of [`Setup::settings`]: seek (`$25`) and locate (`$24`) in mm/s, and debounce (`$26`) in s.
 const SEEK: f64 = 2000.0 / 60.0;
 const LOCATE: f64 = 10.0;
 const DEBOUNCE: f64 = 0.05;
-/// Distances of a homing cycle, mm: the seek is 1.5 times the travel, the second approach 5 times the pull-off.
+// Distances of a homing cycle, mm: the seek is 1.5 times the travel, the second approach 5 times the pull-off.
 const PULL_OFF: f64 = 1.0;
 const SEEK_DISTANCE: f64 = 1.5 * TRAVEL;
 const LOCATE_DISTANCE: f64 = 5.0 * PULL_OFF;

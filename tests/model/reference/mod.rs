@@ -218,7 +218,7 @@ impl Model {
     pub fn state(&self) -> &'static str {
         let braking = self.braking.is_some();
         match &self.mode {
-            // Oxmill: also while the machine brakes before a forbidden target, where Grbl shows a hold.
+            // Oxmill reports Run even while the machine brakes before a forbidden target, where Grbl reports a hold.
             Mode::Free if self.motion.is_some() => "Run",
             Mode::Free => "Idle",
             Mode::Jog => "Jog",

@@ -126,7 +126,7 @@ impl Model {
         self.read(also);
     }
 
-    /// Oxmill: a host that disconnects is a fault for a job, also for one that is being resumed after a door. A jog
+    /// Oxmill: a host that disconnects is a fault for a job, even for one that is being resumed after a door. A jog
     /// ends.
     pub(super) fn host_goes(&mut self, also: &mut Vec<Model>) {
         self.absent = matches!(self.mode, Mode::Door { restoring: Some(_) });

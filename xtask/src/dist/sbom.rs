@@ -102,7 +102,8 @@ impl Sbom {
     }
 }
 
-/// Returns the output of cargo.
+/// Runs cargo with these arguments and returns its standard output. If cargo fails, its standard error becomes the
+/// error.
 fn told(arguments: &[&str]) -> Result<String, Failure> {
     let output = cargo().args(arguments).output().map_err(|error| format!("cargo: {error}"))?;
     if !output.status.success() {

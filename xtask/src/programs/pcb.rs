@@ -4,7 +4,7 @@
 use super::writer::{Writer, square_root};
 use std::io::{Result, Write};
 
-/// Heights and lengths are in µm, feeds in tenths of mm/min.
+// Heights and lengths are in µm, feeds in tenths of mm/min.
 const CUT: i64 = -80;
 const SPOT: i64 = -300;
 const SCORE: i64 = -250;
@@ -28,7 +28,7 @@ const CHIP_PITCH: i64 = 2_540;
 const CHIP_ROW: i64 = 3_810;
 const TERMINAL_PITCH: i64 = 4_445;
 const TERMINAL_ROW: i64 = 16_000;
-/// Columns and rows of the grid of single pads beside the fan.
+/// Columns and rows of the grid of single pads next to the fan.
 const GRID: [i64; 2] = [7, 14];
 const GRID_PITCH: i64 = 2_540;
 const GRID_CORNER: [i64; 2] = [41_000, 5_500];
@@ -135,7 +135,8 @@ fn isolate_trace(w: &mut Writer, trace: &Trace, distance: i64) -> Result<()> {
         let n = left(d);
         [p[0] + d[0] * along + n[0] * side, p[1] + d[1] * along + n[1] * side]
     };
-    // A corner of the outline: both legs displaced to the same side of the direction of travel.
+    // Returns the corner of the outline beside the trace corner `p`, between segments with the directions `d` and `e`.
+    // Each segment is shifted by `side` to the left of its direction.
     let corner = |p: [i64; 2], d: [i64; 2], e: [i64; 2], side: i64| {
         let (n, m) = (left(d), left(e));
         [p[0] + (n[0] + m[0]) * side, p[1] + (n[1] + m[1]) * side]
@@ -186,7 +187,7 @@ fn up(w: &mut Writer) -> Result<()> {
 mod tests {
     use super::*;
 
-    /// Returns the squared distance of two legs, each parallel to an axis.
+    /// Returns the squared distance of two line segments, each parallel to an axis.
     fn gap(a: [[i64; 2]; 2], b: [[i64; 2]; 2]) -> i64 {
         (0..2)
             .map(|i| {

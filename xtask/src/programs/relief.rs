@@ -14,7 +14,7 @@ const POINT: i64 = 100;
 const ROW: i64 = 400;
 /// Rapid height above the plate, µm.
 const CLEAR: i64 = 3_000;
-/// Feeds, tenths of mm/min.
+// Feeds, tenths of mm/min.
 const FEED: i64 = 15_000;
 const PLUNGE: i64 = 3_000;
 

@@ -36,7 +36,7 @@ const LONGEST: &str = "20";
 
 /// Options of a run.
 pub struct Settings<'a> {
-    /// Rows of a tool table.
+    /// Contents of the tool table of `rs274`.
     pub tools: &'a str,
     /// Whether lines that start with a slash are skipped.
     pub deletes_blocks: bool,

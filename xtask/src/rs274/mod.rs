@@ -20,7 +20,7 @@ use std::sync::{Mutex, PoisonError};
 const PROGRAMS: usize = 10_000;
 /// Number of programs that one process of `rs274` runs one after the other.
 const BATCH: usize = 25;
-/// Maximum difference of end points, mm: `rs274` prints four decimals, also in inches.
+/// Maximum difference of end points, mm: `rs274` prints four decimals, even in inches.
 const TOLERANCE: f64 = 0.003;
 /// Maximum difference of parameter values, relative for values above 1: `rs274` has five decimals of inches.
 const VALUE_TOLERANCE: f64 = 3e-4;

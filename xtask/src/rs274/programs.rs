@@ -302,7 +302,8 @@ impl Writer {
         let line = match self.below(4) {
             0 => format!("{word}{helix} {}{i:.5} {}{j:.5}{turns}", CENTRES[first], CENTRES[second]),
             1 => {
-                // The longer the chord relative to the radius, the more the centre depends on the last digit.
+                // The longer the chord relative to the radius, the more the centre depends on the rounding of the end
+                // point.
                 let share = 0.1 + self.below(80) as f64 / 100.0;
                 let (a, b) = (2.0 * radius * share * angle.cos(), 2.0 * radius * share * angle.sin());
                 let sign = if self.percent(30) { "-" } else { "" };
@@ -523,7 +524,7 @@ impl Writer {
         self.put(format!("G0 X{x} Y{y} Z{z}"));
     }
 
-    /// Writes words for program outputs and inputs, also beside a move, and invalid ones.
+    /// Writes words for program outputs and inputs, on lines of their own and on lines with a move, and invalid ones.
     fn pins(&mut self) {
         let (number, x, value) = (self.below(5), self.coordinate(), self.below(200) as f64 / 10.0 - 5.0);
         let word = self.one_of(&["M62", "M63", "M64", "M65"]);

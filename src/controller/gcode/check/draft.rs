@@ -134,7 +134,7 @@ impl<'a, const N: usize> Draft<'a, N> {
         result
     }
 
-    /// A length in the line's unit.
+    /// Converts a number of the line to a length; the number is in the line's unit.
     pub(super) fn length(&self, value: Decimal) -> Coordinate {
         match self.action.modal.units {
             Units::Mm => Coordinate::from_mm(value),

@@ -50,7 +50,7 @@ impl<const N: usize> Draft<'_, N> {
         system.copied().ok_or(Error::UnsupportedCoordinateSystem)
     }
 
-    /// P of G30: other controls have further stored positions.
+    /// Refuses a P of G30 other than 2. On other controls P selects further stored positions, which do not exist here.
     #[inline(never)]
     pub(super) fn second_position(&self) -> Result<(), Error> {
         if self.line.value(b'P') == Decimal::from_int(2) { Ok(()) } else { Err(Error::ValueOutOfRange) }
@@ -71,7 +71,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(point)
     }
 
-    /// Whether D is the only unused word and stands where it is allowed: beside G40 or G43 to G49, or alone.
+    /// Whether D is the only unused word and stands where it is allowed: on a line with G40 or G43 to G49, or alone.
     #[inline(never)]
     pub(super) fn is_radius_register(&self) -> Result<bool, Error> {
         let mut others = self.line.values;

@@ -127,7 +127,7 @@ impl<const N: usize> Draft<'_, N> {
         let turns = self.turns()?;
         let feed = self.feed_of_motion();
         let (i, j) = (Coordinate(centre.first), Coordinate(centre.second));
-        // Of an arc with radius 0 only the straight move of the other axes remains.
+        // If the radius of an arc is 0, only the straight move of the other axes remains.
         self.action.motion = if arc::is_point(centre) {
             MotionCommand::Line { via: None, target, feed: self.feed_to(&target) }
         } else {

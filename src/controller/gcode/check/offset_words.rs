@@ -80,7 +80,7 @@ impl<const N: usize> Draft<'_, N> {
         }
         // Grbl checks P first, so a wrong system is reported before an unknown L.
         if self.dialect != Dialect::Grbl {
-            // If the line has a P that is no longer unused, another word of the line has used it.
+            // If another word of the line has already used P, the G10 has no P.
             if line.values.has(b'P') && !self.unused.has(b'P') {
                 return Err(Error::ValueWordMissing);
             }

@@ -31,8 +31,8 @@ impl<const N: usize> Draft<'_, N> {
         if self.line.extended.tool_change {
             self.action.tool_change = modal.tool != self.state.spindle_tool;
             self.action.after.spindle_tool = modal.tool;
-            // G28.1 and G30.1 store the present position, and a tool change moves away from it. So M6 beside them is
-            // not alone.
+            // G28.1 and G30.1 store the present position, and a tool change moves away from it. So an M6 on the same
+            // line does not count as alone.
             let stores = matches!(self.line.non_modal, Some(NonModal::StorePosition(_)));
             self.action.after.tool_alone = self.claim == Claim::Nobody && self.line.tool_length.is_none() && !stores;
         }

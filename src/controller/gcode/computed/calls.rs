@@ -34,9 +34,10 @@ impl<const N: usize> Interpreter<N> {
         self.saved.abandon(0);
     }
 
-    /// Abandons the program, because its rest will not run or another host has taken over. Forgets open conditions and
-    /// loops, and all recorded lines except macros. Ends G68 and G51, because no other program expects them. In the
-    /// middle of a held program and among subprograms, the lines that follow are refused up to the next program.
+    /// Abandons the program, because the rest of it will not run, or because another host has taken over. Forgets open
+    /// conditions and loops, and all recorded lines except macros. Ends G68 and G51, because no other program expects
+    /// them. In the middle of a held program and among subprograms, the lines that follow are refused up to the next
+    /// program.
     pub fn abandon_program(&mut self) {
         if self.is_held() || self.place == ProgramPlace::Subprogram {
             self.place = ProgramPlace::Refused;

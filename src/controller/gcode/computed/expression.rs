@@ -180,7 +180,7 @@ struct Reader<'a, F> {
 }
 
 impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
-    /// Consumes `text` if it is next. Returns whether it was.
+    /// If `text` comes next, consumes it and returns `true`.
     fn takes(&mut self, text: &[u8]) -> bool {
         match self.rest.strip_prefix(text) {
             Some(rest) => {
@@ -195,8 +195,8 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         self.waiting.push(waiting).map_err(|_| Error::TooDeep)
     }
 
-    /// Adds everything in front of an operand (signs, brackets, functions) to the waiting list. Returns the value of
-    /// the operand.
+    /// Adds everything before an operand (signs, brackets, functions) to the waiting list. Returns the value of the
+    /// operand.
     fn operand(&mut self) -> Result<Real, Error> {
         loop {
             if let Some((value, used)) = Real::read(self.rest) {

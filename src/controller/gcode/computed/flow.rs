@@ -8,7 +8,7 @@
 //!   │  │                                                                           │ ▲  │
 //!   │  └── M98, G65 of an unknown subprogram ──▶ Holding ◀── in the program ───────┤ │  │
 //!   │                                               │  Waiting ◀── in held lines ──┘ │  │
-//!   │              a subprogram behind the end: ────┴─────┴──▶ Recording ── M99 ─────┘  │
+//!   │              a subprogram after the end: ─────┴─────┴──▶ Recording ── M99 ─────┘  │
 //!   └─────────────────────────────── the end of the text, M2, an error ─────────────────┘
 //! ```
 //! An error while lines are held for a subprogram drops all of them (see `subprograms`). A subprogram for which no
@@ -30,8 +30,8 @@ use crate::lent::Lent;
 pub(super) const TEXT: usize = 6144;
 /// Maximum number of bytes of the held text that macros may take; the rest is for programs.
 pub(super) const MOST_MACROS: usize = 3072;
-/// Bytes of held text that are reserved for the first line of a subroutine or loop. So its label is recorded and its
-/// end is recognized, even if the other lines do not fit.
+/// Size of the part of the held text that is reserved for the first line of a subroutine or loop, in bytes. So the
+/// label is recorded and the end is recognized, even if the other lines do not fit.
 pub(super) const SPARE: usize = 64;
 /// Maximum nesting of conditions, loops and calls: enough for 16 nested calls, each within two conditions.
 const DEPTH: usize = 48;
@@ -186,12 +186,12 @@ impl<'a> OWord<'a> {
         }
     }
 
-    /// `label` must be the number of the loop, with nothing behind the number.
+    /// Reads the O word of a loop. `label` must be the number of the loop and nothing else.
     fn of_loop(label: &'a [u8], keyword: Keyword, arguments: &'a [u8]) -> Option<OWord<'a>> {
         (!label.is_empty() && digits(label) == label.len()).then_some(OWord { label, keyword, arguments })
     }
 
-    /// Reads `GOTO n`. The number, which can be computed, is in place of the label.
+    /// Reads `GOTO n`. The number, which can be an expression, takes the place of the label.
     fn of_jump(condition: &'a [u8], line: &'a [u8]) -> Option<OWord<'a>> {
         let label = line.strip_prefix(b"GOTO").filter(|label| !label.is_empty())?;
         (condition.is_empty() || condition.first() == Some(&b'[')).then_some(OWord {
@@ -310,7 +310,7 @@ impl FrameKind {
         matches!(self, FrameKind::Call | FrameKind::Program(_))
     }
 
-    /// Whether it is a call with parameters of its own.
+    /// Whether a frame of this kind is a call with parameters of its own.
     pub(super) fn is_level(self) -> bool {
         matches!(self, FrameKind::Call | FrameKind::Program(Passes { is_macro: true, .. }))
     }
@@ -335,7 +335,7 @@ pub(super) struct Frame {
     pub(super) at: u16,
     /// The loop ends with this pass.
     pub(super) leaving: bool,
-    /// The host's line at which the block or call began, counted from the first received line.
+    /// The number of the host's line at which the block or call began, counted from the first received line.
     begun: u32,
 }
 
@@ -374,17 +374,18 @@ pub(super) struct FlowControl {
     pub(super) below: u8,
     passes: u32,
     pub(super) skipped: u32,
-    /// The present line of the host, counted from the first received line.
+    /// The number of the host's present line, counted from the first received line.
     pub(super) line: u32,
-    /// The host's line at which the recorded text began.
+    /// The number of the host's line at which the recorded text began.
     pub(super) recorded_from: u32,
     /// The last line was an M2 or M30 that was skipped or recorded.
     pub(super) after_end: bool,
-    /// If a block was still open at the end of the program: the host's line at which this block began.
+    /// If a block was still open at the end of the program: the number of the host's line at which this block began.
     pub(super) cut: Option<u32>,
-    /// Position of a call whose subprogram is not known yet. The program goes on with this call.
+    /// Position of a call whose subprogram is not known yet. When the subprogram is known, the program continues with
+    /// this call.
     pub(super) waiting: Option<u16>,
-    /// Position of the text that is held for this call.
+    /// Position of the text that is held for the call at `waiting`.
     held_from: u16,
     /// Number of the unknown subprogram that was called last.
     pub(super) missing: u32,
@@ -446,7 +447,7 @@ impl FlowControl {
         self.cut = cut;
     }
 
-    /// Returns the host's line at which the outermost open block began.
+    /// Returns the number of the host's line at which the outermost open block began.
     pub(super) fn open_since(&self) -> Option<u32> {
         let of_stream = match self.state {
             FlowState::Running(_) => usize::from(self.below),
@@ -575,7 +576,7 @@ impl FlowControl {
         self.last_label() == label
     }
 
-    /// Returns the labels of all frames, one behind the other.
+    /// Returns the labels of all frames, one after the other.
     pub(super) fn labels(&self) -> &[u8] {
         &self.labels
     }
@@ -610,8 +611,9 @@ impl FlowControl {
         self.passes = 0;
     }
 
-    /// Holds the program from a call in the running text on. The call is at `at`, and its subprogram is not known yet.
-    /// `is_complete`: the program has been held up to its end, so only subprograms can follow.
+    /// Holds the lines of the program from here on, because of a call in the running text whose subprogram is not known
+    /// yet. The call is at `at`. `is_complete`: the program has been held up to its end, so only subprograms can
+    /// follow.
     pub(super) fn wait(&mut self, at: u16, is_complete: bool) {
         let end = self.text.len() as u16;
         self.held_from = if let FlowState::Running(Some(from)) = self.state {
@@ -629,11 +631,12 @@ impl FlowControl {
             self.after_end = false;
         }
         self.waiting = Some(at);
-        // The rest of the program is held, and all open conditions belong to it. So no frame is left to the stream.
+        // The lines of the program after the call are held, and all open conditions belong to these lines. So the
+        // stream has no frames left.
         self.below = 0;
     }
 
-    /// Goes on with the call that has waited. Returns whether there was one.
+    /// Continues with the call that has waited for its subprogram. Returns whether a call has waited.
     pub(super) fn go_on(&mut self) -> bool {
         let Some(at) = self.waiting.take() else { return false };
         self.state = FlowState::Running(Some(self.held_from));

@@ -12,7 +12,7 @@ use crate::gcode::remark::split_remark;
 use crate::gcode::state::Interpreter;
 
 impl<const N: usize> Interpreter<N> {
-    /// Executes `IF [..] THEN` in a held line: leaves only the words behind THEN in it.
+    /// Executes `IF [..] THEN` in a held line: leaves only the words after THEN in the line.
     #[inline(never)]
     pub(super) fn then(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         let order = OWord::of(line).ok_or(Error::FlowSyntax)?;

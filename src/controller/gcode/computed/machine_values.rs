@@ -106,12 +106,12 @@ impl<const N: usize> Interpreter<N> {
         Ok(rest)
     }
 
-    /// Returns whether a text that consists of one bracket is not 0.
+    /// Returns whether the value of a text is not 0. The text must be one expression in brackets.
     pub(super) fn condition(&self, text: &[u8]) -> Result<bool, Error> {
         self.argument(text).map(|value| !value.is_zero())
     }
 
-    /// Returns the value of a text that consists of one bracket.
+    /// Returns the value of a text, which must be one expression in brackets.
     pub(super) fn argument(&self, text: &[u8]) -> Result<Real, Error> {
         if text.first() != Some(&b'[') {
             return Err(Error::FlowSyntax);

@@ -68,8 +68,8 @@ impl<const N: usize> Interpreter<N> {
         self.computed.flow.skipped
     }
 
-    /// Returns the host's line at which the outermost open block (sub, loop, condition) began. After the end of a
-    /// program, a block that was open there counts.
+    /// Returns the number of the host's line at which the outermost open block (sub, loop, condition) began. If a
+    /// program has ended with an open block, returns the line at which that block began.
     pub fn open_since(&self) -> Option<u32> {
         let flow = &self.computed.flow;
         flow.open_since().or(flow.cut)
@@ -122,7 +122,7 @@ impl<const N: usize> Interpreter<N> {
             && !has_program_number(line)
             && let Some((words, call)) = split_call(line)
         {
-            // The words in front of M98 or M99 are held as a line of their own.
+            // The words before M98 or M99 are held as a line of their own.
             self.direct_part(words, &[], None)?;
             return self.direct_part(call, remark, OWord::of(call));
         }

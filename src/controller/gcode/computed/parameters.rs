@@ -16,15 +16,15 @@ use super::real::Real;
 use crate::error::Error;
 use crate::lent::Lent;
 
-/// Bytes of parameters in force: 315 parameters with a number, or 132 with a name of twenty letters.
+/// Maximum size of the parameters in force, in bytes: 315 numbered parameters, or 132 with names of twenty letters.
 const CAPACITY: usize = 4096;
-/// Bytes of parameters that one line may set: 19 parameters with a number.
+/// Maximum size of the parameters that one line may set, in bytes: 19 numbered parameters.
 const OF_A_LINE: usize = 256;
 /// Maximum length of a name.
 pub(super) const NAME_LENGTH: usize = 32;
-/// Bytes of a cell before its key.
+/// Size of the part of a cell before its key, in bytes.
 const HEAD: usize = 2;
-/// Bytes of a cell after its key.
+/// Size of the part of a cell after its key, in bytes.
 const TAIL: usize = 9;
 /// Level of the parameters that all calls share.
 const GLOBAL: u8 = u8::MAX;
@@ -62,7 +62,7 @@ struct Cell<'a> {
 }
 
 impl<'a> Cell<'a> {
-    /// Decodes the first cell of some bytes.
+    /// Decodes the first of the `cells`.
     fn first(cells: &'a [u8]) -> Option<Cell<'a>> {
         let [length, level, rest @ ..] = cells else { return None };
         let (key, rest) = rest.split_at_checked(usize::from(*length))?;

@@ -35,7 +35,7 @@ pub(super) struct Real {
     exponent: i8,
 }
 
-/// Returns the remainder of a division. Not inlined, because an `i128` division takes some KB on a 32-bit processor.
+/// Returns the remainder of a division. Not inlined, because an `i128` division takes a few KB on a 32-bit processor.
 /// The remainder fits 64 bits because one of the operands does.
 #[inline(never)]
 fn remainder(dividend: i128, divisor: i128) -> i64 {
@@ -367,7 +367,7 @@ impl Real {
 /// whole.
 const TOLERANCE: Real = Real { mantissa: 1, exponent: -4 };
 
-/// A sum is 0 if it is smaller than its larger operand divided by this.
+/// A sum that is smaller than its larger operand divided by this number counts as 0.
 const ROUNDING: u128 = 100_000_000_000_000;
 
 /// Returns a power of ten; if it exceeds `i128`, the maximum of that type.

@@ -1,11 +1,11 @@
-//! Fanuc's subprograms: `O1001` to `M99` behind the end of the program, called by M98 or, with arguments, by G65. They
+//! Fanuc's subprograms: `O1001` to `M99` after the end of the program, called by M98 or, with arguments, by G65. They
 //! are held as text like other subroutines, so M98 and G65 also call `O1001 SUB`.
 //!
 //! A call usually comes before its subprogram, whose lines the host has not sent yet. From such a call on, the program
 //! is held as well, without any motion:
 //!
 //! ```text
-//!            call of an unknown number        number behind M2, M30             M99
+//!            call of an unknown number        number after M2, M30               M99
 //!  Streaming ────────────────────────▶ Holding ───────────────▶ Recording ──────────────▶ Running
 //!                                                                   ▲   number              │ call of an unknown number
 //!                                                                   └──────────── Waiting ◀─┘
@@ -85,8 +85,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Decides on a line of the host that the check has refused with `error`. M98 behind other words is a call after
-    /// these words. M99 behind other words has no call to return from, so the rest of the program is refused.
+    /// Decides on a line of the host that the check has refused with `error`. M98 after other words is a call that
+    /// follows these words. M99 after other words has no call to return from, so the rest of the program is refused.
     #[cold]
     #[inline(never)]
     pub fn direct_refused(&mut self, line: &[u8], remark: &[u8], error: Error) -> Result<Direction, Error> {
@@ -102,8 +102,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Executes M98, G65 or `IF [..] THEN` in a line of the host (`call`), after the words in front of it. The line is
-    /// held and runs like a loop. If the subprogram is unknown, the program is held from the call on.
+    /// Executes M98, G65 or `IF [..] THEN` in a line of the host (`call`), after the words before it. The line is held
+    /// and runs like a loop. If the subprogram is unknown, the program is held from the call on.
     #[inline(never)]
     pub(super) fn run_call(
         &mut self,
@@ -159,8 +159,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Whether a line among subprograms has the number of the program before them, which means that the same file
-    /// begins again.
+    /// Returns whether this line has the O number of the main program. Among the subprograms after M30, such a line
+    /// means that the host sends the same file again.
     #[inline(never)]
     pub(in crate::gcode) fn begins_again(&self, line: &[u8]) -> bool {
         self.computed.program > 0 && number_of(line) == self.computed.program
@@ -211,7 +211,7 @@ impl<const N: usize> Interpreter<N> {
         self.place = ProgramPlace::Subprogram;
         let flow = &mut self.computed.flow;
         let from = flow.text.len() as u16;
-        // With two definitions, a call would be ambiguous.
+        // If there were two definitions, a call would be ambiguous.
         let held = match flow.find_own(label).is_some() {
             true => Err(Error::OutOfPlace),
             false => flow.hold(&line_of(label, PROGRAM), &[], SPARE),
@@ -387,7 +387,7 @@ impl FlowControl {
         self.within = if opens { self.within.saturating_add(1) } else { self.within.saturating_sub(1) };
     }
 
-    /// Whether a `while` with this label, as the next line, ends a `do`.
+    /// Whether a `while` with this label would end a `do` if it were the next line.
     fn closes_do(&self, from: u16, label: &[u8]) -> bool {
         let is_loop = |order: &OWord| matches!(order.keyword, Keyword::Do | Keyword::While) && order.label == label;
         let (mut at, mut closes) = (from, false);
@@ -399,14 +399,14 @@ impl FlowControl {
     }
 }
 
-/// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. If it is no [`OWord`], it is not
-/// supported.
+/// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. A line that begins like this and is no
+/// [`OWord`] is not supported.
 pub(super) fn is_jump(line: &[u8]) -> bool {
     let line = behind_line_number(line);
     [b"IF".as_slice(), b"WHILE", b"END", b"GOTO"].iter().any(|word| line.starts_with(word))
 }
 
-/// Splits a line with M98 or M99 behind other words into these words, and the rest.
+/// Splits a line with M98 or M99 after other words into these words, and the part from M98 or M99 on.
 #[inline(never)]
 pub(super) fn split_call(line: &[u8]) -> Option<(&[u8], &[u8])> {
     line.split_at_checked(find_m_word(line, &[b"98", b"99"]).filter(|at| *at > 0)?)

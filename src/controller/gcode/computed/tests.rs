@@ -379,7 +379,7 @@ fn too_great_a_result() {
     }
 }
 
-/// The words that a line after the end of a program can have are those that are carried out.
+/// The list of O words for lines after the end of a program has the same words as the list of those that are executed.
 #[test]
 fn keywords_are_the_o_words() {
     assert_eq!(KEYWORDS.map(|(name, _)| name), crate::gcode::program_number::O_WORDS);
@@ -437,7 +437,7 @@ proptest! {
         }
     }
 
-    /// The limit of the range does not depend on the number of digits.
+    /// The upper limit of the range is the same, however many digits a number has.
     #[test]
     fn the_greatest_numbers(digits in 1..1_000_000_000_000_000_000_i64) {
         let scale = digits.ilog10();

@@ -433,7 +433,7 @@ fn explain_brackets(word: &[u8], out: &mut Reason) {
     say(out, "the expression of % is malformed", &[name]);
 }
 
-/// Whether a number has a comma beside a digit.
+/// Whether a number has a comma next to a digit.
 #[inline(never)]
 fn is_comma(number: &[u8]) -> bool {
     number.windows(2).any(|pair| matches!(pair, [b',', b'0'..=b'9'])) && number.first() != Some(&b',')

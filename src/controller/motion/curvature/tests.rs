@@ -293,7 +293,8 @@ fn only_limits_that_the_machine_cannot_exceed_are_left_out() {
             slower += usize::from(*attainable < all * 0.999);
         }
     }
-    // A limit that applies only without a slow entry can apply if such an entry was not limited.
+    // Some limits do not apply if one of the entries is slow (`Bend::once`). If the limit of that entry was omitted,
+    // such a limit applies, and the machine can be slower. That must be rare.
     assert!(slower < places / 200, "{slower} of {places}");
     assert!(of_attainable < of_all * 4 / 5 || !LEAVES_OUT, "{of_attainable} bends instead of {of_all}");
 }

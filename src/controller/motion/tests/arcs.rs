@@ -283,7 +283,8 @@ proptest! {
     }
 }
 
-/// The last segment at constant speed reaches into the ramp after it. Here this ramp has only a few steps.
+/// The last segment at constant speed reaches into the ramp after it. The ramp is not too steep, even if it has only a
+/// few steps.
 #[test]
 fn a_short_ramp_behind_a_constant_speed_is_no_steeper() {
     let g = geometry(2, 10.0_f64.powf(0.6588462477398048), -2.276435767022154, -1.2119748809651154, 0.0, 0, [0.0, 0.0]);
@@ -335,8 +336,8 @@ fn the_place_in_the_midst_of_a_chord_is_known() {
     }
 }
 
-/// With six axes, too, the exact ends of a chord reach the step task. Their offsets are counted in the direction of
-/// motion.
+/// The exact ends of a chord reach the step task on a machine with six axes, too. Their offsets are counted in the
+/// direction of motion.
 #[test]
 fn six_axes_have_their_ends() {
     let three = settings(10.0, 100.0, 500.0);

@@ -49,7 +49,8 @@ proptest! {
     }
 }
 
-/// A wide bend of a slow axis follows a narrow bend of a fast axis.
+/// If a wide bend of a slow axis follows a narrow bend of a fast axis, the bound is not above the limit of the slow
+/// axis.
 #[test]
 fn a_wider_bend_of_a_slower_axis_counts() {
     let mut ring = planner(64);

@@ -80,7 +80,7 @@ fn only_moves_of_one_kind_are_joined() {
     assert_eq!(queued(|k, m| m.speed = if k < 15 { FEED } else { Speed::Rapid }), 2);
     assert_eq!(queued(|_, m| m.speed = Speed::Duration(0.1)), 40, "each takes its time");
     assert_eq!(queued(|_, m| m.no_feed_override = true), 40, "a jog or probe");
-    // Moves back and forth, a corner, and longer moves.
+    // Moves back and forth, moves around a corner and longer moves are not joined.
     assert_eq!(queued(|k, m| m.target.0[0].0 *= if k % 2 == 0 { 1 } else { -1 }), 40);
     assert_eq!(
         queued(|k, m| m.target = if k < 20 { m.target } else { to([0.2, 0.01 * (k - 19) as f64, 0.0], FEED).target }),
@@ -217,7 +217,7 @@ fn assert_along(places: &[[f64; 3]], corners: &[[f64; 3]], off: f64) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever is joined, the steps follow the program's points to the end within the limits, also with a hold.
+    /// Whatever is joined, the steps follow the program's points to the end within the limits, even with a hold.
     #[test]
     fn the_path_is_the_programs(
         machine in Machine::any(), points in polylines(), hold in prop::option::of(0_usize..400), early in 1_usize..600,

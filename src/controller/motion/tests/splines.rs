@@ -71,7 +71,7 @@ fn check(geometry: &SplineGeometry<3>, tolerance: f64) -> usize {
         let count = ends.len() as f64;
         let end = [f(end.0[0]), f(end.0[1])];
         // The parameter has 30 bits. A side of the polygon is at most twice `size`, and the point moves at most three
-        // sides per unit of the parameter. So one bit of the parameter moves it by at most 6 / 2^30 of `size`.
+        // sides per unit of the parameter. So one bit of the parameter moves the point by at most 6 / 2^30 of `size`.
         let off = distance(end, exact(&points, (k as f64 + 1.0) / count));
         assert!(off < 5e-7 + 6e-9 * size, "chord {k} ends {off} mm off");
         for part in 0..=8 {
@@ -123,7 +123,8 @@ fn curves_of_one_point_or_one_line() {
     let chords = |points| check(&geometry(points), 0.002);
     assert_eq!(chords([[3.0, -1.0]; 4]), 1);
     assert_eq!(chords([[0.0, 0.0], [1.0, 2.0], [2.0, 4.0], [3.0, 6.0]]), 1);
-    // Back and forth on a line, a cusp, a loop, equal control points, maximum coordinates, and a tiny curve.
+    // Special curves: back and forth on a line, a cusp, a loop, equal control points, maximum coordinates, and a tiny
+    // curve.
     for points in [
         [[0.0, 0.0], [20.0, 10.0], [-10.0, -5.0], [6.0, 3.0]],
         [[0.0, 0.0], [10.0, 10.0], [0.0, 10.0], [10.0, 0.0]],
@@ -157,7 +158,7 @@ proptest! {
         check(&geometry(points), tolerance);
     }
 
-    /// Curves on a coarse grid often have sides that are equal, mirrored or of length 0.
+    /// The chords of special curves are right, too: on a coarse grid, sides are often equal, mirrored or of length 0.
     #[test]
     fn chords_of_special_curves(cells in prop::array::uniform8(-2_i32..=2), unit in 0.1_f64..50.0) {
         let at = |k: usize| [f64::from(cells[k]) * unit, f64::from(cells[k + 1]) * unit];

@@ -1,4 +1,4 @@
-//! Two hosts that want the floor, on the links and queues of the tests of `link`.
+//! Two hosts that both want to be the active one, on the links and queues of the tests of `link`.
 
 use crate::messages::{HOST_CHANGED, Realtime};
 use crate::protocol::link::tests::Both;
@@ -58,8 +58,8 @@ fn a_host_that_leaves_with_a_full_queue_makes_room_for_the_next() {
     assert_eq!(both.usb.held(), 7);
     both.usb.went(&mut both.arbiter);
     assert_eq!(both.usb.room(), 16);
-    // The cut precedes the first byte of the next host, on whichever link it is. The byte waits until there is room for
-    // both.
+    // The cut precedes the first byte of the next host, whichever link that host uses. The byte waits until there is
+    // room for both.
     both.uart(b"$");
     both.queues.most_lines = 100;
     both.pass_on();
@@ -68,14 +68,14 @@ fn a_host_that_leaves_with_a_full_queue_makes_room_for_the_next() {
     assert!(both.queues.lines.iter().all(|byte| !byte.damaged));
 }
 
-/// If the start of a line was refused, its rest is refused too, whichever host has the floor by then.
+/// If the start of a line was refused, the rest of the line is refused, too, whichever host is the active one by then.
 #[test]
 fn the_rest_of_a_refused_line_is_no_line() {
     let mut both = Both::<16>::new(8, 100);
     both.usb(b"G0X1");
     both.uart(b"G1 Y5");
     both.usb(b"0\n");
-    // The machine is idle, so any host can claim the floor.
+    // The machine is idle, so any host can become the active one.
     both.queues.free = true;
     both.uart(b"0 Z-9\r\n");
     assert_eq!((both.text().as_str(), both.refusals()), ("G0X10\n", (1, 0)));
@@ -92,7 +92,7 @@ fn a_line_that_another_host_has_cut_is_refused_to_its_end() {
     both.uart(b"0 Z-9\n");
     both.uart(b"G4\n");
     assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\n", (1, 0)));
-    // A `?` also claims the floor of an idle machine, but it does not cut a line.
+    // On an idle machine, a `?` also makes its host the active one, but it does not cut a line.
     both.uart(b"G1 X1");
     both.usb(b"?");
     both.uart(b"0\nG5\n");
@@ -153,7 +153,8 @@ fn cr_lf_is_refused_once() {
     both.usb(b"G0\n");
     both.uart(b"G1\r\n\r\nG2\n\nG3\r");
     assert_eq!(both.refusals(), (6 - 1, 0), "two empty lines among them");
-    // An LF after the CR that ended a line is not a line of its own, even if the floor has changed in between.
+    // An LF after the CR that ended a line is not a line of its own, even if the active host has changed between the
+    // two.
     both.queues.free = true;
     both.uart(b"\nG5\r");
     assert_eq!(both.text(), "G0\n|G5\r");

@@ -329,7 +329,7 @@ fn a_character_that_is_broken_off_is_commands() {
     assert_eq!(both.queues.commands, [SafetyDoor; 3]);
 }
 
-/// A host can send all its lines first and read the answers later.
+/// Each refused line gets its answer, even if the host sends all its lines first and reads the answers later.
 #[test]
 fn each_refused_line_is_answered_however_late_the_host_reads() {
     let mut both = Both::<16>::new(8, 100);

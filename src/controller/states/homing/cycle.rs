@@ -253,8 +253,8 @@ impl<const N: usize> HomingCycle<N> {
         Order::Move { by, rate: rate * oxmill_sqrt::square_root(count), watch, motors }
     }
 
-    /// Returns the coordinates of the axes after their last pull-off: 0 with `zero_at_pull_off`; otherwise the point
-    /// one pull-off away from the switch, where the travel lies between -travel and 0.
+    /// Returns the coordinates of the axes after their last pull-off: 0 with `zero_at_pull_off`; otherwise those of the
+    /// point one pull-off away from the switch, where the travel goes from -travel to 0.
     fn places(&self) -> PerAxis<Coordinate, N> {
         PerAxis::from_axis(|axis| {
             if self.settings.zero_at_pull_off {

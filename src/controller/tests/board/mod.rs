@@ -23,7 +23,7 @@ pub const PROFILE: Profile = Profile {
 /// Time of power-up.
 pub const NOW: Instant = Instant::from_ticks(0);
 
-/// Returns a powered-up controller with no input active. Its outputs since power-up are still to be taken.
+/// Returns a powered-up controller with no input active. The caller still has to take its outputs since power-up.
 pub fn started(profile: Profile, blocks: usize) -> Box<Controller<3>> {
     let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, blocks)));
     controller.start(NOW);
