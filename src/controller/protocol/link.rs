@@ -1,10 +1,10 @@
 //! Passes the bytes of one host to the control task. `Link` runs in the serial task, finds realtime commands, which
 //! overtake all lines, and holds line bytes for which the queue has no room. Two hosts may be connected, by UART and
-//! USB: [`HostArbiter`] decides which of them has the floor. Lines of the other host are refused with `error:8`.
+//! USB: [`HostArbiter`] decides which of them is the active host. Lines of the other host are refused with `error:8`.
 //!
 //! ```text
 //!  host ──▶ Link ──realtime──────────────────────▶ queue     at once, before all lines
-//!             └───line bytes──▶ floor? ──▶ held ──▶ queue     in order, when there is room
+//!             └───line bytes──▶ active? ─▶ held ──▶ queue     in order, when there is room
 //!                                 │         │ no room for another packet: the link has to wait
 //!                                 └─▶ error:8, once for each line
 //! ```
@@ -13,9 +13,9 @@
 //! characters or obeys `Bf:` always fit into the queue alone. A sender that pours in a whole file without counting has
 //! to wait, and then everything that it sends later waits too, including commands.
 //!
-//! A line is read as a whole or not at all. Its rest is refused if its start was refused, or if another host cut the
-//! line by taking the floor or by a reset. That holds whenever the rest arrives, and whichever host has the floor by
-//! then.
+//! A line is read as a whole or not at all. The rest of a line is refused if its start was refused, or if another host
+//! cut the line by becoming the active host or by a reset. That holds whenever the rest arrives, and whichever host is
+//! the active one by then.
 //!
 //! Characters of a remark are text, even if one of their bytes equals a command: see [`remark`](super::remark). Only
 //! the last byte of a character shows that the bytes form a character. So the bytes before it wait here; if they form
@@ -29,7 +29,7 @@
 use crate::messages::{LineByte, Realtime};
 use crate::protocol::host_arbiter::HostArbiter;
 use crate::protocol::queues::Queues;
-use crate::protocol::realtime::{Received, is_plain};
+use crate::protocol::realtime::{Received, is_plain, is_plain_or_lf};
 use crate::protocol::remark::Remark;
 
 /// How long a `!` in a remark waits for the rest of its line, in µs: the duration of 230 bytes at 115,200 baud.
@@ -154,8 +154,8 @@ impl Link {
                     self.is_ambiguous = false;
                     other.void_line(arbiter);
                 }
-                // A realtime command does not cut the other host's line. During that line the other host keeps the
-                // floor, and gets the answer even to this host's `?`.
+                // A realtime command does not cut the other host's line. During that line the other host stays the
+                // active one, and gets the answer even to this host's `?`.
                 if !other.mid_line || other.refusing_line {
                     let free = queues.is_free();
                     arbiter.turn_to(|floor| floor.claim(self.number, free, false), || other.lose_floor());
@@ -192,8 +192,8 @@ impl Link {
         }
     }
 
-    /// Fast path of [`Link::take`] for text and LF line ends, which nearly all bytes are. Normally the host has the
-    /// floor, no byte waits or was lost, and the line is not refused: then only the room in the queue has to be
+    /// Fast path of [`Link::take`] for text and LF line ends, which nearly all bytes are. Normally the host is the
+    /// active one, no byte waits or was lost, and the line is not refused: then only the room in the queue has to be
     /// checked. The fast path also drops text of a line that is refused or has no room. Returns the number of bytes
     /// taken from the front.
     #[inline]
@@ -210,7 +210,7 @@ impl Link {
         if !is_text {
             return 0;
         }
-        let other = bytes.iter().position(|byte| !is_plain(*byte) && *byte != b'\n');
+        let other = bytes.iter().position(|byte| !is_plain_or_lf(*byte));
         let text = bytes.get(..other.unwrap_or(bytes.len())).unwrap_or_default();
         let taken = if text.is_empty() { 0 } else { queues.text(arbiter.epoch(), text) };
         if let Some(last) = taken.checked_sub(1).and_then(|last| bytes.get(last)) {
@@ -223,7 +223,7 @@ impl Link {
         taken
     }
 
-    /// Drops text of a line that is refused, or for which there is no room. Returns how many bytes.
+    /// Drops text of a line that is refused, or for which there is no room. Returns the number of dropped bytes.
     fn drop_text(&mut self, bytes: &[u8]) -> usize {
         let dropped = bytes.iter().take_while(|byte| is_plain(**byte)).count();
         if dropped > 0 {
@@ -282,8 +282,8 @@ impl Link {
         any
     }
 
-    /// Voids the unfinished line, because the other host has the floor now: its held bytes are dropped, and its rest is
-    /// refused.
+    /// Voids the unfinished line, because the other host has become the active one: the held bytes of the line are
+    /// dropped, and the rest of the line is refused.
     fn lose_floor(&mut self) {
         self.refusing_line |= self.mid_line;
         self.held.clear();
@@ -311,9 +311,9 @@ impl Link {
         self.remark.leave();
     }
 
-    /// Handles a host that has opened its port. Returns whether it has the floor. If it does not, the other host's job
-    /// continues and this host gets no welcome line. Bytes that wait for the queue are dropped: they were sent before
-    /// the port was opened. The start of their line may already be in the queue, so a
+    /// Handles a host that has opened its port. Returns whether it is the active host now. If the other host stays the
+    /// active one, that host's job continues, and this host gets no welcome line. Bytes that wait for the queue are
+    /// dropped: they were sent before the port was opened. The start of their line may already be in the queue, so a
     /// [`HOST_CHANGED`](crate::messages::HOST_CHANGED) voids it before the host's first line byte.
     pub fn came(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &impl Queues) -> bool {
         let free = queues.is_free();
@@ -325,9 +325,9 @@ impl Link {
         granted
     }
 
-    /// Handles a disconnected host. Returns whether it had the floor. Bytes that wait for the queue are dropped. A
-    /// `HOST_CHANGED` precedes the next host's first byte, which therefore starts a new line; the controller does not
-    /// answer the lines before it.
+    /// Call when the host of this link has disconnected. Returns whether it was the active host. Bytes that wait for
+    /// the queue are dropped. A `HOST_CHANGED` precedes the next host's first byte, which therefore starts a new line;
+    /// the controller does not answer the lines before it.
     pub fn went(&mut self, arbiter: &mut HostArbiter) -> bool {
         let held_floor = arbiter.leave(self.number);
         self.forget();
@@ -361,7 +361,7 @@ fn is_end(byte: u8) -> bool {
     matches!(byte, b'\n' | b'\r')
 }
 
-/// Reply to each line of a host without the floor: 8 is Grbl's "not idle".
+/// Reply to each line of a host that is not the active one: 8 is Grbl's "not idle".
 const REFUSAL: &[u8] = b"[MSG:Another host has the machine]\r\nerror:8\r\n";
 
 #[cfg(test)]

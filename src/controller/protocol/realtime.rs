@@ -42,17 +42,31 @@ impl Received {
 #[inline]
 #[allow(clippy::indexing_slicing, reason = "there is one for each byte")]
 pub const fn is_plain(byte: u8) -> bool {
-    const PLAIN: [bool; 256] = {
-        let mut plain = [false; 256];
-        let mut byte = b' ';
-        while byte <= b'}' {
-            plain[byte as usize] = !matches!(byte, b'!' | b'?' | b'(' | b')' | b';');
-            byte += 1;
-        }
-        plain
-    };
     PLAIN[byte as usize]
 }
+
+/// Returns whether a byte is plain ([`is_plain`]) or an LF.
+#[inline]
+#[allow(clippy::indexing_slicing, reason = "there is one for each byte")]
+pub const fn is_plain_or_lf(byte: u8) -> bool {
+    PLAIN_OR_LF[byte as usize]
+}
+
+const PLAIN: [bool; 256] = {
+    let mut plain = [false; 256];
+    let mut byte = b' ';
+    while byte <= b'}' {
+        plain[byte as usize] = !matches!(byte, b'!' | b'?' | b'(' | b')' | b';');
+        byte += 1;
+    }
+    plain
+};
+
+const PLAIN_OR_LF: [bool; 256] = {
+    let mut plain = PLAIN;
+    plain[b'\n' as usize] = true;
+    plain
+};
 
 /// Returns the realtime command of a byte (Grbl 1.1 interface, realtime commands).
 pub const fn command(byte: u8) -> Option<Realtime> {
