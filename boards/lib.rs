@@ -50,6 +50,8 @@ const IMAGE: profiles::Board = profiles::NUCLEO_F401RE;
 const IMAGE: profiles::Board = profiles::NUCLEO_F411RE;
 #[cfg(feature = "nucleo_f446re")]
 const IMAGE: profiles::Board = profiles::NUCLEO_F446RE;
+#[cfg(feature = "control_f407")]
+const IMAGE: profiles::Board = profiles::CONTROL_F407;
 #[cfg(feature = "control_f446")]
 const IMAGE: profiles::Board = profiles::CONTROL_F446;
 
@@ -75,8 +77,10 @@ mod chosen {
     pub const RUN_CYCLES: u32 = IMAGE.run_cycles;
     /// Clock of the processor and of SysTick.
     pub const CORE_HZ: u32 = IMAGE.core_hz;
-    /// Ports that may have step and direction pins.
+    /// Maximum number of ports that have step pins.
     pub const STEP_PORTS: usize = IMAGE.step_ports;
+    /// Maximum number of ports that have step or direction pins.
+    pub const MOTOR_PORTS: usize = IMAGE.step_ports + IMAGE.direction_ports;
     /// Number of ports that have pins in use, from A on.
     pub const PORTS: usize = IMAGE.ports;
 
@@ -99,11 +103,14 @@ mod chosen {
     /// Returns whether this image has the ports that the table uses. Tools that make tables check this, too.
     fn fits(table: &PinTable) -> bool {
         use Role::{DirectionFourth, DirectionX, DirectionY, DirectionZ, StepFourth, StepX, StepY, StepZ};
-        let moving = [StepX, StepY, StepZ, StepFourth, DirectionX, DirectionY, DirectionZ, DirectionFourth];
         let ports = |roles: &[Role]| {
             roles.iter().filter_map(|role| table.pin(*role)).fold(0_u32, |ports, pin| ports | 1 << pin.port)
         };
-        ports(&Role::ALL) >> PORTS == 0 && ports(&moving).count_ones() as usize <= STEP_PORTS
+        let steps = ports(&[StepX, StepY, StepZ, StepFourth]);
+        let motors = steps | ports(&[DirectionX, DirectionY, DirectionZ, DirectionFourth]);
+        ports(&Role::ALL) >> PORTS == 0
+            && steps.count_ones() as usize <= STEP_PORTS
+            && motors.count_ones() as usize <= MOTOR_PORTS
     }
 
     /// Returns the profile of the board: the numbers of the image, with the name and the pins of the pin table.

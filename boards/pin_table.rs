@@ -74,11 +74,13 @@ pub enum Role {
     /// First input for programs (M66 P0).
     ProgramInput,
     SecondProgramInput,
+    /// Switch of the motors' supply, on when high. It is on from the start.
+    MotorPower,
 }
 
 impl Role {
     /// All functions, in the order of the table.
-    pub const ALL: [Role; 32] = [
+    pub const ALL: [Role; 33] = [
         Role::StepX,
         Role::StepY,
         Role::StepZ,
@@ -111,6 +113,7 @@ impl Role {
         Role::AtSpeed,
         Role::ProgramInput,
         Role::SecondProgramInput,
+        Role::MotorPower,
     ];
 }
 
@@ -121,6 +124,20 @@ pub struct Pin {
     pub port: u8,
     /// 0 to 15.
     pub number: u8,
+}
+
+impl Pin {
+    /// Returns the channel of TIM3 on this pin, 0 for channel 1 (data sheets, "Alternate function mapping"; the same for
+    /// all chips of `boards/tables/chips.rs`). `None` if there is none.
+    pub const fn channel_of_tim3(self) -> Option<usize> {
+        match (self.port, self.number) {
+            (0, 6) | (1, 4) | (2, 6) => Some(0),
+            (0, 7) | (1, 5) | (2, 7) => Some(1),
+            (1, 0) | (2, 8) => Some(2),
+            (1, 1) | (2, 9) => Some(3),
+            _ => None,
+        }
+    }
 }
 
 /// A pin table. Which pins a function may have is checked by the tool that makes the table.

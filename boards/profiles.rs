@@ -47,8 +47,10 @@ pub struct Board {
     pub has_usb: bool,
     /// Number of GPIO ports, from A on, that may have pins in use.
     pub ports: usize,
-    /// Maximum number of ports that have step or direction pins.
+    /// Maximum number of ports that have step pins, and perhaps direction pins.
     pub step_ports: usize,
+    /// Maximum number of further ports that have direction pins.
+    pub direction_ports: usize,
     /// Whether the G-code dialect has expressions, parameters, O words, rotations, scaling, splines and rounded
     /// corners, for which a small flash has no space.
     pub has_all_words: bool,
@@ -73,6 +75,7 @@ pub const DESK: Board = Board {
     has_usb: false,
     ports: 3,
     step_ports: 2,
+    direction_ports: 0,
     has_all_words: true,
 };
 
@@ -157,11 +160,15 @@ pub const CONTROL_F446: Board = Board {
     image: 6,
     has_usb: true,
     ports: 7,
+    direction_ports: 2,
     most_baud: 115_200,
     has_at_speed: false,
     program_pins: [0, 0],
     ..NUCLEO_F446RE
 };
+
+/// Control boards with STM32F405 or F407 and USB: the clocks are those of [`CONTROL_F446`].
+pub const CONTROL_F407: Board = Board { name: "control_f407", image: 7, ports: 5, ..CONTROL_F446 };
 
 /// BTT Octopus.
 pub const OCTOPUS_F446: Board =
@@ -170,6 +177,14 @@ pub const OCTOPUS_F446: Board =
 pub const OCTOPUS_PRO_F446: Board = Board { name: "octopus_pro_f446", ..OCTOPUS_F446 };
 /// Fysetc Spider.
 pub const SPIDER_F446: Board = Board { name: "spider_f446", ..OCTOPUS_F446 };
+/// BTT SKR 2.
+pub const SKR2_F407: Board = Board { name: "skr2_f407", has_at_speed: true, program_pins: [2, 2], ..CONTROL_F407 };
+/// MKS Monster8.
+pub const MONSTER8_F407: Board = Board { name: "monster8_f407", ..SKR2_F407 };
+/// MKS Robin Nano V3.
+pub const ROBIN_NANO_V3: Board = Board { name: "robin_nano_v3", ..SKR2_F407 };
+/// JZ-F407VET6.
+pub const JZ_F407: Board = Board { name: "jz_f407", ..SKR2_F407 };
 /// WeAct Black Pill, STM32F411CE, with the pins of grblHAL.
 pub const BLACKPILL_F411_GRBLHAL: Board = Board { name: "blackpill_f411_grblhal", ..BLACKPILL_F411 };
 
@@ -178,11 +193,11 @@ pub const QEMU_MPS2: Board =
     Board { name: "qemu_mps2", step_clock_hz: 25_000_000, core_hz: 25_000_000, safe_step_hz: 100_000, ..HARDWARE };
 
 /// The images of the firmware for boards with hardware. Their numbers stand in pin tables, so they never change.
-pub const IMAGES: [Board; 6] =
-    [BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE, CONTROL_F446];
+pub const IMAGES: [Board; 7] =
+    [BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE, CONTROL_F446, CONTROL_F407];
 
 /// All boards.
-pub const ALL: [Board; 11] = [
+pub const ALL: [Board; 15] = [
     DESK,
     BLACKPILL_F411,
     BLACKPILL_F401,
@@ -193,5 +208,9 @@ pub const ALL: [Board; 11] = [
     OCTOPUS_F446,
     OCTOPUS_PRO_F446,
     SPIDER_F446,
+    SKR2_F407,
+    MONSTER8_F407,
+    ROBIN_NANO_V3,
+    JZ_F407,
     BLACKPILL_F411_GRBLHAL,
 ];

@@ -8,18 +8,19 @@ use std::{env, fs, path::PathBuf};
 
 /// All images. Each is also a feature of the packages that link one. Boards that differ only in their pins share an image
 /// (`boards/tables`).
-pub const IMAGES: [&str; 7] = [
+pub const IMAGES: [&str; 8] = [
     "blackpill_f411",
     "blackpill_f401",
     "nucleo_f446re",
     "nucleo_f411re",
     "nucleo_f401re",
+    "control_f407",
     "control_f446",
     "qemu_mps2",
 ];
 
 /// Images that are built for size, because their flash is too small for an image built for speed.
-pub const SMALL: [&str; 2] = ["blackpill_f401", "control_f446"];
+pub const SMALL: [&str; 3] = ["blackpill_f401", "control_f407", "control_f446"];
 
 /// The cargo profile that compiles for speed.
 pub const FAST: &str = "firmware";
@@ -37,6 +38,7 @@ pub fn chip(image: &str) -> Option<&'static str> {
         "nucleo_f446re" => include_str!("chips/nucleo_f446re.x"),
         "nucleo_f411re" => include_str!("chips/nucleo_f411re.x"),
         "nucleo_f401re" => include_str!("chips/nucleo_f401re.x"),
+        "control_f407" => include_str!("chips/control_f407.x"),
         "control_f446" => include_str!("chips/control_f446.x"),
         "qemu_mps2" => include_str!("chips/qemu_mps2.x"),
         _ => return None,

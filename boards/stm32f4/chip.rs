@@ -19,8 +19,8 @@ use super::chain::{self, COMPARE_PULSE};
 use super::pins;
 use super::registers::{Chip, Map, read_idr, timer, write, write_bsrr};
 use super::step::{self, Clocks, PORTS, Place, SAFE, bsrr, note_safe_level};
-use crate::pin_table::{PinTable, Role};
-use crate::{Due, Port, SlowLevels};
+use crate::pin_table::{Pin, PinTable, Role};
+use crate::{Due, MOTOR_PORTS, Port, STEP_PORTS, SlowLevels};
 
 /// Writes a whole register as a number.
 macro_rules! raw {
@@ -35,23 +35,30 @@ macro_rules! raw {
 /// does not change, because an unpowered axis may drop.
 pub fn safe_state() {
     // This comes first, because a pulse that DMA begins after the stores below would undo them.
-    chain::cut::<Chip>();
+    chain::cut::<Chip, STEP_PORTS, MOTOR_PORTS>();
     for (port, safe) in SAFE.iter().enumerate() {
         write_bsrr::<Chip>(port, safe.load(Ordering::Relaxed));
     }
     // Also force the PWM's output low: without preload the manual does not say when a compare value takes effect
     // (TIMx_CCMR1, OC1PE, note 2).
-    // SAFETY: unsafe because the owners of the timers are by-passed; safe because an output that is low, a compare
-    // value of 0 and a stopped counter are right whenever this function is called, and no code runs after it.
+    // SAFETY: unsafe because the owners of the timers are by-passed; safe because outputs that are low and a stopped
+    // counter are right whenever this function is called, and no code runs after it.
     unsafe {
-        (*pac::TIM3::ptr()).ccmr1_output().write(|w| w.bits(0b100 << 12));
-        (*pac::TIM3::ptr()).ccr2().write(|w| w.bits(0));
+        (*pac::TIM3::ptr()).ccmr1_output().write(|w| w.bits(FORCED_LOW));
+        (*pac::TIM3::ptr()).ccmr2_output().write(|w| w.bits(FORCED_LOW));
         (*pac::TIM5::ptr()).cr1().write(|w| w.bits(0));
     }
 }
 
-/// Step and direction outputs on `P` ports, with the timers that they need.
-pub type StepPins<const P: usize> = step::StepPins<Chip, P, Timers>;
+/// CCMR1 and CCMR2 of TIM3: both channels in PWM mode 1, without preload.
+const PWM_MODE: u32 = 0b110 << 4 | 0b110 << 12;
+/// CCMR1 and CCMR2 of TIM3: both channels low.
+const FORCED_LOW: u32 = 0b100 << 4 | 0b100 << 12;
+
+/// Step and direction outputs, with the timers that they need.
+pub type StepPins = step::StepPins<Chip, STEP_PORTS, MOTOR_PORTS, Timers>;
+/// Memory of the step output.
+pub type Rings = step::Rings<MOTOR_PORTS>;
 
 /// The timers of the step output: pulse, step clock, PWM.
 pub type Timers = (pac::TIM1, pac::TIM5, pac::TIM3);
@@ -62,20 +69,23 @@ pub fn call_step() {
     write(<Chip as Map>::TIM5 + timer::EGR, Due::CALLED.0);
 }
 
-/// Sets up the step output: starts TIM5, and sets up TIM1, the DMA controllers and, for the PWM, TIM3. Sets all step and
-/// direction pins to their levels at rest.
-pub fn step_pins<const P: usize>(
+/// Sets up the step output: starts TIM5, and sets up TIM1, TIM8 if it is needed, the DMA controllers and, for the PWM,
+/// TIM3. Sets all step and direction pins to their levels at rest.
+pub fn step_pins(
     table: &PinTable,
     (pulse, clock, pwm): Timers,
-    rings: Option<&'static mut step::Rings<P>>,
+    rings: Option<&'static mut Rings>,
     rcc: &mut Rcc,
-) -> StepPins<P> {
+) -> StepPins {
+    let pwm_pin = table.pin(Role::SpindlePwm);
+    let pwm_channel = pwm_pin.and_then(Pin::channel_of_tim3).unwrap_or(0);
     pac::TIM3::enable(rcc);
     pac::TIM3::reset(rcc);
-    // PWM mode 1 without preload: a new value takes effect at once. This matters most for 0, which switches off.
-    pwm.ccmr1_output().write(|w| raw!(w, 0b110 << 12));
-    pwm.ccr2().write(|w| raw!(w, 0));
-    pwm.ccer().write(|w| w.cc2e().set_bit());
+    // Without preload, a new value takes effect at once. This matters most for 0, which switches off.
+    pwm.ccmr1_output().write(|w| raw!(w, PWM_MODE));
+    pwm.ccmr2_output().write(|w| raw!(w, PWM_MODE));
+    // CCER: four bits for each channel, of which the first enables its output.
+    pwm.ccer().write(|w| raw!(w, 1 << (4 * pwm_channel)));
     pwm.cr1().write(|w| w.cen().set_bit());
     // Enable the clock of the slave timer, TIM1, first (reference manual, timer synchronization).
     pac::TIM1::enable(rcc);
@@ -83,6 +93,12 @@ pub fn step_pins<const P: usize>(
     // processor sleeps and ignore its trigger. All other peripherals in use keep their clock during sleep.
     pac::TIM1::enable_in_low_power(rcc);
     pac::TIM1::reset(rcc);
+    #[cfg(feature = "tim8")]
+    {
+        pac::TIM8::enable(rcc);
+        pac::TIM8::enable_in_low_power(rcc);
+        pac::TIM8::reset(rcc);
+    }
     pac::DMA1::enable(rcc);
     pac::DMA2::enable(rcc);
     pac::TIM5::enable(rcc);
@@ -108,7 +124,7 @@ pub fn step_pins<const P: usize>(
         // Not reached: `setup` takes the peripherals, so it runs only once, and the memory of the rings is still free.
         unreachable!()
     };
-    StepPins::at(step, direction, pins::place(table, Role::Probe), clocks, rings, (pulse, clock, pwm))
+    StepPins::at(step, direction, pins::place(table, Role::Probe), pwm_channel, clocks, rings, (pulse, clock, pwm))
 }
 
 /// Ticks of [`clock_ticks`] in a microsecond.
@@ -317,6 +333,10 @@ impl SlowPins {
             pins::output(*place, false);
             note_safe_level(*place, false);
         }
+        if let Some(place) = pins::place(table, Role::MotorPower) {
+            // It stays on, also in the safe state, because an unpowered axis may drop.
+            pins::output(place, true);
+        }
         SlowPins(places)
     }
 
@@ -341,9 +361,9 @@ fn write_level(place: Option<Place>, high: bool) {
 }
 
 /// What `setup` returns, one part for each task.
-pub struct Parts<I, S: Port, L: Port, const P: usize> {
+pub struct Parts<I, S: Port, L: Port> {
     /// For `step`.
-    pub step_pins: StepPins<P>,
+    pub step_pins: StepPins,
     /// For `inputs`, and for the interrupt of the UART on a board that has one.
     pub uart_input: I,
     /// For `serial`.

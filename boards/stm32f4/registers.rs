@@ -19,6 +19,8 @@ pub unsafe trait Map {
     const TIM3: usize;
     /// Pulse timer.
     const TIM1: usize;
+    /// Timer of the ports with directions alone; used only on chips that have it.
+    const TIM8: usize;
     /// DMA controller that loads event times and the laser's power.
     const DMA1: usize;
     /// DMA controller that writes the edges.
@@ -37,6 +39,7 @@ unsafe impl Map for Chip {
     const TIM5: usize = 0x4000_0C00;
     const TIM3: usize = 0x4000_0400;
     const TIM1: usize = 0x4001_0000;
+    const TIM8: usize = 0x4001_0400;
     const DMA1: usize = 0x4002_6000;
     const DMA2: usize = 0x4002_6400;
     const RCC: usize = 0x4002_3800;

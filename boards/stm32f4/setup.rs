@@ -7,9 +7,8 @@
 //! | without | `USART2`, on A2 and A3, by DMA | none |
 
 use super::clocks;
-use super::step::Rings;
 use super::{InputPins, SettingsFlash, SlowPins, pins};
-use crate::{CORE_HZ, STEP_PORTS, pin_table, stm32f4};
+use crate::{CORE_HZ, pin_table, stm32f4};
 use stm32f4xx_hal::{gpio::Pull, pac, prelude::*, rcc::Config, serial};
 
 #[cfg(not(feature = "usb"))]
@@ -63,9 +62,9 @@ pub type UsbPort = stm32f4::usb::UsbPort;
 #[cfg(not(feature = "usb"))]
 pub type UsbPort = crate::NoPort;
 /// The step and direction outputs.
-pub type StepPins = stm32f4::StepPins<STEP_PORTS>;
+pub type StepPins = stm32f4::StepPins;
 /// What [`setup`] returns, one part for each task.
-pub type Parts = stm32f4::Parts<UartInput, SerialPort, UsbPort, STEP_PORTS>;
+pub type Parts = stm32f4::Parts<UartInput, SerialPort, UsbPort>;
 
 /// Sets up clocks, pins and timers; all outputs are off.
 pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {
@@ -89,7 +88,7 @@ pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {
     pins::clock_ports(&mut rcc);
     let slow_pins = SlowPins::new(table);
     let inputs = InputPins::new(table);
-    let rings = cortex_m::singleton!(: Rings<STEP_PORTS> = Rings::EMPTY);
+    let rings = cortex_m::singleton!(: stm32f4::Rings = stm32f4::Rings::EMPTY);
     let step_pins = stm32f4::step_pins(table, (device.TIM1, device.TIM5, device.TIM3), rings, &mut rcc);
     let link = serial::Config::default().baudrate(stm32f4::USUAL_BAUD.bps());
     #[cfg(feature = "usb")]

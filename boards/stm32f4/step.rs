@@ -86,7 +86,8 @@ fn fill<const P: usize>(
         let active_low = invert >> i & 1 != 0;
         let set = bsrr(place.pin(), !active_low);
         let unset = if both { bsrr(place.pin(), active_low) } else { 0 };
-        for (_, words) in ports.iter().zip(&mut tables).filter(|(port, _)| **port == place.port()) {
+        // The first entry: if there are fewer ports than `P`, the other entries repeat the first, and their words stay 0.
+        if let Some((_, words)) = ports.iter().zip(&mut tables).find(|(port, _)| **port == place.port()) {
             for (bits, word) in words.iter_mut().enumerate() {
                 *word |= if bits as u8 & driven != 0 { set } else { unset };
             }
@@ -95,13 +96,13 @@ fn fill<const P: usize>(
     tables
 }
 
-/// Returns the ports of some pins. Panics if there are more than `P`.
+/// Returns the ports of some pins, in the order of the pins. Panics if there are more than `P`.
 fn ports_of<const P: usize>(places: impl Iterator<Item = Place> + Clone) -> [usize; P] {
     let mut ports = [places.clone().next().map_or(0, Place::port); P];
     let mut used = 1;
     for place in places {
         if !ports[..used].contains(&place.port()) {
-            // A board whose `P` is too small fails here, at its start.
+            // Not reached: a table with more ports does not fit this image (`pin_table`).
             ports[used] = place.port();
             used += 1;
         }
@@ -118,9 +119,9 @@ pub struct Clocks {
     pub pwm_hz: u32,
 }
 
-/// Step and direction outputs, all of them on `P` ports, and the spindle's PWM (channel 2 of TIM3).
-pub struct StepPins<M, const P: usize, O> {
-    chain: Chain<M, P>,
+/// Step and direction outputs on `P` ports, of which the first `S` have steps, and the spindle's PWM (a channel of TIM3).
+pub struct StepPins<M, const S: usize, const P: usize, O> {
+    chain: Chain<M, S, P>,
     ports: [usize; P],
     step: [Option<Place>; 4],
     direction: [Option<Place>; 4],
@@ -134,6 +135,8 @@ pub struct StepPins<M, const P: usize, O> {
     /// port's word, with several ports the combination itself.
     table: [u32; COMBINATIONS],
     clocks: Clocks,
+    /// Offset of the register of TIM3 that holds the PWM's compare value.
+    pwm_compare: usize,
     pwm_period: u32,
     /// The touch probe's pin, if there is one. The pin itself belongs to the inputs.
     probe: Option<Place>,
@@ -142,21 +145,23 @@ pub struct StepPins<M, const P: usize, O> {
     map: PhantomData<M>,
 }
 
-impl<M: Map, const P: usize, O> StepPins<M, P, O> {
+impl<M: Map, const S: usize, const P: usize, O> StepPins<M, S, P, O> {
     /// Creates the outputs. The pins X, Y, Z and those of a second motor must be outputs already, the timers must run,
-    /// and TIM1 and both DMA controllers must have their clocks.
+    /// and the pulse timers and both DMA controllers must have their clocks. `pwm_channel` is that of TIM3, 0 to 3.
     pub fn at(
         step: [Option<Place>; 4],
         direction: [Option<Place>; 4],
         probe: Option<Place>,
+        pwm_channel: usize,
         clocks: Clocks,
         rings: &'static mut Rings<P>,
         owned: O,
     ) -> Self {
         let ports = ports_of(step.into_iter().chain(direction).flatten());
         let none = [[0; COMBINATIONS]; P];
+        let pwm_compare = CCR1 + (CCR2 - CCR1) * pwm_channel;
         let mut pins = StepPins {
-            chain: Chain::new(ports, rings),
+            chain: Chain::new(ports, pwm_compare, rings),
             ports,
             step,
             direction,
@@ -165,6 +170,7 @@ impl<M: Map, const P: usize, O> StepPins<M, P, O> {
             both: none,
             table: core::array::from_fn(|steps| steps as u32),
             clocks,
+            pwm_compare,
             pwm_period: 1,
             probe,
             _owned: owned,
@@ -191,7 +197,7 @@ impl<M: Map, const P: usize, O> StepPins<M, P, O> {
     }
 }
 
-impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
+impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M, S, P, O> {
     const DEPTH: usize = super::chain::DEPTH;
     // Longer than the interrupt takes, so that at any step rate much of the CPU time is left for other tasks.
     const SOON: u32 = 800;
@@ -336,7 +342,7 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
         write(M::TIM3 + PSC, prescaler);
         write(M::TIM3 + ARR, self.pwm_period - 1);
         // DMA does not overwrite this value, because it writes no power at rest.
-        write(M::TIM3 + CCR2, self.compare(power));
+        write(M::TIM3 + self.pwm_compare, self.compare(power));
         // Restarts the counter, which loads the prescaler and ensures that the counter is not beyond its new end.
         write(M::TIM3 + EGR, 1);
     }
@@ -344,7 +350,7 @@ impl<M: Map, const P: usize, O> StepOutput<AXES> for StepPins<M, P, O> {
     #[inline(never)]
     fn set_power(&mut self, power: u16) {
         self.chain.keep_power();
-        write(M::TIM3 + CCR2, self.compare(power));
+        write(M::TIM3 + self.pwm_compare, self.compare(power));
     }
 
     #[inline(always)]

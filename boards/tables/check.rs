@@ -31,8 +31,6 @@ const NEEDS: [(Role, Role); 14] = [
     (Role::SecondProgramOutput, Role::ProgramOutput),
     (Role::SecondProgramInput, Role::ProgramInput),
 ];
-/// Channel 2 of TIM3 (data sheets, "Alternate function mapping").
-const PWM_PINS: [&str; 3] = ["A7", "B5", "C7"];
 
 /// The text of a file, and the faults found in it so far.
 struct Checked<'a> {
@@ -236,10 +234,12 @@ fn check_pins(checked: &mut Checked<'_>, image: &profiles::Board, chip: &Chip, p
         }
     }
     if let Some(Use { pin, line, .. }) = pins.get("spindle_pwm")
-        && !PWM_PINS.contains(&text_of(*pin).as_str())
+        && pin.channel_of_tim3().is_none()
     {
+        let all = (0..3).flat_map(|port| (0..16).map(move |number| Pin { port, number }));
+        let have: Vec<String> = all.filter(|pin| pin.channel_of_tim3().is_some()).map(text_of).collect();
         let text = text_of(*pin);
-        checked.fault(*line, format!("spindle_pwm: {text} has no channel 2 of TIM3; {} have it", PWM_PINS.join(", ")));
+        checked.fault(*line, format!("spindle_pwm: {text} has no channel of TIM3; {} have one", have.join(", ")));
     }
     for role in ON_WHEN_HIGH {
         if let Some(Use { pin, line, .. }) = pins.get(name_of(role))
@@ -275,22 +275,24 @@ fn why_not(image: &profiles::Board, chip: &Chip, pin: Pin) -> Option<String> {
     }
 }
 
-/// Checks that step and direction pins lie on no more ports than the image has streams for.
+/// Checks that step and direction pins lie on no more ports than the image has DMA streams for. A port with steps needs
+/// two streams, and a port with directions alone needs one.
 fn check_ports(checked: &mut Checked<'_>, image: &profiles::Board, pins: &BTreeMap<&'static str, Use>) {
+    let (steps, directions) = (image.step_ports, image.direction_ports);
     let mut ports: Vec<u8> = Vec::new();
-    for (name, Use { pin, line, .. }) in pins {
-        if !name.starts_with("step_") && !name.starts_with("direction_") || ports.contains(&pin.port) {
-            continue;
-        }
-        ports.push(pin.port);
-        if ports.len() > image.step_ports {
-            let letters: Vec<String> = ports.iter().map(|port| char::from(b'A' + port).to_string()).collect();
-            let (most, text) = (image.step_ports, text_of(*pin));
-            let (all, image) = (letters.join(", "), image.name);
-            checked.fault(
-                *line,
-                format!("{name}: {text}: steps and directions are on the ports {all}, and {image} allows {most}"),
-            );
+    for (prefix, most, what) in [("step_", steps, "steps"), ("direction_", steps + directions, "steps and directions")]
+    {
+        for (name, Use { pin, line, .. }) in pins.iter().filter(|(name, _)| name.starts_with(prefix)) {
+            if ports.contains(&pin.port) {
+                continue;
+            }
+            ports.push(pin.port);
+            if ports.len() > most {
+                let letters: Vec<String> = ports.iter().map(|port| char::from(b'A' + port).to_string()).collect();
+                let (text, all, image) = (text_of(*pin), letters.join(", "), image.name);
+                checked
+                    .fault(*line, format!("{name}: {text}: {what} are on the ports {all}, and {image} allows {most}"));
+            }
         }
     }
 }

@@ -27,7 +27,7 @@ use oxmill_boards::profiles;
 use std::collections::BTreeMap;
 
 /// The boards of this project: name and file.
-pub const BOARDS: [(&str, &str); 9] = [
+pub const BOARDS: [(&str, &str); 13] = [
     ("blackpill_f411", include_str!("blackpill_f411.toml")),
     ("blackpill_f401", include_str!("blackpill_f401.toml")),
     ("nucleo_f446re", include_str!("nucleo_f446re.toml")),
@@ -36,6 +36,10 @@ pub const BOARDS: [(&str, &str); 9] = [
     ("octopus_f446", include_str!("octopus_f446.toml")),
     ("octopus_pro_f446", include_str!("octopus_pro_f446.toml")),
     ("spider_f446", include_str!("spider_f446.toml")),
+    ("skr2_f407", include_str!("skr2_f407.toml")),
+    ("monster8_f407", include_str!("monster8_f407.toml")),
+    ("robin_nano_v3", include_str!("robin_nano_v3.toml")),
+    ("jz_f407", include_str!("jz_f407.toml")),
     ("blackpill_f411_grblhal", include_str!("blackpill_f411_grblhal.toml")),
 ];
 
@@ -141,6 +145,7 @@ pub fn name_of(role: Role) -> &'static str {
         Role::AtSpeed => "at_speed",
         Role::ProgramInput => "program_input",
         Role::SecondProgramInput => "second_program_input",
+        Role::MotorPower => "motor_power",
     }
 }
 

@@ -69,12 +69,17 @@ const FAULTS: &[(&str, &str, &str)] = &[
     ("enable = \"B0\"", "second_enable = \"B0\"", "12: second_enable needs enable, which is missing"),
     ("enable = \"B0\"", "second_program_output = \"B0\"", "12: second_program_output needs program_output"),
     ("enable = \"B0\"", "second_program_input = \"B0\"", "12: second_program_input needs program_input"),
-    ("\"A7\"", "\"A8\"", "13: spindle_pwm: A8 has no channel 2 of TIM3; A7, B5, C7 have it"),
+    ("\"A7\"", "\"A8\"", "13: spindle_pwm: A8 has no channel of TIM3; A6, A7, B0, B1, B4, B5, C6, C7, C8, C9 have one"),
     ("enable = \"B0\"", "flood = \"A15\"", "12: flood: A15 is pulled up during a reset, which would switch flood on"),
     (
         "step_x = \"A1\"",
         "step_x = \"B1\"",
-        "6: step_x: B1: steps and directions are on the ports A, B, and blackpill_f411 allows 1",
+        "7: step_y: A2: steps are on the ports B, A, and blackpill_f411 allows 1",
+    ),
+    (
+        "direction_z = \"A6\"",
+        "direction_z = \"B6\"",
+        "11: direction_z: B6: steps and directions are on the ports A, B, and blackpill_f411 allows 1",
     ),
 ];
 
@@ -94,6 +99,21 @@ fn a_port_that_the_image_does_not_use_is_refused() {
     let text = text.replace("\"A2 J3\"", "\"B2\"").replace("\"PA3\"", "\"B3\"").replace("\"B15\"", "\"F1\"");
     let found = Board::parse(&text).expect_err("a fault");
     assert_eq!(found[0].text, "probe: F1 is on a port that the image nucleo_f446re does not use: it uses A to C");
+}
+
+/// A control board has streams for two ports with steps and for two more with directions alone.
+#[test]
+fn directions_of_a_control_board_may_be_on_ports_of_their_own() {
+    let robin = include_str!("robin_nano_v3.toml");
+    assert!(Board::parse(robin).is_ok());
+    let faults = |before, after| Board::parse(&robin.replace(before, after)).expect_err("a fault");
+    let found = faults("step_z = \"D6 E0\"", "step_z = \"B5 Z\"");
+    assert_eq!(found[0].text, "step_z: B5: steps are on the ports D, E, B, and control_f407 allows 2");
+    let found = faults("direction_z = \"D3 E0\"", "direction_z = \"C3\"");
+    assert_eq!(
+        found[0].text,
+        "direction_z: C3: steps and directions are on the ports D, E, A, B, C, and control_f407 allows 4"
+    );
 }
 
 #[test]

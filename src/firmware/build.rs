@@ -12,7 +12,8 @@ const BOARD: &str = "OXMILL_BOARD";
 fn main() {
     // 16 KiB of stack. The largest use in the QEMU sessions is 6.9 KiB (`cargo xtask converse`). An image built for size
     // inlines less at its start, and with four axes it needs more.
-    let stack_kib = if oxmill_images::chosen() == Some("control_f446") { 20 } else { 16 };
+    let is_control = oxmill_images::chosen().is_some_and(|image| image.starts_with("control_"));
+    let stack_kib = if is_control { 20 } else { 16 };
     oxmill_images::link(&["bins"], stack_kib);
     println!("cargo:rerun-if-env-changed={BOARD}");
     let Some(image) = oxmill_images::chosen() else { return };

@@ -79,10 +79,11 @@ fn rates_table() -> String {
 }
 
 /// The functions of pins, in the order of the page.
-const FUNCTIONS: [(&str, &[&str]); 15] = [
+const FUNCTIONS: [(&str, &[&str]); 16] = [
     ("step X, Y, Z", &["step_x", "step_y", "step_z"]),
     ("direction X, Y, Z", &["direction_x", "direction_y", "direction_z"]),
     ("driver enable, low is on", &["enable", "second_enable", "third_enable", "fourth_enable"]),
+    ("supply of the motors, high is on", &["motor_power"]),
     ("limit X, Y, Z", &["limit_x", "limit_y", "limit_z"]),
     ("probe", &["probe"]),
     ("reset or emergency stop, hold, start", &["reset", "hold", "start"]),
@@ -98,11 +99,15 @@ const FUNCTIONS: [(&str, &[&str]); 15] = [
 ];
 
 /// The columns of the table of pins: boards whose pins differ.
-const COLUMNS: [(&str, &str); 5] = [
+const COLUMNS: [(&str, &str); 9] = [
     ("Black Pill F411, F401", "blackpill_f411"),
     ("Nucleo with CNC shield v3", "nucleo_f446re"),
     ("Octopus, Octopus Pro", "octopus_f446"),
     ("Spider", "spider_f446"),
+    ("SKR 2", "skr2_f407"),
+    ("Monster8", "monster8_f407"),
+    ("Robin Nano V3", "robin_nano_v3"),
+    ("JZ-F407", "jz_f407"),
     ("Black Pill with grblHAL's pins", "blackpill_f411_grblhal"),
 ];
 

@@ -197,8 +197,10 @@ class Board:
         ):
             fit(base, Usart(name, self, base, clock, irq, bus))
         fit(0x4001_4800, ClockMeter("TIM11", self))
-        tim1 = fit(0x4001_0000, PulseTimer("TIM1", self))
-        self.peripherals["TIM5"].slaves.append(tim1)
+        slaves = self.peripherals["TIM5"].slaves
+        slaves.append(fit(0x4001_0000, PulseTimer("TIM1", self)))
+        if self.part.has_tim8:
+            slaves.append(fit(0x4001_0400, PulseTimer("TIM8", self)))
         self.dma = [fit(0x4002_6000, Dma("DMA1", self, 21)), fit(0x4002_6400, Dma("DMA2", self, 22))]
         self.otg = self.peripherals["OTG_FS"] = OtgFs("OTG_FS", self)
         self.exti = fit(0x4001_3C00, Exti("EXTI", self))

@@ -35,7 +35,8 @@ class Part:
     peripheral's clock runs while the processor sleeps. On the F401 and F411 the clocks of TIM1, GPIOE and GPIOH
     stop."""
     otg_id: int = 0x2000
-    """OTG_FS, CID: newer cores have 0x2000 (RM0390), older ones 0x1200 (RM0383, RM0368)."""
+    """OTG_FS, CID: newer cores have 0x2000 (RM0390), older ones 0x1200 (RM0383, RM0368) or 0x1100 (RM0090)."""
+    has_tim8: bool = False
     vco_hz: int = 100 * MHZ
     """Minimum frequency of the PLL's oscillator (RCC_PLLCFGR; 192 MHz in RM0368)."""
     flash_kib: int = 512
@@ -66,8 +67,15 @@ STM32F446 = Part(
     "STM32F446RE", 180 * MHZ, 45 * MHZ, 90 * MHZ,
     wait_states=tuple(n * 30 * MHZ for n in range(1, 7)),
     scale_hz={1: 120 * MHZ, 2: 144 * MHZ, 3: 168 * MHZ}, over_drive_hz=180 * MHZ, pwr_cr_reset=0xC000, interrupts=97,
-    asleep=(0x6067_90FF, 0x81, 0x3FFF_C9FF, 0x00C7_7F33),
+    asleep=(0x6067_90FF, 0x81, 0x3FFF_C9FF, 0x00C7_7F33), has_tim8=True,
 )  # fmt: skip
+STM32F407 = Part(
+    "STM32F407VE", 168 * MHZ, 42 * MHZ, 84 * MHZ,
+    wait_states=(*(n * 30 * MHZ for n in range(1, 6)), 168 * MHZ),
+    scale_hz={0: 144 * MHZ, 1: 168 * MHZ}, over_drive_hz=0, pwr_cr_reset=0x4000, interrupts=82,
+    asleep=(0x7E67_91FF, 0xF1, 0x36FE_C9FF, 0x0007_5F33), otg_id=0x1100, has_tim8=True,
+)  # fmt: skip
+"""RM0090; its core-coupled RAM is left out, because the firmware does not use it."""
 
 
 @dataclass(frozen=True)
@@ -113,15 +121,19 @@ class Wiring:
     left_out: tuple = ()
     """Features that this board's image lacks for want of space; all other boards have them."""
 
-    def promised(self, number):
-        """Returns a number of the board's entry in `profiles.rs`, so that the cases test what the firmware promises."""
+    def entry(self, field):
+        """Returns the value of a field in the board's entry in `profiles.rs`, as it stands there."""
         text, begin = PROFILES.read_text(), f'name: "{self.name}"'
         while True:
-            # A number that an entry lacks comes from the entry named after its two dots.
+            # A field that an entry lacks comes from the entry named after its two dots.
             row, _, rest = text.split(begin, 1)[1].split("}", 1)[0].partition("..")
-            if found := re.search(rf"\b{number}: ([0-9_]+)", row):
-                return int(found[1])
+            if found := re.search(rf"\b{field}: (\w+)", row):
+                return found[1]
             begin = f"const {rest.strip()}: Board"
+
+    def promised(self, number):
+        """Returns a number of the board's entry in `profiles.rs`, so that the cases test what the firmware promises."""
+        return int(self.entry(number))
 
     @property
     def safe_step_hz(self):
@@ -130,14 +142,7 @@ class Wiring:
     @property
     def axes(self):
         """Number of axes: three, or four if the board's entry says `AXES`, as many as the simulator."""
-        text, begin = PROFILES.read_text(), f'name: "{self.name}"'
-        while True:
-            row, _, rest = text.split(begin, 1)[1].split("}", 1)[0].partition("..")
-            if "axes: AXES," in row:
-                return 4
-            if not rest:
-                return 3
-            begin = f"const {rest.strip()}: Board"
+        return {"AXES": 4, "AXES_OF_BOARDS": 3}[self.entry("axes")]
 
     @property
     def most_baud(self):
@@ -192,6 +197,10 @@ BOARDS = {
         on("octopus_f446", replace(STM32F446, name="STM32F446ZE"), 12 * MHZ, 168 * MHZ, **USB),
         on("octopus_pro_f446", replace(STM32F446, name="STM32F446ZE"), 12 * MHZ, 168 * MHZ, **USB),
         on("spider_f446", replace(STM32F446, name="STM32F446VE"), 12 * MHZ, 168 * MHZ, **USB),
+        on("skr2_f407", STM32F407, 8 * MHZ, 168 * MHZ, **USB),
+        on("monster8_f407", STM32F407, 8 * MHZ, 168 * MHZ, **USB),
+        on("robin_nano_v3", STM32F407, 8 * MHZ, 168 * MHZ, **USB),
+        on("jz_f407", STM32F407, 25 * MHZ, 168 * MHZ, **USB),
         on("blackpill_f411_grblhal", STM32F411, 25 * MHZ, 96 * MHZ, **USB),
     )
 }

@@ -11,7 +11,7 @@ use std::thread;
 
 /// Boards whose chips are modelled, each with the cases that a run of all boards includes; `-` before a case excludes
 /// it. A board without cases runs only if it is named, as in `.ci/nightly`. A named board runs all cases.
-const BOARDS: [(&str, &[&str]); 9] = [
+const BOARDS: [(&str, &[&str]); 13] = [
     ("blackpill_f411", LEFT_OUT_ON_F411),
     ("nucleo_f446re", LEFT_OUT_ON_F446),
     ("blackpill_f401", ON_F401),
@@ -20,6 +20,10 @@ const BOARDS: [(&str, &[&str]); 9] = [
     ("octopus_f446", ON_CONTROL_F446),
     ("octopus_pro_f446", &[]),
     ("spider_f446", ON_OTHER_PINS),
+    ("robin_nano_v3", ON_CONTROL_F407),
+    ("skr2_f407", ON_OTHER_PINS),
+    ("monster8_f407", &[]),
+    ("jz_f407", &[]),
     ("blackpill_f411_grblhal", ON_OTHER_PINS),
 ];
 
@@ -83,6 +87,24 @@ const ON_CONTROL_F446: &[&str] = &[
     "usb",
     "usb flood",
     "usb lines",
+    "lost clock",
+];
+
+/// Cases for the image of control boards with an F407. This board has two ports with directions alone.
+const ON_CONTROL_F407: &[&str] = &[
+    "boot",
+    "crystals",
+    "tasks",
+    "pulses",
+    "safe rate",
+    "turns at full rate",
+    "zigzag",
+    "stops on the ring",
+    "stops in a zigzag",
+    "fourth axis",
+    "spindle PWM",
+    "settings write",
+    "usb",
     "lost clock",
 ];
 

@@ -72,11 +72,12 @@ mod boards {
         const TIM5: usize = 0x2100_0000;
         const TIM3: usize = 0x2100_0400;
         const TIM1: usize = 0x2100_0800;
+        const TIM8: usize = 0x2100_1800;
         const DMA1: usize = 0x2100_0C00;
         const DMA2: usize = 0x2100_1000;
         const RCC: usize = 0x2100_1400;
     }
-    pub type StepPins = step::StepPins<Memory, 1, ()>;
+    pub type StepPins = step::StepPins<Memory, 1, 1, ()>;
 }
 
 /// Defines the functions `row_*`. Calling one assigns the units that follow to its row.
@@ -249,7 +250,7 @@ fn step_task() {
     // once.
     let rings = unsafe { (boards::FAR_RINGS as *mut MaybeUninit<Rings<1>>).as_mut_unchecked() }.write(Rings::EMPTY);
     let clocks = Clocks { pulse_mhz: 96, pwm_hz: 96_000_000 };
-    let pins = boards::StepPins::at([1, 2, 3, 8].map(pin), [4, 5, 6, 9].map(pin), pin(15), clocks, rings, ());
+    let pins = boards::StepPins::at([1, 2, 3, 8].map(pin), [4, 5, 6, 9].map(pin), pin(15), 1, clocks, rings, ());
     let step = Step::new(pins, from_control, wiring_out, events_in, wake.writer());
     // SAFETY: unsafe because a static is changed; safe because no other code uses it yet.
     unsafe { (&raw mut STEP).cast::<Step>().write(step) };

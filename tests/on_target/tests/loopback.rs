@@ -63,8 +63,8 @@ const SKEW_NS: i32 = 500;
 /// Minimum set-up time of the direction, required by drivers even if `$29` is less.
 const LEAST_SETUP_US: i32 = 2;
 
-/// Ticks in a segment. Segments are short, so that the step task also receives messages between the pulses of the
-/// fastest train.
+/// Number of ticks in a segment. Segments are short, so that the step task also receives messages between the pulses of
+/// the fastest train.
 const SEGMENT_TICKS: u32 = 50;
 /// Pulses of the longest train. Its segments must all fit in the queue before it starts, because no task sends more of
 /// them later.
@@ -442,7 +442,7 @@ mod suite {
             cortex_m::asm::delay(boards::CORE_HZ / 10_000);
             seen.see(apart() - first);
         }
-        // The two counters are read one after the other over a bus, which takes some ticks.
+        // The two counters are read one after the other over a bus, which takes a few ticks.
         defmt::assert!(seen.most - seen.least < 20, "{} to {} ticks apart", seen.least, seen.most);
     }
 

@@ -33,8 +33,9 @@ from .stepping import (
     tight,
     turns,
     turns_at_full_rate,
+    zigzag,
 )
-from .stops import hold, lines_at_stops, ring_stops, stops
+from .stops import hold, lines_at_stops, ring_stops, stops, zigzag_stops
 from .uart import baud_rates, disturbed_line, fast_flood, sampled, torn_line, uart_lines
 from .usb import usb_answers, usb_flood, usb_lines, usb_port, usb_reset, usb_set_up_again, usb_stop, usb_unplugged, usb_unread
 
@@ -65,10 +66,12 @@ def all_cases(root):
         ("raster", raster),
         ("turns", turns),
         ("turns at full rate", turns_at_full_rate),
+        ("zigzag", zigzag),
         ("called at turns", called_at_turns),
         ("hold", hold),
         ("stops", stops),
         ("stops on the ring", ring_stops),
+        ("stops in a zigzag", zigzag_stops),
         ("masked for long", masked_long),
         ("late segments", late_segments),
         ("late starts", late_starts),

@@ -252,6 +252,43 @@ def turns_at_full_rate(bench):
         raise Failure("too few events are ahead behind a turn for interrupts to be masked then")
 
 
+def zigzag(bench):
+    """X moves at the maximum rate, and Y and Z turn at each mm of it, while interrupts are masked for 20 us at random
+    times. Y and Z turn at speed: their last step before a turn and the first one after it may be close together."""
+    pulse_us = bench.wiring.least_pulse_us
+    for setup_us, way in ((10, 0.2), (0, 0.02), (10, 0.02)):
+        bench.boot()
+        board, hz, random, lines = bench.board, bench.wiring.core_hz, Random(7), 12
+        rate = at_full_rate(bench)
+        bench.settings(s111=rate, s112=rate)
+        bench.settings(s29=setup_us, s11=5)
+        # X gets up to speed and stops in moves of its own.
+        lead = 2 + round((rate / 60) ** 2 / 2 / hard(bench, 10_000))
+        scope = Scope(board)
+        turning = "".join(f"X1 Y{'-' * (k % 2)}{way} Z{'-' * (1 - k % 2)}{way}\n" for k in range(lines))
+        bench.host.stream(f"G91 G1 F{rate * (1 + 2 * way * way) ** 0.5:.0f} X{lead}\n{turning}X{lead}\n")
+        while not (bench.host.all_answered and bench.status().startswith("<Idle")):
+            for _ in range(20):
+                board.run(seconds=random.uniform(60, 400) * US)
+                board.mask(20 * US)
+            if bench.host.has_said("ALARM"):
+                raise Failure(f"turns of {way} mm: {bytes(bench.host.text)[-60:]!r}")
+        events, widths, setups, holds = scope.read()
+        rising = [event.at for event in events if event.axes & 1]
+        periods = [(b - a) / hz for a, b in pairwise(rising)]
+        at_speed = sum(period < 1.02 * 60 / rate / 1000 for period in periods)
+        yield (
+            f"Y and Z turn by {way} mm: {len(setups)} changes of direction, set-up from {us(min(setups))} with $29={setup_us}, hold from {us(min(holds))}; "
+            f"pulses {us(min(widths))} to {us(max(widths))}; {at_speed} of {len(periods)} periods of X at {rate / 60:.0f} mm/s"
+        )
+        if scope.counts() != [2000 * lead + 1000 * lines, 0, 0]:
+            raise Failure(f"the motors are at {scope.counts()}")
+        if min(setups) < setup_us * US or min(holds) < pulse_us * US or min(widths) < pulse_us * US:
+            raise Failure("a direction output changes too late, or within a pulse, or a pulse is too short")
+        if len(setups) < 2 * lines - 2 or way > 0.1 and at_speed < len(periods) / 4:
+            raise Failure("few changes of direction at speed: this proves little")
+
+
 def called_at_turns(bench):
     """Calls the step task right before ticks (step events), as other tasks may do, in a zigzag that turns at every
     corner: no direction may change within a pulse."""

@@ -185,6 +185,40 @@ def ring_stops(bench):
     yield from stops_with_backlash(bench, random, rate, most // 2)
 
 
+def zigzag_stops(bench):
+    """Sends 0x18 at random times in a zigzag, when several changes of direction are queued: the reported position of
+    each axis must equal the steps output in the direction of its pin."""
+    bench.boot()
+    board, random, places, changes = bench.board, Random(5), [0, 0, 0], 0
+    at_full_rate(bench)
+    bench.settings(s11=5)
+    lines = "".join(f"X.0{3 + k % 3} Y{'-' * (k % 2)}.02{1 + k % 2} Z{'-' * (k % 3 == 0)}.02\n" for k in range(120))
+    most = 12
+    for k in range(most):
+        bench.ask("$X")
+        board.edges.clear()
+        scope, after = Scope(board), len(bench.host.text)
+        # The first move is slow, so that all lines have arrived before the fast moves begin.
+        bench.host.stream(f"G91 G1 F60 X.3\nF6000 X2\n{lines}")
+        bench.wait(lambda: bench.host.all_answered, 1, "the last answer")
+        bench.wait(lambda: len(board.edges) > 2 * 2300, 1, "the zigzag")
+        board.run(seconds=random.uniform(0.005, 0.045))
+        bench.host.send(b"\x18")
+        bench.wait_text("Grbl 1.1h", 0.5, after)
+        bench.at_rest(0.005)
+        _, _, setups, holds = scope.read()
+        changes += len(setups)
+        places = [place + moved for place, moved in zip(places, scope.counts(), strict=True)]
+        told = [round(float(place) * 1000) for place in bench.status().split("MPos:")[1].split("|")[0].split(",")[:3]]
+        if told != places:
+            raise Failure(f"stop {k + 1}: {told} is told, and the motors are at {places}")
+        if setups and (min(setups) < 10 * US or min(holds) < bench.wiring.least_pulse_us * US):
+            raise Failure(f"stop {k + 1}: set-up {us(min(setups))}, hold {us(min(holds))}")
+    yield f"{most} stops in a zigzag with {changes} changes of direction: counts of all axes exact"
+    if changes < 20 * most:
+        raise Failure("few changes of direction: this proves little")
+
+
 def stops_with_backlash(bench, random, rate, most):
     """With backlash, the reported position must be that of the tool, which lags the motor by the backlash. The backlash
     was taken up long before the stop."""

@@ -23,7 +23,7 @@ SD0PID, SD1PID = 1 << 28, 1 << 29
 OUT_DATA, OUT_DONE, SETUP_DONE, SETUP_DATA = 2, 3, 4, 6
 ENDPOINTS, FIFO_WORDS = 6, 320
 """RM0390, "OTG_FS main features": endpoint 0 and five more, 1.25 Kbytes of FIFO. RM0383 has endpoint 0 and three more."""
-OLD_CORE = 0x1200
+OLD_CORES = (0x1100, 0x1200)
 """CID of the cores of RM0383 and RM0368."""
 END_S = 0.5e-6
 """Seconds from a packet to the entry that marks its end."""
@@ -89,7 +89,7 @@ class OtgFs(Peripheral):
             return 1 << 31
         if offset == GINTSTS:
             return self._status()
-        if offset in DIEPTXF[3:] and self.board.part.otg_id == OLD_CORE:
+        if offset in DIEPTXF[3:] and self.board.part.otg_id in OLD_CORES:
             raise Unmodelled("this OTG_FS has three data endpoints")
         if offset == CID:
             return self.board.part.otg_id

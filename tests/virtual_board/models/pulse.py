@@ -1,6 +1,6 @@
-"""The advanced timer TIM1 as a one-pulse slave of TIM5 (RM0390 chapter 16, RM0383 chapter 12).
+"""The advanced timers TIM1 and TIM8 as one-pulse slaves of TIM5 (RM0390 chapter 16, RM0383 chapter 12).
 
-Modelled: one-pulse mode started by a trigger (SMS = 110, TS = 000: TIM5), compare events of four channels with their
+Modelled: one-pulse mode started by a trigger (SMS = 110, and TS of TIM5), compare events of four channels with their
 DMA requests, the stop at the update event, reset, a stop by software. A trigger takes effect after a fixed number of
 clocks (`SYNCHRONIZE`).
 Not modelled: all other modes, prescaler, repetition, outputs, dead time, interrupts, reading the status.
@@ -14,8 +14,9 @@ from .readings import is_chosen
 CR1, CR2, SMCR, DIER, EGR, CNT, ARR = 0x00, 0x04, 0x08, 0x0C, 0x14, 0x24, 0x2C
 COMPARE = (0x34, 0x38, 0x3C, 0x40)
 CEN, OPM = 1 << 0, 1 << 3
-TRIGGERED_BY_TIM5 = 0b110 | 0b000 << 4
-"""SMS and TS of TIM1_SMCR; the table "TIMx internal trigger connection" there has TIM5 as ITR0 of TIM1."""
+TRIGGERED_BY_TIM5 = {"TIM1": 0b110 | 0b000 << 4, "TIM8": 0b110 | 0b011 << 4}
+"""SMS and TS of TIMx_SMCR; the table "TIMx internal trigger connection" there has TIM5 as ITR0 of TIM1 and as ITR3 of
+TIM8."""
 SYNCHRONIZE, QUICKER, SLOWER = 4, 1, 8
 """Clocks from the trigger's event to the first count; `QUICKER` and `SLOWER` for the readings `quick-trigger` and
 `slow-trigger` (readings.py)."""
@@ -46,7 +47,7 @@ class PulseTimer(Peripheral):
     } | {offset: (f"CCR{n + 1}", 0, 0xFFFF) for n, offset in enumerate(COMPARE)}
 
     def __init__(self, name, board):
-        self.CLOCK = (0x44, 0)
+        self.CLOCK = (0x44, {"TIM1": 0, "TIM8": 1}[name])
         super().__init__(name, board)
 
     def reset(self):
@@ -80,7 +81,7 @@ class PulseTimer(Peripheral):
         super().write(offset, value)
         if offset == CR1:
             self.cut()
-        if offset == SMCR and value & 7 and value != TRIGGERED_BY_TIM5:
+        if offset == SMCR and value & 7 and value != TRIGGERED_BY_TIM5[self.name]:
             raise Unmodelled(f"{self.name}_SMCR {value:#x}")
         if offset == EGR:
             self.values[EGR] = 0
