@@ -71,11 +71,7 @@ const FAULTS: &[(&str, &str, &str)] = &[
     ("enable = \"B0\"", "second_program_input = \"B0\"", "12: second_program_input needs program_input"),
     ("\"A7\"", "\"A8\"", "13: spindle_pwm: A8 has no channel of TIM3; A6, A7, B0, B1, B4, B5, C6, C7, C8, C9 have one"),
     ("enable = \"B0\"", "flood = \"A15\"", "12: flood: A15 is pulled up during a reset, which would switch flood on"),
-    (
-        "step_x = \"A1\"",
-        "step_x = \"B1\"",
-        "7: step_y: A2: steps are on the ports B, A, and blackpill_f411 allows 1",
-    ),
+    ("step_x = \"A1\"", "step_x = \"B1\"", "7: step_y: A2: steps are on the ports B, A, and blackpill_f411 allows 1"),
     (
         "direction_z = \"A6\"",
         "direction_z = \"B6\"",
