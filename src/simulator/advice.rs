@@ -67,6 +67,13 @@ pub fn for_line(code: u8, line: &str) -> &'static str {
     }
 }
 
+/// Returns the advice for error `code` at the line `line`, beside the controller's sentence about the line. A sentence
+/// that says what to write, behind a colon, needs no advice of a general kind.
+pub fn beside(sentence: &str, code: u8, line: &str) -> &'static str {
+    let advice = for_line(code, line);
+    if sentence.contains(": ") && advice == for_code(code) { "" } else { advice }
+}
+
 /// Returns whether a comment of the line contains an opening parenthesis.
 fn has_nested_remark(line: &str) -> bool {
     let mut within = false;

@@ -68,7 +68,7 @@ impl Outcome {
                 code,
                 column: column::of_word(text, &source),
                 text: text.into(),
-                advice: advice::for_line(code, &source).into(),
+                advice: advice::beside(text, code, &source).into(),
                 source,
             });
         } else {
@@ -93,9 +93,15 @@ impl Outcome {
                 let awaited = self.messages.iter().rev().find_map(|message| message.strip_prefix(AWAITS));
                 let text = match awaited {
                     Some(number) => {
-                        format!("{} is called from here on, and is not in the file", number.trim_end_matches(']'))
+                        let number = number.trim_end_matches(']');
+                        format!(
+                            "{number} is called from here on, and is not in the file: write it behind M30, as {number} .. M99"
+                        )
                     }
-                    None => "the file lacks a subprogram that is called from here on".to_owned(),
+                    None => {
+                        "the file lacks a subprogram that is called from here on: write it behind M30, as O1001 .. M99"
+                            .to_owned()
+                    }
                 };
                 self.refused(line, Error::OutOfPlace.code(), &text, source);
             } else {

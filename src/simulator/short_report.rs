@@ -32,7 +32,9 @@ impl fmt::Display for ShortReport<'_> {
         for error in summary.errors.iter().take(SHOWN_ERRORS) {
             writeln!(f, "  line {}: {}", error.line, error.source)?;
             writeln!(f, "    {BAD}error:{}{BAD:#} {}", error.code, error.text)?;
-            writeln!(f, "    {FAINT}{}{FAINT:#}", error.advice)?;
+            if !error.advice.is_empty() {
+                writeln!(f, "    {FAINT}{}{FAINT:#}", error.advice)?;
+            }
         }
         if summary.error_count() > SHOWN_ERRORS as u64 {
             writeln!(f, "  and {} more", summary.error_count() - SHOWN_ERRORS as u64)?;

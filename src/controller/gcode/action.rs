@@ -100,7 +100,9 @@ impl Notice {
     /// The text of the message, for people.
     pub const fn text(self) -> &'static str {
         match self {
-            Notice::NoTools => "No tool is in the table: G43 has length 0. G10 L1 P5 Z0 enters tool 5",
+            Notice::NoTools => {
+                "No tool is in the table, so G43 has length 0. G10 L1 enters one: P its number, Z its length"
+            }
             // Only the full image knows the words of the other messages.
             _ if !FULL_IMAGE => "",
             Notice::LookAhead => "Switches of the look-ahead (G5.1 Q, G8 P, G187) do nothing: G64 P sets a tolerance",

@@ -52,6 +52,7 @@ pub const fn is_plain_or_lf(byte: u8) -> bool {
     PLAIN_OR_LF[byte as usize]
 }
 
+#[allow(clippy::indexing_slicing, reason = "the compiler computes it")]
 const PLAIN: [bool; 256] = {
     let mut plain = [false; 256];
     let mut byte = b' ';
@@ -62,6 +63,7 @@ const PLAIN: [bool; 256] = {
     plain
 };
 
+#[allow(clippy::indexing_slicing, reason = "the compiler computes it")]
 const PLAIN_OR_LF: [bool; 256] = {
     let mut plain = PLAIN;
     plain[b'\n' as usize] = true;

@@ -108,7 +108,11 @@ impl<const N: usize> Interpreter<N> {
             Error::EndlessLoop => say(out, "% came round 100,000 times", &[name]),
             Error::OutOfMemory => say(out, "no room to hold %: subroutines and loops are too long", &[name]),
             Error::InvalidArgument if self.unset_parameter(line).is_some() => {
-                say(out, "% is not set above this line", &[self.unset_parameter(line).unwrap_or_default()]);
+                say(
+                    out,
+                    "% is not set above this line: set it, or correct the name",
+                    &[self.unset_parameter(line).unwrap_or_default()],
+                );
             }
             error => {
                 say(out, "%: ", &[name]);
@@ -137,7 +141,11 @@ impl<const N: usize> Interpreter<N> {
                 say(out, "no line N% in this subprogram, or in the held part of the program", &[order.label]);
             }
             (_, Error::InvalidArgument) if self.unset_parameter(line).is_some() => {
-                say(out, "% is not set above this line", &[self.unset_parameter(line).unwrap_or_default()]);
+                say(
+                    out,
+                    "% is not set above this line: set it, or correct the name",
+                    &[self.unset_parameter(line).unwrap_or_default()],
+                );
             }
             (Keyword::CallMacroOfM, _) if self.computed.flow.find_macro(order.label).is_none() => return false,
             (_, error) => {
@@ -181,7 +189,11 @@ impl<const N: usize> Interpreter<N> {
             }
             Error::EndlessLoop => say(out, "% came round 100,000 times: its condition never becomes false", &[name]),
             Error::InvalidArgument if self.unset_parameter(within).is_some() => {
-                say(out, "% is not set above this line", &[self.unset_parameter(within).unwrap_or_default()]);
+                say(
+                    out,
+                    "% is not set above this line: set it, or correct the name",
+                    &[self.unset_parameter(within).unwrap_or_default()],
+                );
             }
             error if error.code() < Error::UnknownOperation.code() && error != Error::NotIdle => {
                 say(out, "% belongs to what is refused as a whole: correct its first refused line", &[name]);

@@ -657,7 +657,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         millimetres(out, at_start);
         say(out, " at its start, ", &[]);
         millimetres(out, at_end);
-        say(out, " at its end", &[]);
+        say(out, " at its end. Correct I, J or the end", &[]);
     }
 
     #[inline(never)]

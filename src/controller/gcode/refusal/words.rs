@@ -365,7 +365,9 @@ impl<const N: usize> Interpreter<N> {
     fn explain_parameter(&mut self, word: &[u8], out: &mut Reason) {
         let value = word.iter().position(|byte| *byte == b'=').and_then(|at| word.get(at..)).unwrap_or_default();
         match self.unset_parameter(value).or_else(|| self.unset_parameter(word)) {
-            Some(found @ [b'#', b'<', ..]) => say(out, "% is not set above this line", &[found]),
+            Some(found @ [b'#', b'<', ..]) => {
+                say(out, "% is not set above this line: set it, or correct the name", &[found])
+            }
             Some(found) => say(out, "% does not exist: parameters are #1 to #5999", &[found]),
             None => {
                 say(out, "a parameter in % does not exist: #1 to #5999, and names up to 32 letters", &[word_name(word)])
