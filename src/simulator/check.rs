@@ -11,6 +11,7 @@ use crate::text::{JobText, Said, is_call, without_header};
 use crate::tool_times::ToolTime;
 use oxmill_controller::axes::{Axis, LINEAR};
 use oxmill_controller::error::{Alarm, Error};
+use oxmill_controller::gcode::Units;
 use oxmill_controller::messages::Realtime;
 
 /// Begin of the message with the number of a subprogram that a held program waits for.
@@ -272,6 +273,27 @@ impl Check {
             self.outcome.complete = self.outcome.alarm.is_none() && job.is_used_up() && !job.has_failed();
         }
         self.compare_with_travel();
+        self.look_for_feeds_in_inches();
+    }
+
+    /// Notes a small job in millimetres whose feeds are as slow as those of a program in inches.
+    fn look_for_feeds_in_inches(&mut self) {
+        /// Millimetres per minute, on average. Programs in mm mostly have 100 or more, and those in inches 5 to 100.
+        const SLOW: f64 = 50.0;
+        /// Size of the job, mm. Parts of 100 inches are rare.
+        const SMALL: f64 = 100.0;
+        let simulator = &self.simulator;
+        let (measured, feed_s) = (simulator.meter().measured(), simulator.meter().times().sum().feed_s);
+        let (low, high) = simulator.machine().extents();
+        let [low, high] = [low, high].map(|steps| simulator.meter().carriages_mm(steps));
+        let [x, y] = [0, 1].map(|axis| high[axis] - low[axis]);
+        let feed = 60.0 * (measured.distance - measured.rapid_distance) / feed_s;
+        let is_metric = simulator.controller().interpreter().modal().units == Units::Mm;
+        if is_metric && feed < SLOW && x.max(y) > 0.0 && x.max(y) < SMALL {
+            self.outcome.note(format!(
+                "the feeds are {feed:.0} mm/min on average, and the job covers {x:.1} x {y:.1} mm: inches (G20) for millimetres (G21)?"
+            ));
+        }
     }
 
     /// Notes an axis whose moves cover several times its travel: mostly inches taken for millimetres.
@@ -458,6 +480,16 @@ mod tests {
         let summary = check.summary("a.nc", 0.0);
         assert!(summary.is_good(), "{summary}");
         summary
+    }
+
+    /// Inches taken for millimetres make a job that is too small, and slow.
+    #[test]
+    fn a_small_job_with_slow_feeds_is_noted() {
+        let is_noted = |text| checked("oxmill", text).notes.iter().any(|note| note.contains("inches (G20)"));
+        assert!(is_noted("G21 G90\nG1 Z-0.05 F8\nG1 X4 F30\nG1 Y3\nG1 X0 Y0\nM30"));
+        assert!(!is_noted("G20 G90\nG1 Z-0.05 F8\nG1 X4 F30\nG1 Y3\nM30"));
+        assert!(!is_noted("G21 G90\nG1 Z-1 F80\nG1 X40 F300\nG1 Y30\nM30"));
+        assert!(!is_noted("G21\nG0 X5\nM30") && !is_noted("G21\nG1 Z-1 F10\nM30") && !is_noted("M30"));
     }
 
     /// Here, M6 does not wait for the preceding moves. The time of a move must still count for the tool of the move,
