@@ -71,6 +71,8 @@ mod chosen {
     pub const AXES: usize = IMAGE.axes;
     /// Depth of the look-ahead, in blocks.
     pub const BLOCKS: usize = IMAGE.blocks;
+    /// Capacity of the memory for subroutines, loops and macros, bytes.
+    pub const HELD_BYTES: usize = IMAGE.held_bytes;
     /// Pages of 256 bytes for the recording of inputs and received bytes.
     pub const RECORDING_PAGES: usize = IMAGE.recording_pages;
     /// Maximum duration, in CPU cycles, of a run of the step task that generates events.

@@ -27,6 +27,8 @@ pub struct Board {
     pub axes: usize,
     /// Moves that the look-ahead holds.
     pub blocks: usize,
+    /// Capacity of the memory for subroutines, loops and macros, bytes; 0 if the image has none.
+    pub held_bytes: usize,
     /// Maximum step rate of one axis that the step task can follow, steps/s.
     pub safe_step_hz: u32,
     /// Shortest step pulse (`$0`), tenths of a microsecond.
@@ -64,6 +66,7 @@ pub const DESK: Board = Board {
     run_cycles: 4_450,
     axes: AXES,
     blocks: BLOCKS,
+    held_bytes: 12_288,
     safe_step_hz: 1_000_000,
     least_pulse_tenths: 5,
     received_bytes: 255,
@@ -114,6 +117,7 @@ pub const BLACKPILL_F401: Board = Board {
     safe_step_hz: 490_000,
     image: 2,
     blocks: 256,
+    held_bytes: 0,
     recording_pages: 0,
     has_all_words: false,
     ..BLACKPILL
@@ -144,6 +148,7 @@ pub const NUCLEO_F401RE: Board = Board {
     core_hz: 84_000_000,
     safe_step_hz: 490_000,
     image: 5,
+    held_bytes: 6_144,
     recording_pages: 6,
     ..NUCLEO
 };
@@ -160,6 +165,7 @@ pub const CONTROL_F446: Board = Board {
     image: 6,
     has_usb: true,
     ports: 7,
+    held_bytes: 8_192,
     direction_ports: 2,
     most_baud: 115_200,
     has_at_speed: false,
@@ -189,8 +195,14 @@ pub const JZ_F407: Board = Board { name: "jz_f407", ..SKR2_F407 };
 pub const BLACKPILL_F411_GRBLHAL: Board = Board { name: "blackpill_f411_grblhal", ..BLACKPILL_F411 };
 
 /// QEMU's `mps2-an386`: Cortex-M4F, timers at 25 MHz.
-pub const QEMU_MPS2: Board =
-    Board { name: "qemu_mps2", step_clock_hz: 25_000_000, core_hz: 25_000_000, safe_step_hz: 100_000, ..HARDWARE };
+pub const QEMU_MPS2: Board = Board {
+    name: "qemu_mps2",
+    step_clock_hz: 25_000_000,
+    core_hz: 25_000_000,
+    safe_step_hz: 100_000,
+    held_bytes: 6_144,
+    ..HARDWARE
+};
 
 /// The images of the firmware for boards with hardware. Their numbers stand in pin tables, so they never change.
 pub const IMAGES: [Board; 7] =

@@ -60,6 +60,8 @@ pub const PORTS: usize = 3;
 pub const AXES: usize = profiles::QEMU_MPS2.axes;
 /// Depth of the look-ahead, in blocks.
 pub const BLOCKS: usize = profiles::QEMU_MPS2.blocks;
+/// Capacity of the memory for subroutines, loops and macros, bytes.
+pub const HELD_BYTES: usize = profiles::QEMU_MPS2.held_bytes;
 /// Pages of 256 bytes for the recording of inputs and received bytes.
 pub const RECORDING_PAGES: usize = profiles::QEMU_MPS2.recording_pages;
 /// Maximum duration, in CPU cycles, of a run of the step task that generates events.

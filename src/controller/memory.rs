@@ -21,20 +21,20 @@ pub struct Memory<const N: usize> {
 
 #[cfg(feature = "alloc")]
 impl<const N: usize> Memory<N> {
-    /// Allocates the parts on the heap, with a look-ahead of `blocks` blocks.
-    pub fn on_heap(profile: &Profile, blocks: usize) -> Self {
+    /// Allocates the parts on the heap, with a look-ahead of `blocks` blocks and `held` bytes for held text.
+    pub fn on_heap(profile: &Profile, blocks: usize, held: usize) -> Self {
         let motion = |memory| Lent::new(Motion::unconfigured(profile.step_clock_hz, memory));
         Self {
             motion: motion(crate::motion::on_heap(blocks)),
             parking: motion(crate::motion::on_heap_for_single_moves()),
-            interpreter: Lent::new(Interpreter::new(crate::gcode::ProgramMemory::on_heap())),
+            interpreter: Lent::new(Interpreter::new(crate::gcode::ProgramMemory::on_heap(held))),
             replies: Lent::new(Replies::new()),
             records: Lent::new(Records::new(profile.has_store)),
         }
     }
 }
 
-/// Owns the large parts on a board, with a look-ahead of `BLOCKS` blocks.
+/// Owns the large parts on a board, with a look-ahead of `BLOCKS` blocks and `HELD` bytes for held text.
 #[cfg(not(feature = "alloc"))]
 pub use on_board::Storage;
 
@@ -45,12 +45,12 @@ mod on_board {
     use crate::motion::{MotionStorage, SingleMoveStorage};
     use core::mem::MaybeUninit;
 
-    /// Owns the large parts on a board, with a look-ahead of `BLOCKS` blocks.
+    /// Owns the large parts on a board, with a look-ahead of `BLOCKS` blocks and `HELD` bytes for held text.
     #[derive(Debug)]
-    pub struct Storage<const N: usize, const BLOCKS: usize> {
+    pub struct Storage<const N: usize, const BLOCKS: usize, const HELD: usize> {
         job: MotionStorage<N, BLOCKS>,
         parked: SingleMoveStorage<N>,
-        program: ProgramStorage<N>,
+        program: ProgramStorage<N, HELD>,
         motion: MaybeUninit<Motion<N>>,
         parking: MaybeUninit<Motion<N>>,
         interpreter: MaybeUninit<Interpreter<N>>,
@@ -58,7 +58,7 @@ mod on_board {
         records: MaybeUninit<Records>,
     }
 
-    impl<const N: usize, const BLOCKS: usize> Storage<N, BLOCKS> {
+    impl<const N: usize, const BLOCKS: usize, const HELD: usize> Storage<N, BLOCKS, HELD> {
         /// All bytes are 0 or uninitialised, so a static `Storage` needs no flash (`cargo fw` checks the size of
         /// `.data`).
         pub const EMPTY: Self = Self {

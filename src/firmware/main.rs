@@ -16,7 +16,7 @@ macro_rules! firmware {
     (serial: $serial:ident $(, uart: $uart:ident)? $(, usb: $usb:ident)?, step: $step:ident, dispatcher: $dispatcher:ident) => {
         #[rtic::app(device = oxmill_boards::pac, peripherals = true, dispatchers = [$dispatcher])]
         mod app {
-            use oxmill_boards::{self as boards, AXES, BLOCKS};
+            use oxmill_boards::{self as boards, AXES, BLOCKS, HELD_BYTES};
             use oxmill_controller::messages::*;
             use oxmill_controller::memory::Storage;
             use core::mem::MaybeUninit;
@@ -65,7 +65,7 @@ macro_rules! firmware {
                 alarm: Signal<u32> = Signal::new(),
                 controller: MaybeUninit<BoardController> = MaybeUninit::uninit(),
                 // Memory for the large parts of the controller: look-ahead, G-code interpreter, replies.
-                storage: Storage<AXES, BLOCKS> = Storage::EMPTY,
+                storage: Storage<AXES, BLOCKS, HELD_BYTES> = Storage::EMPTY,
             ])]
             fn init(cx: init::Context) -> (Shared, Local) {
                 boards::stack::paint();

@@ -29,6 +29,7 @@ struct Outcome {
     warnings: Vec<Warning>,
     more_warnings: u64,
     messages: Vec<String>,
+    message_lines: Vec<u64>,
     more_messages: u64,
     notes: Vec<String>,
     more_notes: u64,
@@ -47,8 +48,13 @@ impl Outcome {
                 }
                 Said::Error { line, code, text, reason: None } => self.refused(line, code, error_text(code), text),
                 Said::Warning(warning) => self.warn(warning),
-                Said::Message(text) if self.messages.len() < KEPT_MESSAGES => self.messages.push(text),
-                Said::Message(_) => self.more_messages += 1,
+                // A held program repeats what it waits for.
+                Said::Message { text, .. } if self.messages.last() == Some(&text) && text.starts_with(AWAITS) => {}
+                Said::Message { line, text } if self.messages.len() < KEPT_MESSAGES => {
+                    self.messages.push(text);
+                    self.message_lines.push(line);
+                }
+                Said::Message { .. } => self.more_messages += 1,
             }
         }
     }
@@ -59,6 +65,7 @@ impl Outcome {
             self.more_messages -= 1;
         } else if self.messages.last().is_some_and(|last| last == message) {
             self.messages.pop();
+            self.message_lines.pop();
         }
     }
 
@@ -93,16 +100,9 @@ impl Outcome {
             if is_call(&source) && !source.trim_start().starts_with(['o', 'O']) {
                 let awaited = self.messages.iter().rev().find_map(|message| message.strip_prefix(AWAITS));
                 let text = match awaited {
-                    Some(number) => {
-                        let number = number.trim_end_matches(']');
-                        format!(
-                            "{number} is called from here on, and is not in the file: write it behind M30, as {number} .. M99"
-                        )
-                    }
-                    None => {
-                        "the file lacks a subprogram that is called from here on: write it behind M30, as O1001 .. M99"
-                            .to_owned()
-                    }
+                    Some(number) => missing(number.trim_end_matches(']'), job.program_numbers()),
+                    None => "a subprogram that is called here is not in the file: write it after M30, as O1001 .. M99"
+                        .to_owned(),
                 };
                 self.refused(line, Error::OutOfPlace.code(), &text, source);
             } else {
@@ -128,6 +128,17 @@ impl Outcome {
             self.notes.push(note);
         } else {
             self.more_notes += 1;
+        }
+    }
+}
+
+/// Returns what is wrong with a call of `number`, in a file with the program numbers `present`.
+fn missing<'a>(number: &str, present: impl Iterator<Item = &'a str>) -> String {
+    match present.collect::<Vec<_>>()[..] {
+        [] => format!("{number} is called here and is not in the file: write it after M30, from {number} to M99"),
+        [only] => format!("{number} is called here, and the file has only {only}: correct one of the numbers"),
+        [first, .., last] => {
+            format!("{number} is called here, and the file has {first} to {last}: correct the number, or add {number}")
         }
     }
 }
@@ -291,7 +302,7 @@ impl Check {
         let is_metric = simulator.controller().interpreter().modal().units == Units::Mm;
         if is_metric && feed < SLOW && x.max(y) > 0.0 && x.max(y) < SMALL {
             self.outcome.note(format!(
-                "the feeds are {feed:.0} mm/min on average, and the job covers {x:.1} x {y:.1} mm: inches (G20) for millimetres (G21)?"
+                "the feeds are {feed:.0} mm/min on average, and the job covers {x:.1} x {y:.1} mm: write G20 if these are inches"
             ));
         }
     }
@@ -309,7 +320,7 @@ impl Check {
             let (travel, covered) = (f64::from(to - from), high[axis.index()] - low[axis.index()]);
             if covered > MUCH * travel && travel > 0.0 {
                 notes.push(format!(
-                    "{} moves over {covered:.0} mm, and its travel (${}) is {travel:.0} mm: inches (G20) for millimetres (G21)?",
+                    "{} moves over {covered:.0} mm, and its travel (${}) is {travel:.0} mm: write G21 if these are millimetres",
                     char::from(axis.letter()),
                     130 + axis.index()
                 ));
@@ -377,6 +388,7 @@ impl Check {
             notes: outcome.notes.clone(),
             more_notes: outcome.more_notes,
             messages: outcome.messages.clone(),
+            message_lines: outcome.message_lines.clone(),
             more_messages: outcome.more_messages,
             forecast_s: forecast,
             duration_s: clock.seconds(trace.duration()),
@@ -485,7 +497,7 @@ mod tests {
     /// Inches taken for millimetres make a job that is too small, and slow.
     #[test]
     fn a_small_job_with_slow_feeds_is_noted() {
-        let is_noted = |text| checked("oxmill", text).notes.iter().any(|note| note.contains("inches (G20)"));
+        let is_noted = |text| checked("oxmill", text).notes.iter().any(|note| note.contains("write G20"));
         assert!(is_noted("G21 G90\nG1 Z-0.05 F8\nG1 X4 F30\nG1 Y3\nG1 X0 Y0\nM30"));
         assert!(!is_noted("G20 G90\nG1 Z-0.05 F8\nG1 X4 F30\nG1 Y3\nM30"));
         assert!(!is_noted("G21 G90\nG1 Z-1 F80\nG1 X40 F300\nG1 Y30\nM30"));

@@ -50,8 +50,12 @@ impl fmt::Display for ShortReport<'_> {
         if summary.warning_count() > SHOWN_ERRORS as u64 {
             writeln!(f, "  and {} more warnings", summary.warning_count() - SHOWN_ERRORS as u64)?;
         }
-        for message in summary.messages.iter().chain(&summary.notes).take(SHOWN_ERRORS) {
-            writeln!(f, "  {message}")?;
+        for note in summary.notes.iter().take(SHOWN_ERRORS) {
+            writeln!(f, "  {WARNING}note{WARNING:#}: {note}")?;
+        }
+        for (message, line) in summary.messages.iter().zip(&summary.message_lines).take(SHOWN_ERRORS) {
+            let place = if *line > 0 { format!("line {line}: ") } else { String::new() };
+            writeln!(f, "  {place}{message}")?;
         }
         let skipped = if summary.errors.is_empty() { "" } else { ", with the refused lines left out" };
         writeln!(f, "  time     {}{skipped}", clock_time(summary.forecast_s))?;
@@ -82,7 +86,11 @@ fn verdict(summary: &Summary) -> (Style, String) {
             0 => String::new(),
             warnings => format!(", with {}", counted(warnings, "warning")),
         };
-        (GOOD, format!("every line is accepted{warnings}"))
+        let notes = match summary.notes.len() as u64 + summary.more_notes {
+            0 => String::new(),
+            notes => format!(", with {}", counted(notes, "note")),
+        };
+        (GOOD, format!("every line is accepted{warnings}{notes}"))
     }
 }
 
@@ -97,6 +105,7 @@ mod tests {
         let mut summary = example();
         summary.errors = vec![summary.errors[0].clone(); 1000];
         summary.messages = vec!["[MSG:x]".into(); 50];
+        summary.message_lines = vec![3; 50];
         summary.warnings = vec![Warning { line: 3, text: "holds".into() }; 1000];
         let text = ShortReport(&summary).to_string();
         assert!(text.contains("1000 lines refused") && text.contains("and 992 more"), "{text}");

@@ -98,7 +98,7 @@ impl Simulator {
             oscillator_mhz: 0,
             has_store: true,
         };
-        let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS)));
+        let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS, board.held_bytes)));
         for record in store.records() {
             controller.restore(&record);
         }

@@ -94,6 +94,8 @@ pub struct Summary {
     pub more_notes: u64,
     /// Messages of the controller, at most 50.
     pub messages: Vec<String>,
+    /// For each of `messages`, the line number in the file of the line that caused it; 0 if no line did.
+    pub message_lines: Vec<u64>,
     /// Number of messages beyond those in `messages`.
     pub more_messages: u64,
     /// From the first line to rest: the time that a board will need if its link never starves it.
@@ -353,6 +355,7 @@ pub(crate) mod tests {
             complete: true,
             notes: vec![],
             messages: vec![],
+            message_lines: vec![],
             forecast_s: 3725.5,
             duration_s: 3700.0,
             moving_s: 3699.0,

@@ -33,7 +33,12 @@ pub enum Said {
         reason: Option<String>,
     },
     /// Any other output that is not an answer to a line.
-    Message(String),
+    Message {
+        /// Line number in the file of the oldest line that was unanswered then; 0 if there was none.
+        line: u64,
+        /// The output.
+        text: String,
+    },
     /// A line given to the controller may not do what was intended.
     Warning(Warning),
 }
@@ -159,6 +164,19 @@ impl JobText {
     pub fn opener(&self, line: u32) -> Option<(u64, &str)> {
         let given = u64::from(line.wrapping_sub(self.lines_before));
         self.openers.iter().find(|opener| opener.given == given).map(|opener| (opener.number, opener.text.as_str()))
+    }
+
+    /// Returns the program numbers (`O1001`) among the lines that may have opened a block, as the file has them.
+    pub fn program_numbers(&self) -> impl Iterator<Item = &str> {
+        self.openers.iter().filter_map(|opener| {
+            let text = opener.text.trim();
+            let digits = text.strip_prefix(['O', 'o'])?;
+            let length = digits.bytes().take_while(u8::is_ascii_digit).count();
+            let is_alone = digits
+                .get(length..)
+                .is_some_and(|rest| rest.trim_start().is_empty() || rest.trim_start().starts_with('('));
+            (length > 0 && is_alone).then(|| &text[..=length])
+        })
     }
 
     /// Converts `line`, as the controller counts lines, to a line number in the file; 0 for a line before the job.
@@ -378,7 +396,8 @@ impl JobText {
                 self.alarmed_at = self.oldest_unanswered();
             }
             self.message = Some(reply.to_owned()).filter(|text| text.starts_with("[MSG:"));
-            self.said.push(Said::Message(reply.to_owned()));
+            let line = self.oldest_unanswered().unwrap_or(0);
+            self.said.push(Said::Message { line, text: reply.to_owned() });
         }
     }
 }
@@ -532,7 +551,7 @@ mod tests {
             job.said(),
             [
                 Said::Error { line: 3, code: 20, text: "bad".into(), reason: None },
-                Said::Message("[MSG:Pgm End]".into())
+                Said::Message { line: 4, text: "[MSG:Pgm End]".into() }
             ]
         );
         assert!(job.is_used_up());

@@ -101,7 +101,7 @@ impl Notice {
     pub const fn text(self) -> &'static str {
         match self {
             Notice::NoTools => {
-                "No tool is in the table, so G43 has length 0. G10 L1 enters one: P its number, Z its length"
+                "No tool is in the table: G43 acts with length 0. G10 L1 P and Z, above the line, enter a tool and its length"
             }
             // Only the full image knows the words of the other messages.
             _ if !FULL_IMAGE => "",

@@ -18,18 +18,18 @@ pub struct ProgramMemory<const N: usize> {
     pub(super) control_points: [Lent<PointList>; FULL_IMAGE as usize],
 }
 
-/// Owner of the interpreter's memory on a board.
+/// Owner of the interpreter's memory on a board, with `HELD` bytes for held text.
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
-pub struct ProgramStorage<const N: usize> {
-    computed: ComputedStorage,
+pub struct ProgramStorage<const N: usize, const HELD: usize> {
+    computed: ComputedStorage<HELD>,
     tools: ToolTable<N>,
     saved: SavedList<N>,
     control_points: [PointList; FULL_IMAGE as usize],
 }
 
 #[cfg(not(feature = "alloc"))]
-impl<const N: usize> ProgramStorage<N> {
+impl<const N: usize, const HELD: usize> ProgramStorage<N, HELD> {
     /// Empty memory; all bytes are 0.
     pub const EMPTY: Self = Self {
         computed: ComputedStorage::EMPTY,
@@ -51,10 +51,10 @@ impl<const N: usize> ProgramStorage<N> {
 
 #[cfg(feature = "alloc")]
 impl<const N: usize> ProgramMemory<N> {
-    /// Allocates the memory on the heap.
-    pub fn on_heap() -> Self {
+    /// Allocates the memory on the heap, with `held` bytes for held text.
+    pub fn on_heap(held: usize) -> Self {
         Self {
-            computed: ComputedMemory::on_heap(),
+            computed: ComputedMemory::on_heap(held),
             tools: Lent::new(ToolTable::EMPTY),
             saved: Lent::new(SavedList::new()),
             control_points: core::array::from_fn(|_| Lent::new(PointList::new())),

@@ -48,6 +48,8 @@ mod word;
 
 pub use action::{Action, ArcMove, Feed, Flow, InputWait, MotionCommand, Notice, NurbsMove, ProgramPins, SplineMove};
 pub use computed::HeldLine;
+#[cfg(feature = "alloc")]
+pub use computed::LEAST_HELD;
 pub use cycle::{Cycle, CycleStep, CycleWords};
 pub use direction::{Direction, Held};
 pub use memory::ProgramMemory;

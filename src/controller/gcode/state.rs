@@ -107,7 +107,7 @@ impl<const N: usize> BeforeCheck<N> {
 #[cfg(feature = "alloc")]
 impl<const N: usize> Default for Interpreter<N> {
     fn default() -> Self {
-        Self::new(ProgramMemory::on_heap())
+        Self::new(ProgramMemory::on_heap(super::LEAST_HELD))
     }
 }
 

@@ -3,6 +3,7 @@
 
 use crate::board::{NOW, PROFILE};
 use oxmill_controller::Controller;
+use oxmill_controller::gcode::LEAST_HELD;
 use oxmill_controller::memory::Memory;
 use oxmill_controller::messages::{
     Crash, CrashKind, Event, LineByte, Observed, Output, Realtime, ResetCause, Restart, Room, Sensed, Signals,
@@ -17,7 +18,7 @@ struct Board {
 
 impl Board {
     fn started(restart: Option<Restart>) -> (Board, String) {
-        let mut controller = Box::new(Controller::new(PROFILE, Memory::on_heap(&PROFILE, 16)));
+        let mut controller = Box::new(Controller::new(PROFILE, Memory::on_heap(&PROFILE, 16, LEAST_HELD)));
         if let Some(restart) = restart {
             controller.restarted(restart);
         }

@@ -99,9 +99,9 @@ impl<const N: usize> LineInWork<N> {
             let mut text = Text::new();
             put(&mut text, b"the line has ");
             whole(&mut text, length as u64);
-            put(&mut text, b" characters without blanks and remarks: ");
+            put(&mut text, b" characters without blanks and comments: ");
             whole(&mut text, fit as u64);
-            put(&mut text, b" fit");
+            put(&mut text, b" fit, so split it");
             refusal.reason.clear();
             let _ = refusal.reason.extend_from_slice(&text);
             refusal.is_new = true;

@@ -549,7 +549,7 @@ fn unit_chord(arc: &mut Arc<3>) -> Option<PerAxis<Coordinate, 3>> {
 }
 
 fn text_and_arcs() {
-    let memory = cortex_m::singleton!(: MaybeUninit<ProgramStorage<3>> = MaybeUninit::uninit())
+    let memory = cortex_m::singleton!(: MaybeUninit<ProgramStorage<3, 6144>> = MaybeUninit::uninit())
         .expect("main runs once")
         .write(ProgramStorage::EMPTY)
         .lend();
@@ -866,8 +866,9 @@ fn main() -> ! {
     planning_with_jerk(far);
     text_and_arcs();
     // SAFETY: as above.
-    let place =
-        unsafe { (boards::CONTROLLER as *mut (MaybeUninit<Whole>, MaybeUninit<Storage<3, 256>>)).as_mut_unchecked() };
+    let place = unsafe {
+        (boards::CONTROLLER as *mut (MaybeUninit<Whole>, MaybeUninit<Storage<3, 256, 6144>>)).as_mut_unchecked()
+    };
     let (place, memory) = (&mut place.0, place.1.write(Storage::EMPTY).lend(&boards::PROFILE));
     let mut streaming = Streaming::start(place, memory);
     gentle_line(&mut streaming);

@@ -12,6 +12,8 @@ use oxmill_controller::{Controller, Profile, StepRates, Stepper};
 
 /// Number of axes.
 pub const AXES: usize = 3;
+/// Capacity of the memory for subroutines, loops and macros, bytes.
+const HELD_BYTES: usize = 6144;
 /// Depth of the look-ahead; the programs here need only a short one.
 pub const BLOCKS: usize = 32;
 /// Frequency of the step clock.
@@ -60,7 +62,7 @@ impl Rig {
             oscillator_mhz: 0,
             has_store: false,
         };
-        static mut STORAGE: Storage<AXES, BLOCKS> = Storage::EMPTY;
+        static mut STORAGE: Storage<AXES, BLOCKS, HELD_BYTES> = Storage::EMPTY;
         assert!(!LIVES.swap(true, Ordering::Relaxed), "one rig at a time");
         // SAFETY: unsafe because the storage is lent again for each rig; safe because the flag is cleared only when a
         // rig is dropped, and with it its controller, which holds the loan.

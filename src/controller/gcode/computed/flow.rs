@@ -25,9 +25,14 @@ use crate::gcode::program_number::behind_line_number;
 use crate::gcode::remark::split_remark;
 use crate::lent::Lent;
 
-/// Capacity of the held text, in bytes. A line takes one byte more than its length. This is enough for a probing
+/// Capacity of the held text on hosts, in bytes. Boards have their own (`held_bytes` in `boards/profiles.rs`), which is
+/// not larger.
+#[cfg(feature = "alloc")]
+pub(super) const MOST_HELD: usize = 12_288;
+/// Minimum capacity of the held text, in bytes. A line takes one byte more than its length. This is enough for a probing
 /// subroutine of 150 lines and the loop that calls it.
-pub(super) const TEXT: usize = 6144;
+#[cfg(feature = "alloc")]
+pub const LEAST_HELD: usize = 6144;
 /// Maximum number of bytes of the held text that macros may take; the rest is for programs.
 pub(super) const MOST_MACROS: usize = 3072;
 /// Size of the part of the held text that is reserved for the first line of a subroutine or loop, in bytes. So the
@@ -354,13 +359,19 @@ pub(super) enum FlowState {
 }
 
 /// Buffer of held text.
-pub(super) type HeldText = heapless::Vec<u8, TEXT>;
+#[cfg(feature = "alloc")]
+pub(super) type HeldText = heapless::Vec<u8, MOST_HELD>;
+/// Buffer of held text.
+#[cfg(not(feature = "alloc"))]
+pub(super) type HeldText = heapless::vec::VecView<u8>;
 
 /// Held text, and the open blocks and calls.
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[derive(Debug, PartialEq)]
 pub(super) struct FlowControl {
     pub(super) text: Lent<HeldText>,
+    /// Maximum number of bytes of the text.
+    pub(super) most: usize,
     /// Number of bytes at the start of the text that are macros. The end of a program keeps these bytes.
     pub(super) macros: u16,
     pub(super) frames: heapless::Vec<Frame, DEPTH>,
@@ -396,9 +407,11 @@ pub(super) struct FlowControl {
 }
 
 impl FlowControl {
-    pub fn new(text: Lent<HeldText>) -> Self {
+    /// `most`: maximum number of bytes of the text.
+    pub fn new(text: Lent<HeldText>, most: usize) -> Self {
         Self {
             text,
+            most,
             macros: 0,
             frames: heapless::Vec::new(),
             labels: heapless::Vec::new(),
@@ -478,7 +491,7 @@ impl FlowControl {
     pub(super) fn hold(&mut self, line: &[u8], remark: &[u8], spare: usize) -> Result<(), Error> {
         let length = line.len() + remark.len();
         let prefix = u8::try_from(length).map_err(|_| Error::OutOfMemory)?;
-        if self.text.len() + 1 + length + spare > TEXT {
+        if self.text.len() + 1 + length + spare > self.most {
             return Err(Error::OutOfMemory);
         }
         let _ = self.text.push(prefix);

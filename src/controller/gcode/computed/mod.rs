@@ -29,35 +29,39 @@ use parameters::{Cells, Parameters};
 use real::Real;
 
 pub use flow::HeldLine;
+#[cfg(feature = "alloc")]
+pub use flow::LEAST_HELD;
 
 /// Memory lent to [`Computed`].
 #[derive(Debug)]
 pub(super) struct ComputedMemory {
     cells: Lent<Cells>,
     text: Lent<HeldText>,
+    /// Maximum number of bytes of the text.
+    held: usize,
 }
 
-/// Owner, on a board, of the memory that is lent to [`Computed`].
+/// Owner, on a board, of the memory that is lent to [`Computed`], with `HELD` bytes for held text.
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
-pub(super) struct ComputedStorage {
+pub(super) struct ComputedStorage<const HELD: usize> {
     cells: Cells,
-    text: HeldText,
+    text: heapless::Vec<u8, HELD>,
 }
 
 #[cfg(not(feature = "alloc"))]
-impl ComputedStorage {
-    pub const EMPTY: Self = Self { cells: Cells::new(), text: HeldText::new() };
+impl<const HELD: usize> ComputedStorage<HELD> {
+    pub const EMPTY: Self = Self { cells: Cells::new(), text: heapless::Vec::new() };
 
     pub fn lend(&'static mut self) -> ComputedMemory {
-        ComputedMemory { cells: &mut self.cells, text: &mut self.text }
+        ComputedMemory { cells: &mut self.cells, text: self.text.as_mut_view(), held: HELD }
     }
 }
 
 #[cfg(feature = "alloc")]
 impl ComputedMemory {
-    pub fn on_heap() -> Self {
-        Self { cells: Lent::new(Cells::new()), text: Lent::new(HeldText::new()) }
+    pub fn on_heap(held: usize) -> Self {
+        Self { cells: Lent::new(Cells::new()), text: Lent::new(HeldText::new()), held: held.min(flow::MOST_HELD) }
     }
 }
 
@@ -84,7 +88,7 @@ impl<const N: usize> Computed<N> {
     pub fn new(memory: ComputedMemory) -> Self {
         Self {
             parameters: Parameters::new(memory.cells),
-            flow: FlowControl::new(memory.text),
+            flow: FlowControl::new(memory.text, memory.held),
             returned: None,
             probed: PerAxis::all(Coordinate::ZERO),
             probe_succeeded: false,
@@ -113,7 +117,7 @@ impl<const N: usize> Computed<N> {
     /// Counts a line of a held program that did not fit.
     pub fn count_refused(&mut self, line: &[u8]) {
         if REASONS {
-            self.overflow.count(line, self.flow.missing);
+            self.overflow.count(&self.flow, line);
         }
     }
 

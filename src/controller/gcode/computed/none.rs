@@ -9,6 +9,10 @@ use crate::gcode::state::{Interpreter, ProgramPlace};
 use crate::gcode::word::Word;
 use crate::units::Coordinate;
 
+/// No memory for held text.
+#[cfg(feature = "alloc")]
+pub const LEAST_HELD: usize = 0;
+
 /// No memory is lent.
 #[derive(Debug)]
 pub(super) struct ComputedMemory;
@@ -16,10 +20,10 @@ pub(super) struct ComputedMemory;
 /// No memory is owned.
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
-pub(super) struct ComputedStorage;
+pub(super) struct ComputedStorage<const HELD: usize>;
 
 #[cfg(not(feature = "alloc"))]
-impl ComputedStorage {
+impl<const HELD: usize> ComputedStorage<HELD> {
     pub const EMPTY: Self = Self;
 
     pub fn lend(&'static mut self) -> ComputedMemory {
@@ -29,7 +33,7 @@ impl ComputedStorage {
 
 #[cfg(feature = "alloc")]
 impl ComputedMemory {
-    pub fn on_heap() -> Self {
+    pub fn on_heap(_: usize) -> Self {
         Self
     }
 }

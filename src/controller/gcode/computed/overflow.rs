@@ -1,7 +1,7 @@
 //! Counts by how many bytes a held program is too long. The controller refuses its lines one by one and keeps none; a
 //! check of the whole file reports the sum. Only builds with the feature `reasons` count.
 
-use super::flow::{PROGRAM, SPARE, TEXT};
+use super::flow::{FlowControl, PROGRAM, SPARE};
 use super::m_words::has_m_word;
 use crate::gcode::REASONS;
 use crate::gcode::program_number::{number_of, subprogram_number};
@@ -29,29 +29,29 @@ struct Excess {
 pub(super) struct Overflow([Excess; REASONS as usize]);
 
 impl Overflow {
-    /// Begins with the line that did not fit. `held`: length of the text before it; `subprogram`: the number of the
-    /// subprogram to which the line belongs, and whether the program waits for this one.
-    pub fn begin(&mut self, held: usize, line: &[u8], remark: &[u8], subprogram: Option<(&[u8], bool)>) {
+    /// Begins with a line of `length` bytes that did not fit into `flow`. `subprogram`: the number of the subprogram to
+    /// which the line belongs, and whether the program waits for this one.
+    pub fn begin(&mut self, flow: &FlowControl, length: usize, subprogram: Option<(&[u8], bool)>) {
         for excess in &mut self.0 {
             let (number, is_awaited) = subprogram.unwrap_or_default();
-            *excess = Excess { held, lacking: 0, digits: number.len(), is_awaited, counts: true };
-            excess.add(1 + line.len() + remark.len());
+            *excess = Excess { held: flow.text.len(), lacking: 0, digits: number.len(), is_awaited, counts: true };
+            excess.add(1 + length, flow.most);
         }
     }
 
     /// Counts a further line. The number of the next subprogram after the awaited one ends the count.
-    pub fn count(&mut self, line: &[u8], awaited: u32) {
+    pub fn count(&mut self, flow: &FlowControl, line: &[u8]) {
         for excess in self.0.iter_mut().filter(|excess| excess.counts) {
             match subprogram_number(line) {
                 Some(_) if excess.is_awaited => excess.counts = false,
                 Some(number) => {
-                    excess.is_awaited = number_of(line) == awaited;
+                    excess.is_awaited = number_of(line) == flow.missing;
                     excess.digits = number.len();
-                    excess.add(1 + line.len() + PROGRAM.len());
+                    excess.add(1 + line.len() + PROGRAM.len(), flow.most);
                 }
                 // M99 does not raise `lacking`, because the last M99 needs no spare bytes.
                 None if has_m_word(line, &[b"99"]) => excess.held += 1 + END_OF_SUBPROGRAM + excess.digits,
-                None => excess.add(1 + line.len()),
+                None => excess.add(1 + line.len(), flow.most),
             }
         }
     }
@@ -74,8 +74,8 @@ impl Overflow {
 }
 
 impl Excess {
-    fn add(&mut self, length: usize) {
+    fn add(&mut self, length: usize, most: usize) {
         self.held += length;
-        self.lacking = (self.held + SPARE).saturating_sub(TEXT);
+        self.lacking = (self.held + SPARE).saturating_sub(most);
     }
 }

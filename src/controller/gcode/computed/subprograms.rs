@@ -195,7 +195,7 @@ impl<const N: usize> Interpreter<N> {
         if REASONS && error == Error::OutOfMemory && flow.waiting.is_some() {
             let number = |label: &[u8]| label.iter().fold(0, |value, digit| value * 10 + u32::from(digit - b'0'));
             let subprogram = subprogram.map(|label| (label, number(label) == flow.missing));
-            overflow.begin(flow.text.len(), line, remark, subprogram);
+            overflow.begin(flow, line.len() + remark.len(), subprogram);
         }
         self.refuse_rest();
     }

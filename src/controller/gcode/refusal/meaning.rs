@@ -256,6 +256,9 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
                 let [first, second] = self.plane_letters();
                 say(out, "% and % are missing in %: where the arc ends", &[&[first], &[second], command]);
             }
+            _ if self.text.word(b'E').is_some() => {
+                say(out, "% moves a printer's extruder: choose a post-processor for Grbl", &[self.word(b'E')]);
+            }
             _ => say(out, "no axis word in %: add X, Y or Z", &[command]),
         }
     }
@@ -527,9 +530,11 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             (Some(b'R'), _) if !is_arc => {
                 say(out, "% belongs to an arc or a cycle, but % is active", &[word, motion]);
             }
-            (Some(b'E'), _) => {
-                say(out, "% is used by nothing: E moves a printer's extruder; numbers have no exponent", &[word])
-            }
+            (Some(b'E'), _) => say(
+                out,
+                "% is used by nothing: E moves a printer's extruder. Choose a post-processor for Grbl",
+                &[word],
+            ),
             (Some(b'H'), _) => say(out, "% is used by nothing: G43 is missing", &[word]),
             (Some(b'D'), _) => say(out, "% is used by nothing: there is no cutter compensation", &[word]),
             (Some(letter @ (b'P' | b'Q')), _)
@@ -657,7 +662,19 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         millimetres(out, at_start);
         say(out, " at its start, ", &[]);
         millimetres(out, at_end);
-        say(out, " at its end. Correct I, J or the end", &[]);
+        say(out, " at its end. ", &[]);
+        if absolute || self.modal.units == Units::Inch || [x, y] == [0, 0] {
+            return say(out, "Correct I, J or the end", &[]);
+        }
+        // The nearest centre that is equally far from both ends.
+        let square = |[a, b]: [i64; 2]| a as f32 * a as f32 + b as f32 * b as f32;
+        let part = 0.5 - (x as f32 * i as f32 + y as f32 * j as f32) / square([x, y]);
+        for (axis, (centre, way)) in [axes.first, axes.second].into_iter().zip([(i, x), (j, y)]) {
+            let _ = out.push(centre_letter(axis));
+            millimetres(out, centre.saturating_add((part * way as f32) as i64));
+            let _ = out.push(b' ');
+        }
+        say(out, "fits both", &[]);
     }
 
     #[inline(never)]

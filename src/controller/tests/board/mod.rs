@@ -1,6 +1,7 @@
 //! A controller without a board, for tests that call it directly: its profile and its power-up.
 #![allow(dead_code, reason = "what a build leaves out uses a part of it")]
 
+use oxmill_controller::gcode::LEAST_HELD;
 use oxmill_controller::memory::Memory;
 use oxmill_controller::messages::{Event, Sensed};
 use oxmill_controller::units::Instant;
@@ -25,7 +26,7 @@ pub const NOW: Instant = Instant::from_ticks(0);
 
 /// Returns a powered-up controller with no input active. The caller still has to take its outputs since power-up.
 pub fn started(profile: Profile, blocks: usize) -> Box<Controller<3>> {
-    let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, blocks)));
+    let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, blocks, LEAST_HELD)));
     controller.start(NOW);
     controller.event(NOW, Event::Signals(Sensed::default()));
     controller
