@@ -1,9 +1,9 @@
-//! `docs/boards.md`: the tables of boards and of pins are generated from the sources of the firmware.
+//! `docs/boards.md`: its tables and the list of drawings are generated from the sources of the firmware.
 
-use crate::{keep, read, root, with_table};
+use crate::{drawings, keep, loader, read, root, wiring, with_table};
 use oxmill_boards::profiles::{ALL, Board};
 use oxmill_controller::StepRates;
-use oxmill_tables::{BOARDS, Board as Described, Use, text_of};
+use oxmill_tables::{BOARDS, Board as Described};
 use std::fmt::Write;
 
 /// Lengths of the step pulse (`$0`), tenths of a microsecond, for which the table lists maximum step rates.
@@ -66,6 +66,7 @@ fn boards_table() -> String {
 fn rates_table() -> String {
     let heads: String = PULSES.iter().map(|pulse| format!(" `$0={}` |", f32::from(*pulse) / 10.0)).collect();
     let mut table = format!("| steps/s of one axis at most |{heads}\n|---|{}\n", "---|".repeat(PULSES.len()));
+    let mut rows: Vec<(Vec<String>, String)> = Vec::new();
     for board in real() {
         let rates = StepRates { safe_hz: board.safe_step_hz, least_pulse_tenths: board.least_pulse_tenths };
         let cell = |pulse: &u16| match *pulse < board.least_pulse_tenths {
@@ -73,99 +74,209 @@ fn rates_table() -> String {
             false => format!(" {:.0} |", rates.greatest_hz(*pulse).floor()),
         };
         let cells: String = PULSES.iter().map(cell).collect();
-        let _ = writeln!(table, "| `{}` |{cells}", board.name);
-    }
-    table
-}
-
-/// The functions of pins, in the order of the page.
-const FUNCTIONS: [(&str, &[&str]); 16] = [
-    ("step X, Y, Z", &["step_x", "step_y", "step_z"]),
-    ("direction X, Y, Z", &["direction_x", "direction_y", "direction_z"]),
-    ("driver enable, low is on", &["enable", "second_enable", "third_enable", "fourth_enable"]),
-    ("supply of the motors, high is on", &["motor_power"]),
-    ("limit X, Y, Z", &["limit_x", "limit_y", "limit_z"]),
-    ("probe", &["probe"]),
-    ("reset or emergency stop, hold, start", &["reset", "hold", "start"]),
-    ("safety door", &["door"]),
-    ("driver fault", &["driver_fault"]),
-    ("spindle at speed (`$915`)", &["at_speed"]),
-    ("second motor of an axis (`$905`): step, direction, limit", &["step_fourth", "direction_fourth", "limit_fourth"]),
-    ("spindle PWM or laser", &["spindle_pwm"]),
-    ("spindle on, direction", &["spindle_on", "spindle_direction"]),
-    ("flood, mist", &["flood", "mist"]),
-    ("outputs of programs P0, P1", &["program_output", "second_program_output"]),
-    ("inputs of programs P0, P1", &["program_input", "second_program_input"]),
-];
-
-/// The columns of the table of pins: boards whose pins differ.
-const COLUMNS: [(&str, &str); 9] = [
-    ("Black Pill F411, F401", "blackpill_f411"),
-    ("Nucleo with CNC shield v3", "nucleo_f446re"),
-    ("Octopus, Octopus Pro", "octopus_f446"),
-    ("Spider", "spider_f446"),
-    ("SKR 2", "skr2_f407"),
-    ("Monster8", "monster8_f407"),
-    ("Robin Nano V3", "robin_nano_v3"),
-    ("JZ-F407", "jz_f407"),
-    ("Black Pill with grblHAL's pins", "blackpill_f411_grblhal"),
-];
-
-fn pins_table() -> String {
-    let boards = COLUMNS.map(|(_, name)| described(name));
-    let heads = COLUMNS.map(|(head, _)| format!(" {head} |")).concat();
-    let mut table = format!("| function |{heads}\n|---|{}\n", "---|".repeat(COLUMNS.len()));
-    let mut seen = [0; COLUMNS.len()];
-    let mut add_row = |function: &str, cells: Vec<String>| {
-        let _ = writeln!(table, "| {function} | {} |", cells.join(" | "));
-    };
-    for (function, names) in FUNCTIONS {
-        let cell = |(board, seen): (&Described, &mut usize)| {
-            let pins: Vec<String> = names.iter().filter_map(|name| board.pins.get(name)).map(written).collect();
-            *seen += pins.len();
-            if pins.is_empty() { "none".to_owned() } else { pins.join(", ") }
-        };
-        let cells: Vec<String> = boards.iter().zip(&mut seen).map(cell).collect();
-        if cells.iter().any(|cell| cell != "none") {
-            add_row(function, cells);
+        let name = format!("`{}`", board.name);
+        match rows.iter_mut().find(|(_, known)| *known == cells) {
+            Some((names, _)) => names.push(name),
+            None => rows.push((vec![name], cells)),
         }
     }
-    let uart = |board: &Described| if board.image.has_usb { "A9, A10" } else { "A2, A3" }.to_owned();
-    let usb = |board: &Described| if board.image.has_usb { "A11, A12" } else { "none" }.to_owned();
-    add_row("UART to the host: TX, RX", boards.iter().map(uart).collect());
-    add_row("USB to the host: D-, D+", boards.iter().map(usb).collect());
-    for (board, seen) in boards.iter().zip(seen) {
-        assert_eq!(seen, board.pins.len(), "each pin of {} has its place in the table", board.name);
+    // The most frequent rates come as those of the other boards.
+    rows.sort_by_key(|(names, _)| names.len());
+    for (names, cells) in &rows {
+        let is_rest = names.len() > BOARDS.len() / 2;
+        let _ = writeln!(table, "| {} |{cells}", if is_rest { "all others".to_owned() } else { names.join(", ") });
     }
     table
 }
 
-/// Returns a pin with its label, if the board has one: `F13 (MOTOR0)`.
-fn written(pin: &Use) -> String {
-    let text = text_of(pin.pin);
-    if pin.label.is_empty() { text } else { format!("{text} ({})", pin.label) }
+/// The sections of the page: boards with the same pins share one.
+pub const SECTIONS: [(&str, &[&str]); 10] = [
+    ("WeAct Black Pill V2 and V3", &["blackpill_f411", "blackpill_f401"]),
+    ("Black Pill on a carrier with grblHAL's pins", &["blackpill_f411_grblhal"]),
+    ("ST Nucleo-64 with CNC shield v3", &["nucleo_f446re", "nucleo_f411re", "nucleo_f401re"]),
+    ("BTT Octopus V1.0 and V1.1", &["octopus_f446"]),
+    ("BTT Octopus Pro V1.0 and V1.1 with STM32F446", &["octopus_pro_f446"]),
+    ("Fysetc Spider V1", &["spider_f446"]),
+    ("BTT SKR 2 with STM32F407", &["skr2_f407"]),
+    ("MKS Monster8 V1 and V2", &["monster8_f407"]),
+    ("MKS Robin Nano V3 and V3.1, MKS Eagle", &["robin_nano_v3"]),
+    ("JZ-F407VET6 industrial board", &["jz_f407"]),
+];
+
+/// Returns the boards of a section. All have the same pins and remarks.
+fn section(names: &[&str]) -> Vec<Described> {
+    let boards: Vec<Described> = names.iter().map(|name| described(name)).collect();
+    for board in &boards[1..] {
+        let differs = |key: &&str| boards[0].pins[*key].pin != board.pins[*key].pin;
+        assert_eq!(boards[0].pins.keys().collect::<Vec<_>>(), board.pins.keys().collect::<Vec<_>>(), "{}", board.name);
+        assert_eq!(board.pins.keys().copied().find(|key| differs(&key)), None, "{}", board.name);
+        assert_eq!(boards[0].remarks, board.remarks, "{}", board.name);
+    }
+    boards
 }
 
-/// Returns titles, remarks and drawings of the boards.
+/// Returns drawing, table and remarks of the boards.
 fn wiring_list() -> String {
     let mut text = String::new();
-    for board in real().map(|board| described(board.name)) {
-        let _ = writeln!(text, "### {}: `{}`\n", board.title, board.name);
-        for remark in &board.remarks {
+    for (title, names) in SECTIONS {
+        let boards = section(names);
+        let quoted: Vec<String> = names.iter().map(|name| format!("`{name}`")).collect();
+        let file = drawings::path(names[0]);
+        let _ = writeln!(text, "### {title}: {}\n", quoted.join(", "));
+        let _ = writeln!(text, "![Wiring of the {title}]({})\n", file.trim_start_matches("docs/"));
+        let _ = writeln!(text, "{}", wiring::table(&boards[0]));
+        for remark in &boards[0].remarks {
             let _ = writeln!(text, "* {remark}");
         }
-        if !board.drawing.is_empty() {
-            let _ = writeln!(text, "\n```text\n{}\n```", board.drawing.trim_matches('\n'));
+        if !boards[0].drawing.is_empty() {
+            let _ = writeln!(text, "\n```text\n{}\n```", boards[0].drawing.trim_matches('\n'));
         }
         text.push('\n');
     }
     text
 }
 
+/// Rows of the table for the choice: boards, for whom they are, their drivers, what they lack. The numbers come from the
+/// profiles.
+const CHOICES: [(&str, &[&str], &str, &str, &str); 11] = [
+    (
+        "Black Pill, STM32F411",
+        &["blackpill_f411"],
+        "machines with external drivers; you wire each pin",
+        "external, or modules that you wire",
+        "axis A, at-speed input, outputs and inputs of programs",
+    ),
+    (
+        "Black Pill, STM32F401",
+        &["blackpill_f401"],
+        "owners",
+        "as above",
+        "as above, and [expressions, splines, recording and more](limits.md#black-pill-f401)",
+    ),
+    (
+        "Black Pill on a carrier with grblHAL's pins",
+        &["blackpill_f411_grblhal"],
+        "owners",
+        "those of the carrier",
+        "as the Black Pill F411; the carrier's PWM needs a wire to B5",
+    ),
+    (
+        "Nucleo-64 F446RE",
+        &["nucleo_f446re"],
+        "small machines with little wiring: a CNC shield plugs in",
+        "modules on the shield",
+        "USB of its own: its link is a UART over the ST-LINK",
+    ),
+    (
+        "Nucleo-64 F411RE, F401RE",
+        &["nucleo_f411re", "nucleo_f401re"],
+        "owners",
+        "modules on the shield",
+        "as above, and axis A",
+    ),
+    (
+        "BTT Octopus, Octopus Pro, STM32F446",
+        &["octopus_f446", "octopus_pro_f446"],
+        "machines with small drivers and loads of 12 or 24 V; the Pro feeds drivers with up to 60 V",
+        "modules in sockets",
+        "drivers by UART or SPI, card, display; sockets 3, 5, 6 and 7",
+    ),
+    (
+        "Fysetc Spider V1",
+        &["spider_f446"],
+        "owners of V1.0 or V1.1, not V2.2",
+        "modules in sockets",
+        "drivers by UART or SPI, card, display; sockets E0, E1, E3 and E4",
+    ),
+    (
+        "BTT SKR 2 Rev B, STM32F407",
+        &["skr2_f407"],
+        "owners; not Rev A, not STM32F429",
+        "modules in sockets",
+        "drivers by UART or SPI, card, display; socket Z",
+    ),
+    (
+        "MKS Monster8 V1, V2",
+        &["monster8_f407"],
+        "owners",
+        "modules in sockets",
+        "drivers by UART or SPI, card, display; sockets Driver0 to Driver3, connectors X- and X+",
+    ),
+    (
+        "MKS Robin Nano V3, V3.1, Eagle",
+        &["robin_nano_v3"],
+        "owners",
+        "modules in sockets; soldered on the Eagle",
+        "drivers by UART or SPI, card, display; socket Z",
+    ),
+    (
+        "JZ-F407VET6",
+        &["jz_f407"],
+        "owners who have the board's drawing: the map is preliminary",
+        "external",
+        "RS-485, Ethernet, card",
+    ),
+];
+
+fn choice_table() -> String {
+    let mut table = "| board | for | drivers | motors | axes | steps/s of an axis | what is missing |\n|---|---|---|---|---|---|---|\n".to_owned();
+    let mut seen: Vec<&str> = Vec::new();
+    for (title, names, whom, drivers, missing) in CHOICES {
+        let numbers = |name: &&str| {
+            let board = real().find(|board| board.name == *name).expect("a profile");
+            let motors = described(name).pins.keys().filter(|key| key.starts_with("step_")).count();
+            let axes = if board.axes > 3 { "X, Y, Z, A" } else { "X, Y, Z" };
+            let rate = match board.safe_step_hz {
+                1_000_000 => "1,000,000 (`$0=0.5`)".to_owned(),
+                hz => format!("{},000", hz / 1000),
+            };
+            format!("{motors} | {axes} | {rate}")
+        };
+        let all: Vec<String> = names.iter().map(numbers).collect();
+        assert!(all.iter().all(|own| *own == all[0]), "{names:?}: {all:?}");
+        let quoted: Vec<String> = names.iter().map(|name| format!("`{name}`")).collect();
+        let _ = writeln!(table, "| {title}: {} | {whom} | {drivers} | {} | {missing} |", quoted.join(", "), all[0]);
+        seen.extend(names);
+    }
+    assert_eq!(seen.len(), BOARDS.len(), "each board has its row");
+    table
+}
+
+/// What the boot loader of the chip does with the pins of each board.
+fn loader_table() -> String {
+    let mut table = "| board | outputs with a pull-up | pins that it may drive |\n|---|---|---|\n".to_owned();
+    let mut rows: Vec<(Vec<String>, [String; 2])> = Vec::new();
+    for (name, _) in BOARDS {
+        let cells = loader::cells(&described(name));
+        match rows.iter_mut().find(|(_, known)| *known == cells) {
+            Some((names, _)) => names.push(format!("`{name}`")),
+            None => rows.push((vec![format!("`{name}`")], cells)),
+        }
+    }
+    for (names, [up, driven]) in rows {
+        let _ = writeln!(table, "| {} | {up} | {driven} |", names.join(", "));
+    }
+    table
+}
+
+#[test]
+fn each_board_has_one_section() {
+    let mut named: Vec<&str> = SECTIONS.iter().flat_map(|(_, names)| names.iter().copied()).collect();
+    let mut known: Vec<&str> = BOARDS.iter().map(|(name, _)| *name).collect();
+    named.sort_unstable();
+    known.sort_unstable();
+    assert_eq!(named, known);
+}
+
 #[test]
 fn the_page_of_boards_has_the_boards() {
-    let tables =
-        [("boards", boards_table()), ("rates", rates_table()), ("pins", pins_table()), ("wiring", wiring_list())];
+    let tables = [
+        ("choice", choice_table()),
+        ("boards", boards_table()),
+        ("rates", rates_table()),
+        ("wiring", wiring_list()),
+        ("loader", loader_table()),
+    ];
     keep(&root().join("docs/boards.md"), |text| {
         tables.iter().fold(text.to_owned(), |text, (name, table)| with_table(&text, name, table))
     });
@@ -180,4 +291,8 @@ fn facts_of_the_page_of_boards_are_those_of_the_code() {
     let chip = file("boards/stm32f4/chip.rs");
     assert!(chip.contains("pub const SAMPLE_HZ: u32 = 20_000;") && page.contains("20,000 times a second"));
     assert!(chip.contains("pub const USUAL_BAUD: u32 = 115_200;") && page.contains("115200 baud"));
+    assert!(chip.contains("self.0.start(2_000.millis());") && page.contains("2 s nominal"));
+    // What safe_state does to the outputs of drivers, and what the start does.
+    assert!(chip.contains("The driver enable\n/// does not change, because an unpowered axis may drop."));
+    assert!(page.contains("Driver enable and supply of the motors do not change, because an unpowered axis may drop"));
 }

@@ -5,8 +5,11 @@
 mod boards;
 mod commands;
 mod conversations;
+mod drawings;
+mod loader;
 mod measured;
 mod pictures;
+mod wiring;
 mod words;
 
 use oxmill_controller::error::{Alarm, Error};
