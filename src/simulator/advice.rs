@@ -4,7 +4,7 @@
 use oxmill_controller::error::{Alarm, Error};
 
 /// Rejected words, and what to write instead.
-const INSTEAD: [(&[&str], &str); 13] = [
+const INSTEAD: [(&[&str], &str); 12] = [
     (
         &["G33", "G33.1", "G74", "G76", "G84"],
         "The machine does not measure the spindle's rotation, so it cannot cut threads in step with it: drill the hole (G81), then mill the thread with G2 or G3 and Z, or tap by hand.",
@@ -22,10 +22,9 @@ const INSTEAD: [(&[&str], &str); 13] = [
     ),
     (&["G51.1"], "Mirror with G51 and a negative I or J."),
     (
-        &["G65", "M98", "M99"],
+        &["G65", "G66", "M98", "M99"],
         "Write the word as a plain number at the beginning of a line, M99 without P: docs/gcode.md has more about subprograms. The Black Pill F401 has none.",
     ),
-    (&["G66"], "Write G65 with its arguments on each line that calls the subprogram."),
     (
         &["M97"],
         "Write the lines from N1000 on as a subprogram behind M30: O1000, the lines, M99. Call it with M98 P1000.",

@@ -47,8 +47,10 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
         program_pins: [0; 2],
         most_baud: 1_000_000,
     };
-    let mut controller =
-        Box::new(Controller::<AXES>::new(profile, oxmill_controller::memory::Memory::on_heap(&profile, BLOCKS)));
+    let mut controller = Box::new(Controller::<AXES>::new(
+        profile,
+        oxmill_controller::memory::Memory::on_heap(&profile, BLOCKS, oxmill_controller::gcode::LEAST_HELD),
+    ));
     controller.start(Instant::from_ticks(0));
     controller.event(Instant::from_ticks(0), Event::Signals(Sensed::default()));
     let mut stepper = Stepper::<AXES>::new();

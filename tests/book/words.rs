@@ -54,7 +54,7 @@ const MEANINGS: &[(&str, &str)] = &[
     ("G93 G94", "F is 1 / minutes of the move, or mm/min (inch/min)"),
     ("G95", "F is mm (inches) per revolution at the programmed S ([habits](#habits-of-cam-programs))"),
     ("G15", "no polar coordinates, which is so in any case ([habits](#habits-of-cam-programs))"),
-    ("G67", "no modal call, which is so in any case ([habits](#habits-of-cam-programs))"),
+    ("G67", "no call behind each move (G66; [subprograms](#subprograms))"),
     ("G97", "S is in revolutions per minute, which is so in any case"),
     ("M29", "rigid tapping: does nothing ([habits](#habits-of-cam-programs))"),
     ("G8 G103 G187", "look-ahead: does nothing ([habits](#habits-of-cam-programs))"),
@@ -235,7 +235,7 @@ fn what_the_page_says_is_refused_is_what_the_firmware_refuses() {
     }
     let mut every: BTreeSet<String> = refused(Error::NotSupported).collect();
     // Words of subprograms are known where they may stand.
-    every.retain(|word| !["G65", "M98", "M99"].iter().any(|known| word.starts_with(known)));
+    every.retain(|word| !["G65", "G66", "M98", "M99"].iter().any(|known| word.starts_with(known)));
     for word in &named {
         assert!(every.contains(word), "the firmware does not refuse {word} by error:121");
     }

@@ -181,7 +181,8 @@ impl Board {
             oscillator_mhz: 0,
             has_store: true,
         };
-        let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS)));
+        let mut controller =
+            Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS, oxmill_controller::gcode::LEAST_HELD)));
         for (key, value) in &records {
             let value = heapless::Vec::from_slice(value).expect("a value that was stored");
             controller.restore(&oxmill_controller::messages::Record { key: *key, value });

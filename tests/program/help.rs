@@ -96,7 +96,7 @@ fn the_page_of_the_json_has_its_fields() {
             Value::Bool(_) => "true or false",
             Value::Number(_) => "number",
             Value::String(_) => "text",
-            Value::Array(values) if values.first().is_some_and(Value::is_number) => "3 numbers",
+            Value::Array(values) if values.first().is_some_and(Value::is_number) => "numbers",
             Value::Array(_) => "list",
             Value::Object(_) => "object",
         };

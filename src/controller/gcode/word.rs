@@ -333,8 +333,8 @@ pub(super) enum GWord {
     SystemByNumber,
     /// G8, G103, G187, with the number of the word. On other controls these words switch the look-ahead.
     LookAhead(u8),
-    /// Selects the only mode that exists: G97 (S in revolutions per minute), G15 (no polar coordinates), G67 (no modal
-    /// call).
+    /// Selects the only mode that exists: G97 (S in revolutions per minute), G15 (no polar coordinates). Also G67, whose
+    /// effect is in `computed`.
     AsItIs(Group),
 }
 

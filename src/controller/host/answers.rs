@@ -309,9 +309,9 @@ impl<const N: usize> Controller<N> {
         let (mut show_offset, mut show_overrides) = self.m.replies.rare_fields(busy);
         let of_grblhal = if self.speaks_grblhal() {
             let full = self.m.replies.take_full_status();
-            let fields = self.grblhal_fields(full, spindle);
+            let mut fields = self.grblhal_fields(full, spindle);
             // A host keeps these fields until it gets others, so the report that follows a change must have them.
-            let (place, wait) = self.m.replies.note_fields(fields.system, fields.tool, fields.waits_for_tool);
+            let (place, wait) = self.m.replies.note_fields(&mut fields);
             (show_offset, show_overrides) = (show_offset | full | place, show_overrides | full | wait);
             [Some(fields); FULL_IMAGE as usize]
         } else {

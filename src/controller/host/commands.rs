@@ -327,11 +327,13 @@ impl<const N: usize> Controller<N> {
                 return Err(Error::StoreReadFailed);
             }
             self.enter(State::Normal);
-            self.say(|out| reply_texts::message(out, "Caution: Unlocked"));
-            if !self.m.reference.is_trusted() && self.dialect() != Dialect::Grbl {
-                self.say(|out| {
-                    reply_texts::message(out, "The position may be lost: home before using machine coordinates")
-                });
+            let unlocked = "Caution: Unlocked";
+            let lost = "The position may be lost: home before using machine coordinates";
+            let is_lost = !self.m.reference.is_trusted() && self.dialect() != Dialect::Grbl;
+            // ioSender takes a message after the unlocking for the reason of the alarm.
+            let told = if self.speaks_grblhal() { [lost, unlocked] } else { [unlocked, lost] };
+            for text in told.into_iter().filter(|text| is_lost || *text != lost) {
+                self.say(|out| reply_texts::message(out, text));
             }
             if damaged {
                 self.task = Task::Storing(Answer::Host);

@@ -36,6 +36,8 @@ impl<const N: usize> Controller<N> {
             system: self.m.interpreter.modal().coordinate_system.word(),
             tool: self.m.interpreter.spindle_tool(),
             homed: is_homing_on.then_some((reference.is_trusted(), reference.homed_axes().0)),
+            scaled: self.m.interpreter.scaling().is_some(),
+            tells_scaling: false,
             has_reference: self.m.interpreter.tool_reference().is_some(),
             waits_for_tool: self.waits_for_tool(),
             spindle,

@@ -1,7 +1,7 @@
 //! Answers of many lines, which are sent one line per call, and answers of many fields: settings `$$`, parameters `$#`,
 //! startup lines `$N`, macros `$M`, pins `$PINS`, descriptions `$ES`, build info `$I`, and the parser state `$G`.
 
-use crate::axes::{Axis, LINEAR};
+use crate::axes::{Axis, LINEAR, PerAxis};
 use crate::dispatch::Controller;
 use crate::gcode::{Angle, CoordinateSystem, Dialect, FeedMode, StoredOffset, TOOLS};
 use crate::host::stored::STORED_TEXT;
@@ -9,9 +9,10 @@ use crate::image::FULL_IMAGE;
 use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, input};
 use crate::protocol::descriptions::{self, Limits};
 use crate::protocol::grblhal::{self, Identity};
-use crate::protocol::reply_texts::{self, ParserState};
+use crate::protocol::reply_texts::{self, ParserState, PlaceForm};
 use crate::protocol::system::Described;
 use crate::settings::{self, Key, Row, Settings};
+use crate::units::Coordinate;
 use crate::work::task::{Ask, Listing, Task};
 
 impl<const N: usize> Controller<N> {
@@ -72,6 +73,20 @@ impl<const N: usize> Controller<N> {
         true
     }
 
+    /// Sends the row of a tool, as grblHAL does: also that of a tool without offsets. gSender looks the tool in the spindle
+    /// up when a probe has found contact.
+    fn list_tool_of_grblhal(&mut self, number: u32, form: PlaceForm) {
+        let entries = self.m.interpreter.tools().entries();
+        let stored = |number| entries.iter().find(|tool| tool.is_stored() && tool.number == number);
+        let offset = stored(number).map_or(PerAxis::all(Coordinate::ZERO), |tool| tool.offset);
+        let own = self.m.interpreter.spindle_tool();
+        let is_beyond = number == TOOLS as u32 && own > number && stored(own).is_none();
+        self.say(|out| reply_texts::tool(out, number, &offset, form));
+        if is_beyond {
+            self.say(|out| reply_texts::tool(out, own, &PerAxis::<_, N>::all(Coordinate::ZERO), form));
+        }
+    }
+
     fn list_setting(&mut self, line: usize) -> bool {
         let Some((entry, number, value)) = self.m.settings.row(line) else { return false };
         let value = if self.speaks_grblhal() { self.m.settings.shown_to_grblhal(number, value) } else { value };
@@ -107,8 +122,12 @@ impl<const N: usize> Controller<N> {
             entry if self.dialect() != Dialect::Grbl && entry < TOOLS + 5 => {
                 if let Some(tool) = self.m.interpreter.tools().entries().get(entry - 5).copied()
                     && tool.is_stored()
+                    && !(self.speaks_grblhal() && tool.number <= TOOLS as u32)
                 {
                     self.say(|out| reply_texts::tool(out, tool.number, &tool.offset, form));
+                }
+                if self.speaks_grblhal() {
+                    self.list_tool_of_grblhal(entry as u32 - 4, form);
                 }
             }
             entry if self.dialect() != Dialect::Grbl && FULL_IMAGE => {
@@ -242,22 +261,34 @@ impl<const N: usize> Controller<N> {
     /// Sends the parser state, the answer to `$G`, without `ok`.
     pub(crate) fn say_parser_state(&mut self) {
         let modal = self.m.interpreter.modal();
+        let zero = PerAxis::all(Coordinate::ZERO);
+        let offsets = self.m.interpreter.offsets();
+        // ioSender reads from these two words which offsets are active.
+        let (g92, length) = match self.speaks_grblhal() {
+            true => {
+                (if offsets.g92 == zero { "" } else { "G92" }, if offsets.tool_length == zero { "G49" } else { "G43" })
+            }
+            false => ("", ""),
+        };
         let state = ParserState {
             words: [
                 modal.motion.word(),
                 modal.coordinate_system.word(),
+                g92,
                 modal.plane.word(),
                 modal.units.word(),
                 modal.distance.word(),
                 modal.feed_mode.word(),
+                length,
             ],
             rotation: self.m.interpreter.rotation().is_some(),
-            scaling: self.m.interpreter.scaling().is_some(),
+            // A report tells grblHAL's hosts of it (`Sc`).
+            scaling: self.m.interpreter.scaling().is_some() && !self.speaks_grblhal(),
             blends: self.m.interpreter.modal().path.tolerance().is_some(),
             spindle: modal.spindle,
             coolant: modal.coolant,
             parking: self.m.settings.is_on(Key::Parking) && !modal.no_parking && self.dialect() != Dialect::Grbl,
-            tool: modal.tool,
+            tool: if self.speaks_grblhal() { self.m.interpreter.spindle_tool() } else { modal.tool },
             feed: modal.feed.to_f32(),
             per_revolution: modal.feed_mode == FeedMode::PerRevolution,
             speed: modal.speed,

@@ -135,7 +135,6 @@ pub fn equipment(out: &mut Text, this: &Identity) {
     if outputs + inputs > 0 {
         filled(out, b"[AUX IO:#,#,0,0]\r\n", &[], &[inputs, outputs]);
     }
-    put(out, b"[SPINDLE:PWM]\r\n");
 }
 
 fn when(has: bool, text: &[u8]) -> &[u8] {
@@ -211,7 +210,7 @@ mod tests {
         );
         let told = text(|out| equipment(out, &this));
         assert!(told.starts_with("[FIRMWARE:grblHAL]\r\n[SIGNALS:RHSDEF]\r\n[NVS STORAGE:FLASH]\r\n"), "{told}");
-        assert!(told.ends_with("[MAX STEP RATE:1000000 Hz]\r\n[AUX IO:2,2,0,0]\r\n[SPINDLE:PWM]\r\n"), "{told}");
+        assert!(told.ends_with("[MAX STEP RATE:1000000 Hz]\r\n[AUX IO:2,2,0,0]\r\n"), "{told}");
     }
 
     #[test]

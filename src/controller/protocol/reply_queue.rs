@@ -2,7 +2,7 @@
 //! executed. Also decides when a status report is made, and which of the rare fields it has.
 
 use super::reply_texts::{is_answer, is_of_one_host};
-use super::status_report::RareFields;
+use super::status_report::{GrblHalFields, RareFields};
 use super::text::PIECE;
 use crate::image::FULL_IMAGE;
 use crate::messages::{Chunk, Restart};
@@ -30,9 +30,8 @@ pub struct Replies {
     status_due: bool,
     /// The next report must have all fields (0x87). Takes no memory in the small image.
     is_full: [bool; FULL_IMAGE as usize],
-    /// Coordinate system, tool, and whether M6 waits, as in the last report of dialect `grblhal`. Before the first such
-    /// report, the name of the system is empty.
-    told: [(&'static str, u32, bool); FULL_IMAGE as usize],
+    /// The fields of the last report of dialect `grblhal`; `None` before the first.
+    told: [Option<GrblHalFields>; FULL_IMAGE as usize],
     /// The text that was queued last is a status report.
     reported: bool,
     rare_fields: RareFields,
@@ -60,7 +59,7 @@ impl Replies {
             echoed: false,
             status_due: false,
             is_full: [false; FULL_IMAGE as usize],
-            told: [("", 0, false); FULL_IMAGE as usize],
+            told: [None; FULL_IMAGE as usize],
             reported: false,
             rare_fields: RareFields::DUE,
             restart_told: false,
@@ -166,13 +165,15 @@ impl Replies {
         self.is_full.first_mut().is_some_and(core::mem::take)
     }
 
-    /// Stores the coordinate system, the tool, and whether M6 waits, for a report of dialect `grblhal`. Returns whether
-    /// the system or the tool differs from the previous report, and whether M6 has begun or ended its wait since then.
-    pub fn note_fields(&mut self, system: &'static str, tool: u32, waits: bool) -> (bool, bool) {
-        let Some(told) = self.told.first_mut() else { return (false, false) };
-        let before = core::mem::replace(told, (system, tool, waits));
-        let is_first = before.0.is_empty();
-        (!is_first && (before.0, before.1) != (system, tool), !is_first && before.2 != waits)
+    /// Takes note of the fields for a report of dialect `grblhal`, and decides on `Sc`. Returns whether those that come with `WCO` have changed
+    /// since the previous report, and whether M6 has begun or ended to wait.
+    pub fn note_fields(&mut self, fields: &mut GrblHalFields) -> (bool, bool) {
+        let before = self.told.first_mut().and_then(|told| told.replace(*fields));
+        fields.tells_scaling = fields.scaled || before.is_some_and(|before| before.scaled);
+        let Some(before) = before else { return (false, false) };
+        let rare =
+            |fields: &GrblHalFields| (fields.system, fields.tool, fields.homed, fields.scaled, fields.has_reference);
+        (rare(&before) != rare(fields), before.waits_for_tool != fields.waits_for_tool)
     }
 
     /// Returns whether the caller must make a status report now. If so, clears the request.

@@ -428,8 +428,9 @@ pub fn probe<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, suc
 /// The contents of `$G`.
 #[derive(Clone, Copy, Debug)]
 pub struct ParserState {
-    /// The words for motion, coordinate system, plane, units, distance mode and feed mode.
-    pub words: [&'static str; 6],
+    /// The words for motion, coordinate system, G92, plane, units, distance mode, feed mode and tool length; empty words
+    /// are left out.
+    pub words: [&'static str; 8],
     /// Scaling is active (G51).
     pub scaling: bool,
     /// Rotation is active (G68).
@@ -455,7 +456,7 @@ pub struct ParserState {
 /// `[GC:...]`
 pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
     put(out, b"[GC:");
-    for (i, word) in state.words.iter().enumerate() {
+    for (i, word) in state.words.iter().filter(|word| !word.is_empty()).enumerate() {
         if i > 0 {
             put(out, b" ");
         }

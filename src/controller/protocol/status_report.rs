@@ -49,6 +49,10 @@ pub struct GrblHalFields {
     pub tool: u32,
     /// Whether the machine is homed, and which axes are; `None` if homing is off.
     pub homed: Option<(bool, u8)>,
+    /// Whether coordinates are scaled (G51).
+    pub scaled: bool,
+    /// Whether the report says that they are scaled, or no longer.
+    pub tells_scaling: bool,
     /// Whether the tool setter has a reference.
     pub has_reference: bool,
     /// Whether M6 waits for a tool.
@@ -131,6 +135,10 @@ fn fields_of_grblhal(out: &mut Text, more: &GrblHalFields, rare: bool, accessori
     put(out, full(b"|MPG:0"));
     if !rare {
         return;
+    }
+    if more.tells_scaling {
+        put(out, b"|Sc:");
+        put(out, if more.scaled { b"XYZ" } else { b"" });
     }
     if let Some((all, axes)) = more.homed {
         filled(out, b"|H:#,#", &[], &[all.into(), axes.into()]);

@@ -105,7 +105,7 @@ table! {
         SpindleReaction: 927, "Reaction to a spindle that loses its speed", "", Spindle, REACTIONS, Kind::Whole(0, 5), 1.0, false;
         HostReaction: 928, "Reaction to a host that is silent or gone in mid-job", "", General, REACTIONS, Kind::Whole(0, 5), 4.0, false;
         SpeedLoss: 929, "Longest loss of spindle speed (0 = not watched)", "s", Spindle, "", Kind::Real, 1.0, false;
-        Axes: 930, "Axes in use (4: with A, which turns)", "", General, "", Kind::Whole(3, 6), 3.0, false;
+        Axes: 930, "Axes in use (4 with A, which turns)", "", General, "", Kind::Whole(3, 6), 3.0, false;
         Baud: 931, "Baud rate of the serial port, from the next start on", "Bd", General, "", Kind::Whole(115_200, 1_000_000), 115_200.0, false;
         ZeroAtPullOff: 932, "Machine zero where homing ends", "", Homing, "", Kind::Switch, 0.0, false;
     }

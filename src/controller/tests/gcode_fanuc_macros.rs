@@ -72,6 +72,37 @@ fn jumps_of_fanuc() {
     fails("G0 X1\nGOTO 5\nX2\nN5 X3\nIF [1] GOTO 5\nM30", &[121, 121], &[1, 2, 3]);
 }
 
+/// G66 calls a subprogram after each line that moves an axis, with the same arguments.
+#[test]
+fn modal_calls() {
+    let drill = "O1\nX[#1+50]\nM99\n%";
+    // The subprogram is behind the end, so the program is held from G66 on; or it stands above as a subroutine.
+    goes(
+        &format!("G0 X1\nG66 P1 A2\nX3\nM8\nG4 P0\nY4\nG92 Y0\nX5\nG67\nX6\nM30\n{drill}"),
+        &[1, 3, 52, 52, 52, 5, 52, 6],
+    );
+    goes("o1 sub\nX[#1+50]\no1 endsub\nG0 X1\nG66 P1 A2\nX3\nM8\nX5\nG67\nX6\nM30", &[1, 3, 52, 5, 52, 6]);
+    // L repeats each call, and G67 may stand among other words.
+    goes(
+        &format!("G0 X1\nG66 P1 L2 A2\nX3\nG40 G67 G80 X7\nX8\nM30\n{drill}").replace("G80 X7", "X7"),
+        &[1, 3, 52, 52, 7, 8],
+    );
+    // The lines of the called subprogram call nothing; those of a subprogram that M98 calls do.
+    goes("G0 X1\nG66 P1\nM98 P2\nX7\nG67\nX9\nM30\nO1\nX2\nX3\nM99\nO2\nX4\nM99\n%", &[1, 4, 2, 3, 7, 2, 3, 9]);
+    // A loop, a new G66 in place of the first, and G66 in a subprogram, which ends with it.
+    goes(
+        &format!("G0 X1\nG66 P1\no7 repeat [2]\nX3\no7 endrepeat\nG66 P1 A1\nX4\nM30\n{drill}"),
+        &[1, 3, 50, 3, 50, 4, 51],
+    );
+    goes("G0 X1\nG65 P2\nX5\nM30\nO1\nX50\nM99\nO2\nG66 P1\nX4\nM99\n%", &[1, 4, 50, 5]);
+    // The end of the program ends it, too.
+    goes(&format!("G0 X1\nG66 P1\nX3\nM30\n{drill}\nG0 X4"), &[1, 3, 50, 4]);
+    fails(&format!("G0 X1\nG66 P1 A#5\nX3\nM30\n{drill}"), &[121], &[1, 3]);
+    fails("G0 X1\nG66 A1\nX3\nM30", &[28], &[1, 3]);
+    // A refused line ends it, so that nothing is called where the program did not mean to.
+    fails("o1 sub\nX50\no1 endsub\nG0 X1\nG66 P1\nX3\nX4 X5\nX6\nM30", &[25], &[1, 3, 50, 6]);
+}
+
 /// M10, M11 and M100 to M199 run a macro with their number, if there is one.
 #[test]
 fn m_words_of_macros() {

@@ -373,13 +373,13 @@ fn second_stored_position() {
     });
 }
 
-/// G15 and G67 end modes that are never active. What would begin them is refused.
+/// G15 ends a mode that is never active, and G67 ends G66. G16 is refused, and so is G66 after other words.
 #[test]
 fn modes_that_are_never_active() {
     each(&[("G15", 20), ("G67", 20)], |program| {
         program.run("G0 G15 G17 G40 G49 G50 G67 G69 G80 G90 X3");
         assert_eq!(program.machine()[0], 3.0);
-        for (line, error) in [("G16", 121), ("G66 P1", 121), ("G15 G15", 21), ("G15.1", 20), ("G67.1", 20)] {
+        for (line, error) in [("G16", 121), ("G0 G66 P1", 121), ("G15 G15", 21), ("G15.1", 20), ("G67.1", 20)] {
             assert_eq!(program.error(line), error, "{line}");
         }
     });

@@ -211,7 +211,14 @@ const ROWS: &[Row] = &[
     ),
     ("F100", "G16", 121, "G16 is not supported: write X and Y instead of angle and radius"),
     ("F100", "G51.1 X0", 121, "G51.1 is not supported: G51 with a negative I or J mirrors"),
-    ("F100", "G66 P100", 121, "G66 is not supported: write G65 on each line that calls"),
+    ("F100", "G66 P100 A#1", 121, "G66 takes plain numbers: each of its calls gets the same ones"),
+    ("F100", "G66 A1", 28, "P is missing in G66: the number of a subprogram"),
+    (
+        "F100",
+        "G0 G66 P100",
+        121,
+        "G66 calls a subprogram only at the beginning of its line, as a plain number: G65 P1001",
+    ),
     (
         "F100",
         "G0 G65 P100",

@@ -29,6 +29,12 @@ impl<const N: usize> Interpreter<N> {
 
     /// Stops the running text after one of its lines was refused.
     pub fn abandon_held(&mut self) {
+        self.computed.flow.modal.end();
+        self.stop_held();
+    }
+
+    /// Stops the running text.
+    pub(super) fn stop_held(&mut self) {
         self.computed.flow.stop();
         self.computed.parameters.leave_calls();
         self.saved.abandon(0);

@@ -68,7 +68,9 @@ impl<const N: usize> Interpreter<N> {
                 "M99 without a call: lines above it may have run as the program. Subprograms come behind M30; $X ends this",
                 &[],
             ),
-            Some(Keyword::CallProgram | Keyword::CallMacro) if self.place == ProgramPlace::Program => {
+            Some(Keyword::CallProgram | Keyword::CallMacro | Keyword::BeginModalCall)
+                if self.place == ProgramPlace::Program =>
+            {
                 self.say_missing("no subprogram O% above this line", out);
             }
             _ if line.first() == Some(&b'%') => self.say_missing("no subprogram O% above its call or behind M30", out),
@@ -89,6 +91,7 @@ impl<const N: usize> Interpreter<N> {
     fn explain_call(&self, line: &[u8], order: &OWord, error: Error, out: &mut Reason) {
         let name: &[u8] = match order.keyword {
             Keyword::CallMacro => b"G65",
+            Keyword::BeginModalCall => b"G66",
             Keyword::CallProgram => b"M98",
             _ => b"M99",
         };
@@ -99,10 +102,13 @@ impl<const N: usize> Interpreter<N> {
             Error::BadNumber => say(out, "% has a letter without a number", &[name]),
             Error::NegativeValue => say(out, "P of % is negative", &[name]),
             Error::WordRepeated => say(out, "% has a letter twice", &[name]),
-            Error::UnusedWords if order.keyword == Keyword::CallMacro => {
+            Error::UnusedWords if order.keyword != Keyword::CallProgram => {
                 say(out, "% takes P, L and arguments, which are letters except G, L, N, O and P", &[name]);
             }
             Error::UnusedWords => say(out, "% takes only P and L: write other words on a line of their own", &[name]),
+            Error::NotSupported if order.keyword == Keyword::BeginModalCall => {
+                say(out, "% takes plain numbers: each of its calls gets the same ones", &[name]);
+            }
             Error::NotSupported => say(out, "% with other words is not supported: it returns behind the call", &[name]),
             Error::TooDeep => say(out, "% is within too many others", &[name]),
             Error::EndlessLoop => say(out, "% came round 100,000 times", &[name]),
@@ -244,6 +250,7 @@ impl<const N: usize> Interpreter<N> {
             Keyword::Program
             | Keyword::CallProgram
             | Keyword::CallMacro
+            | Keyword::BeginModalCall
             | Keyword::CallMacroOfM
             | Keyword::Then
             | Keyword::GoTo

@@ -20,6 +20,7 @@
 //! line by line, without recursion.
 
 use super::m_words::has_m_word;
+use super::modal_calls::ModalCall;
 use crate::error::Error;
 use crate::gcode::program_number::behind_line_number;
 use crate::gcode::remark::split_remark;
@@ -75,6 +76,8 @@ pub(super) enum Keyword {
     CallProgram,
     /// G65.
     CallMacro,
+    /// G66.
+    BeginModalCall,
     /// M99.
     Back,
     /// M10, M11, M100 to M199, which call a macro.
@@ -161,6 +164,7 @@ impl<'a> OWord<'a> {
             (b'M', b"99") => Keyword::Back,
             (b'M', b"10" | b"11" | [b'1', _, _]) => Keyword::CallMacroOfM,
             (b'G', b"65") => Keyword::CallMacro,
+            (b'G', b"66") => Keyword::BeginModalCall,
             _ => return None,
         };
         let label = if keyword == Keyword::CallMacroOfM { number } else { &[] };
@@ -229,6 +233,7 @@ impl<'a> OWord<'a> {
             Keyword::Unknown => false,
             Keyword::CallProgram
             | Keyword::CallMacro
+            | Keyword::BeginModalCall
             | Keyword::CallMacroOfM
             | Keyword::Back
             | Keyword::Then
@@ -251,6 +256,7 @@ impl<'a> OWord<'a> {
             Keyword::Call
                 | Keyword::CallProgram
                 | Keyword::CallMacro
+                | Keyword::BeginModalCall
                 | Keyword::CallMacroOfM
                 | Keyword::Back
                 | Keyword::Then
@@ -404,6 +410,8 @@ pub(super) struct FlowControl {
     pub(super) within: u8,
     /// The present line comes from the host, which can send more lines.
     pub(super) of_host: bool,
+    /// The call that follows each line with a move.
+    pub(super) modal: ModalCall,
 }
 
 impl FlowControl {
@@ -430,6 +438,7 @@ impl FlowControl {
             missing: 0,
             within: 0,
             of_host: false,
+            modal: ModalCall::default(),
         }
     }
 
@@ -451,6 +460,7 @@ impl FlowControl {
         self.cut = None;
         self.waiting = None;
         self.within = 0;
+        self.modal.end();
     }
 
     /// Ends the program: resets the state, but notes in `cut` at which line a still open block began.

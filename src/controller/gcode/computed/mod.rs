@@ -11,6 +11,7 @@ mod jumps;
 mod m_words;
 mod machine_values;
 mod macros;
+mod modal_calls;
 mod o_words;
 mod overflow;
 mod parameters;
@@ -123,7 +124,7 @@ impl<const N: usize> Computed<N> {
 
     /// Whether programs have left no state that another program could read, except macros and the last probe position.
     pub fn is_blank(&self) -> bool {
-        let text = self.flow.text.len() == usize::from(self.flow.macros);
+        let text = self.flow.text.len() == usize::from(self.flow.macros) && !self.flow.modal.is_active();
         text && self.parameters.is_empty() && self.returned.is_none() && self.input_read == 0
     }
 

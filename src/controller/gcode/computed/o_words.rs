@@ -30,10 +30,10 @@ impl<const N: usize> Interpreter<N> {
         self.computed.begin();
         let flow = &mut self.computed.flow;
         flow.line = number;
-        let plain = flow.state == FlowState::Streaming && !flow.skipping;
+        let plain = flow.state == FlowState::Streaming && !flow.skipping && !flow.modal.is_active();
         let may_direct = match line.first() {
             Some(b'O' | b'N' | b':' | b'M' | b'W' | b'E') => true,
-            Some(b'G') => matches!(line, [_, b'6', b'5', ..] | [_, b'0', b'6', b'5', ..] | [_, b'O', ..]),
+            Some(b'G') => matches!(line, [_, b'6', b'5' | b'6', ..] | [_, b'0', b'6', b'5' | b'6', ..] | [_, b'O', ..]),
             Some(b'I') => matches!(line, [_, b'F', ..]),
             _ => false,
         };
@@ -143,9 +143,13 @@ impl<const N: usize> Interpreter<N> {
             flow.skipped = flow.skipped.saturating_add(1);
             return Ok(Direction::LeftOut);
         }
+        let flow_is_modal = flow.modal.is_active();
         let Some(order) = order else {
             if let Some(b'O' | b':') = line.first() {
                 self.note_number(line);
+            }
+            if flow_is_modal {
+                return self.direct_before_modal_call(line, remark);
             }
             return Ok(Direction::Check);
         };
@@ -158,7 +162,7 @@ impl<const N: usize> Interpreter<N> {
                 self.call(FrameKind::Call, &label, STREAM, &arguments)?;
                 return Ok(Direction::Call);
             }
-            Keyword::CallProgram | Keyword::CallMacro | Keyword::Then => {
+            Keyword::CallProgram | Keyword::CallMacro | Keyword::BeginModalCall | Keyword::Then => {
                 return self.run_call(&[], line, remark, &order);
             }
             Keyword::GoTo => return Err(Error::NotSupported),
@@ -237,8 +241,11 @@ impl<const N: usize> Interpreter<N> {
     pub fn next_held(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         self.computed.begin();
         let next = self.next_line(line);
-        if !matches!(next, Ok(Held::Line | Held::Again)) && self.computed.flow.waiting.is_none() {
-            self.abandon_held();
+        match next {
+            Ok(Held::Line | Held::Again) => {}
+            _ if self.computed.flow.waiting.is_some() => {}
+            Ok(Held::End) => self.stop_held(),
+            Err(_) => self.abandon_held(),
         }
         next
     }
@@ -261,6 +268,10 @@ impl<const N: usize> Interpreter<N> {
         if !matches!(flow.state, FlowState::Running(_)) {
             return Ok(Held::End);
         }
+        if self.call_if_due()? {
+            return Ok(Held::Again);
+        }
+        let flow = &mut self.computed.flow;
         let Some(text) = flow.line(flow.next) else {
             let complete = flow.frames.len() == usize::from(flow.below);
             return if complete { Ok(Held::End) } else { Err(Error::FlowSyntax) };
@@ -270,6 +281,7 @@ impl<const N: usize> Interpreter<N> {
         flow.next += 1 + text.len() as u16;
         let Some(order) = flow.order_of(line) else {
             if !flow.skipping {
+                self.note_for_modal_call(line);
                 return Ok(Held::Line);
             }
             line.clear();
@@ -294,6 +306,12 @@ impl<const N: usize> Interpreter<N> {
             }
             Keyword::CallProgram | Keyword::CallMacro => {
                 if !self.call_from_text(&order, at)? {
+                    line.clear();
+                    return Ok(Held::End);
+                }
+            }
+            Keyword::BeginModalCall => {
+                if !self.begin_modal_call(&order, at)? {
                     line.clear();
                     return Ok(Held::End);
                 }

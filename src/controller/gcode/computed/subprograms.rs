@@ -40,10 +40,10 @@ const LETTERS: &[u8; 26] = b"ABCIJKDEF.H.M...QRSTUVWXYZ";
 /// The number of a subprogram, or a line that consists of O, the number and a keyword.
 type ShortLine = heapless::Vec<u8, 16>;
 
-/// The words of M98 or G65.
-struct Call {
+/// The words of M98, G65 or G66.
+pub(super) struct Call {
     number: u32,
-    label: ShortLine,
+    pub(super) label: ShortLine,
     passes: Passes,
     arguments: heapless::Vec<(u8, Real), { LETTERS.len() }>,
 }
@@ -128,6 +128,19 @@ impl<const N: usize> Interpreter<N> {
         }
         flow.of_host = true;
         flow.run(from as u16, Some(from as u16));
+        Ok(Direction::Run)
+    }
+
+    /// Executes a line of the host as held text.
+    pub(super) fn run_line(&mut self, line: &[u8], remark: &[u8]) -> Result<Direction, Error> {
+        let flow = &mut self.computed.flow;
+        let from = flow.text.len() as u16;
+        if let Err(error) = flow.hold(line, remark, SPARE) {
+            self.refuse_rest();
+            return Err(error);
+        }
+        flow.of_host = true;
+        flow.run(from, Some(from));
         Ok(Direction::Run)
     }
 
@@ -289,21 +302,71 @@ impl<const N: usize> Interpreter<N> {
                 self.computed.flow.go_back(begin)?;
                 Ok(true)
             }
-            None => {
-                flow.missing = call.number;
-                if !flow.of_host {
-                    return Err(Error::OutOfPlace);
-                }
-                flow.wait(at, self.place == ProgramPlace::Subprogram);
-                Ok(false)
-            }
+            None => self.await_subprogram(&call, at),
+        }
+    }
+
+    /// Makes the program wait for the subprogram of the call at `at`. Returns `false`.
+    pub(super) fn await_subprogram(&mut self, call: &Call, at: u16) -> Result<bool, Error> {
+        let flow = &mut self.computed.flow;
+        flow.missing = call.number;
+        if !flow.of_host {
+            return Err(Error::OutOfPlace);
+        }
+        flow.wait(at, self.place == ProgramPlace::Subprogram);
+        Ok(false)
+    }
+
+    /// Executes G66 in the held line at `at`. Returns `false` if the program now waits for the subprogram.
+    #[inline(never)]
+    pub(super) fn begin_modal_call(&mut self, order: &OWord, at: u16) -> Result<bool, Error> {
+        let call = self.read_call(order)?;
+        if self.computed.flow.find_own(&call.label).is_none() {
+            return self.await_subprogram(&call, at);
+        }
+        let level = self.computed.level();
+        if self.computed.flow.modal.begin(order.arguments, level) { Ok(true) } else { Err(Error::OutOfMemory) }
+    }
+
+    /// Takes note of a line that the running text returns next. [`Self::call_if_due`] then executes the modal call.
+    #[inline]
+    pub(super) fn note_for_modal_call(&mut self, line: &[u8]) {
+        if self.computed.flow.modal.is_active() {
+            let level = self.computed.level();
+            self.computed.flow.modal.look_at(line, level);
+        }
+    }
+
+    /// Executes the modal call if the line before moved an axis. Returns whether it did.
+    #[inline(never)]
+    pub(super) fn call_if_due(&mut self) -> Result<bool, Error> {
+        let flow = &mut self.computed.flow;
+        let at = flow.next;
+        let Some(line) = flow.modal.take_due() else { return Ok(false) };
+        let order = OWord::of(&line).ok_or(Error::FlowSyntax)?;
+        self.call_from_text(&order, at)
+    }
+
+    /// Directs a line of the host while there is a modal call. A line that moves an axis runs as held text, which the
+    /// call follows.
+    #[inline(never)]
+    pub(super) fn direct_before_modal_call(&mut self, line: &[u8], remark: &[u8]) -> Result<Direction, Error> {
+        self.note_for_modal_call(line);
+        match self.computed.flow.modal.take_due() {
+            Some(_) => self.run_line(line, remark),
+            None => Ok(Direction::Check),
         }
     }
 
     /// Reads the words of M98 or G65.
     #[inline(never)]
-    fn read_call(&self, order: &OWord) -> Result<Call, Error> {
-        let is_macro = order.keyword == Keyword::CallMacro;
+    pub(super) fn read_call(&self, order: &OWord) -> Result<Call, Error> {
+        let is_macro = order.keyword != Keyword::CallProgram;
+        let is_modal = order.keyword == Keyword::BeginModalCall;
+        // Its calls come later, and the value of an expression could change meanwhile.
+        if is_modal && order.arguments.iter().any(|byte| matches!(byte, b'#' | b'[')) {
+            return Err(Error::NotSupported);
+        }
         let (mut number, mut repeats) = (None, None);
         let mut arguments = heapless::Vec::<(u8, Real), { LETTERS.len() }>::new();
         let mut rest = order.arguments;

@@ -107,7 +107,7 @@ pub(super) fn end_of(line: &[u8], start: usize) -> usize {
 }
 
 /// Refused words, by their numbers in tenths, and what to write instead.
-const INSTEAD_OF_G: [(&[u16], &str); 15] = [
+const INSTEAD_OF_G: [(&[u16], &str); 14] = [
     (
         &[330, 331, 760, 840],
         "% is not supported: nothing measures the spindle. Drill (G81), mill the thread (G3 with Z)",
@@ -120,8 +120,7 @@ const INSTEAD_OF_G: [(&[u16], &str); 15] = [
     (&[160], "% is not supported: write X and Y instead of angle and radius"),
     (&[410, 411, 420, 421], "% is not supported: let the CAM program offset the path by the radius of the cutter"),
     (&[511], "% is not supported: G51 with a negative I or J mirrors"),
-    (&[650], "% calls a subprogram only at the beginning of its line, as a plain number: G65 P1001"),
-    (&[660], "% is not supported: write G65 on each line that calls"),
+    (&[650, 660], "% calls a subprogram only at the beginning of its line, as a plain number: G65 P1001"),
     (&[870], "% is not supported: it needs a spindle that stops at an angle. Write the back boring as single moves"),
     (&[682], "% is not supported: tilted planes need five axes"),
     (&[290], "% is a word of 3-D printers: choose a post-processor for Grbl"),
