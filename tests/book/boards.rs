@@ -109,7 +109,7 @@ fn section(names: &[&str]) -> Vec<Described> {
     for board in &boards[1..] {
         let differs = |key: &&str| boards[0].pins[*key].pin != board.pins[*key].pin;
         assert_eq!(boards[0].pins.keys().collect::<Vec<_>>(), board.pins.keys().collect::<Vec<_>>(), "{}", board.name);
-        assert_eq!(board.pins.keys().copied().find(|key| differs(&key)), None, "{}", board.name);
+        assert_eq!(board.pins.keys().copied().find(|key| differs(key)), None, "{}", board.name);
         assert_eq!(boards[0].remarks, board.remarks, "{}", board.name);
     }
     boards
