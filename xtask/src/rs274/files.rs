@@ -47,7 +47,9 @@ pub fn run(paths: &[&str]) -> Result<(), Failure> {
         if seen.contains_key(&text) {
             continue;
         }
-        let (verdict, what) = judge(&home, &file, &text)?;
+        let _ = fs::remove_dir_all(&home);
+        fs::create_dir_all(&home).map_err(|e| e.to_string())?;
+        let (verdict, what, _) = judge(&home, &file, &text)?;
         counts.entry(verdict).or_default().push(format!("{}: {what}", file.display()));
         seen.insert(text, file);
     }
@@ -66,7 +68,8 @@ pub fn run(paths: &[&str]) -> Result<(), Failure> {
     Ok(())
 }
 
-const ALIKE: &str = "alike";
+/// Both interpreters have run the whole program.
+pub const ALIKE: &str = "alike";
 const BOTH_REFUSE: &str = "refused by both, alike up to there";
 const DECLINED: &str = "declined by Oxmill alone, alike up to there";
 const ONLY_RS274: &str = "refused by rs274 alone, alike up to there";
@@ -90,16 +93,15 @@ fn collect(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), Failure> {
     Ok(())
 }
 
-fn judge(home: &Path, file: &Path, text: &[u8]) -> Result<(&'static str, String), Failure> {
-    let _ = fs::remove_dir_all(home);
-    fs::create_dir_all(home).map_err(|e| e.to_string())?;
+/// Runs a program through both interpreters. Returns the verdict with its reason, and the number of Oxmill's events.
+pub fn judge(home: &Path, file: &Path, text: &[u8]) -> Result<(&'static str, String, usize), Failure> {
     let tools: String = TOOLS.map(|tool| format!("T{tool} P{tool}\n")).collect();
     let theirs = canon::interpret(home, file, &Settings { tools: &tools, deletes_blocks: false, is_told_all: false })?;
     let ours = interpret(text);
     let alike = ours.events.iter().zip(&theirs.events).take_while(|(a, b)| a.is_as(b)).count();
     let (mine, others) = (ours.events.len(), theirs.events.len());
     let first = || format!("event {alike}: Oxmill {:?}, rs274 {:?}", ours.events.get(alike), theirs.events.get(alike));
-    Ok(match (ours.refused, theirs.refused) {
+    let (verdict, what) = match (ours.refused, theirs.refused) {
         (None, None) if alike == mine && alike == others => (ALIKE, String::new()),
         (Some((line, why)), None) if alike == mine => (DECLINED, format!("line {line}, {why}")),
         (None, Some(why)) if alike == others => (ONLY_RS274, why),
@@ -107,7 +109,8 @@ fn judge(home: &Path, file: &Path, text: &[u8]) -> Result<(&'static str, String)
             (BOTH_REFUSE, format!("line {line}, {why}; rs274: {other}"))
         }
         (refused, other) => (DIFFER, format!("{}; refused: {refused:?}, {other:?}", first())),
-    })
+    };
+    Ok((verdict, what, mine))
 }
 
 /// Carries out a program to its end or to the first line that is rejected.

@@ -8,6 +8,7 @@ mod flow;
 mod ours;
 mod programs;
 mod runner;
+mod subprograms;
 
 use crate::{Failure, root};
 use std::fs;
@@ -197,7 +198,28 @@ impl Totals {
     }
 }
 
+/// Programs with subprograms, each in a file of its own, because it ends with M30.
+fn batch_of_files(home: &Path, seed: u64, programs: usize) -> Result<Found, Failure> {
+    let mut found = Found { lines: 0, events: 0, refused: false, difference: None };
+    for number in 0..programs {
+        let text = subprograms::program(seed << 8 | number as u64);
+        let lines: Vec<String> = text.lines().map(str::to_owned).collect();
+        let file = write(home, &lines)?;
+        let (verdict, what, events) = files::judge(home, &file, text.as_bytes())?;
+        found.lines += lines.len();
+        found.events += events;
+        if verdict != files::ALIKE {
+            found.difference = Some(format!("{verdict}: {what}\n{text}"));
+            break;
+        }
+    }
+    Ok(found)
+}
+
 fn one_batch(home: &Path, batch: usize, seed: u64, programs: usize) -> Result<Found, Failure> {
+    if batch % 8 == 6 {
+        return batch_of_files(home, seed, programs);
+    }
     // Half of the batches have parameters and O words; in half of these, both interpreters skip the lines that start
     // with a slash.
     let has_flow = batch % 2 == 1;
