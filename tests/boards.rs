@@ -13,8 +13,9 @@ fn board_file(name: &str) -> String {
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Each file of a board is without faults, and has the name of its board. So no pin has two uses, each pin exists, and
-/// debug port, oscillator and links keep theirs: `boards/tables/check.rs`.
+/// The file of each board is parsed without faults, and has the name of its board. The parser
+/// (`boards/tables/check.rs`) finds pins with two functions, pins that the chip does not have, and functions on pins of
+/// the debug port, the oscillator or the links to the host.
 #[test]
 fn the_file_of_each_board_is_without_faults() {
     for (name, text) in oxmill_tables::BOARDS {
@@ -25,7 +26,7 @@ fn the_file_of_each_board_is_without_faults() {
     }
 }
 
-/// The profile of a board, which the simulator uses, has what its file has.
+/// The profile of a board, which the simulator uses, agrees with the file of the board.
 #[test]
 fn profiles_are_those_of_the_files() {
     for (name, _) in oxmill_tables::BOARDS {

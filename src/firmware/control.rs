@@ -208,7 +208,8 @@ impl Control {
         erases
     }
 
-    /// Sends the wiring data to the tasks that own the pins. At rest both queues are emptied within a millisecond.
+    /// Sends the wiring data to the tasks that own the pins; if a queue is full, a later call does so. At rest both
+    /// queues are emptied within a millisecond.
     fn send_wiring(&mut self) {
         if let Some(wiring) = self.unsent_wiring
             && !self.ends.step_wiring.is_full()
@@ -269,8 +270,8 @@ impl Control {
         (came != core::mem::replace(&mut self.hosts_came, came)).then_some(Event::Connected)
     }
 
-    /// Returns the next command: first the queued commands, then the owed commands, if there were any when the round
-    /// began. Commands that are queued after the owed ones were taken follow the owed ones.
+    /// Returns the next command. Queued commands come first. When the queue is empty, takes all owed commands, if there
+    /// were any when the round began. These precede commands that are queued later.
     fn next_command(&mut self) -> Option<Realtime> {
         if let Some(command) = self.owed.pop() {
             return Some(command);

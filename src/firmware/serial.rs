@@ -28,7 +28,7 @@ const UART_HELD: usize = 1;
 /// Maximum burst of realtime commands and ignored bytes. Parts of lines have a queue, which limits them. Without this
 /// limit, a host or noise on a wire could use all of the processor time by endless bytes of this kind.
 const MOST_OTHERS: u32 = 128;
-/// Each time this many µs have passed, one more of the bytes that `MOST_OTHERS` limits is allowed.
+/// Time, µs, after which another one of the bytes that `MOST_OTHERS` limits is allowed.
 const OTHER_US: u32 = 200;
 /// Maximum number of bytes that are taken one by one (not as plain text) in `SINGLY_US` µs from a link that cannot
 /// wait. Lines of 15 characters with CR LF, sent at 1 Mbaud, have fewer such bytes in that time. The number is low

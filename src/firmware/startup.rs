@@ -99,8 +99,7 @@ pub fn start(
 
     let ends = Ends { realtime, lines, events, signals, segments, replies, step_wiring, input_wiring };
     let mut restart = Restart { cause: boards::reset_cause(), crash: last_words::take(), is_recorded: false };
-    // A fault of the board counts more than the report of an earlier failure, because the fault may have caused that
-    // failure.
+    // A fault of the board is reported instead of an earlier failure, because the fault may have caused that failure.
     restart.crash = parts.fault.map(fault_of_board).or(restart.crash);
     let recorder = Recorder::begin(last_words::pages(), &restart);
     restart.is_recorded = recorder.is_kept();

@@ -15,8 +15,9 @@ const SETTLING: Duration = Duration::from_millis(5);
 const ROUNDING_MM: f64 = 1e-3;
 
 /// Homes an idle machine with the controller's own `$H`, and sets the work zero of G54 to `work_zero`, in mm of machine
-/// coordinates. A machine without switches gets one at the end of each axis as `$23` and `$130` to `$132` say, as if it
-/// had been powered up in the middle of its travel. Afterwards the step counts correspond to machine coordinates.
+/// coordinates. A machine without switches gets a switch at the end of each axis, according to `$23` and `$130` to
+/// `$132`, as if the machine had been powered up in the middle of its travel. Afterwards the step counts correspond to
+/// machine coordinates.
 ///
 /// # Errors
 /// A text for users: homing is off (`$22`) or has failed, or `work_zero` is out of range.

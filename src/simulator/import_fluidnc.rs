@@ -111,7 +111,7 @@ struct Reader {
 }
 
 impl Reader {
-    /// Reads a value at a path of keys.
+    /// Imports a value, or notes why it is left out. `keys` is the path to it in the file.
     fn value(&mut self, keys: &[&str], value: &str, entry: FileEntry) {
         match *keys {
             ["axes", axis, ref rest @ ..] if !rest.is_empty() => match LETTERS.find(axis).filter(|_| axis.len() == 1) {
@@ -156,7 +156,8 @@ impl Reader {
         }
     }
 
-    /// Takes a value that each axis has in FluidNC. Here the first one counts for all.
+    /// Takes a value that FluidNC has for each axis, and Oxmill once for all axes: takes the first one, and leaves out
+    /// later ones that differ from it.
     fn take_for_all(&mut self, key: Key, value: &str, entry: FileEntry) {
         let taken = self.import.taken.iter().find(|taken| taken.number == key.number()).map(|taken| taken.value.0);
         if taken.is_none() || number(value).is_none() {
@@ -403,7 +404,8 @@ impl Reader {
         true
     }
 
-    /// Takes limits, which have one switch for all axes here.
+    /// Takes limits, which FluidNC enables for each axis, and Oxmill by one setting for all axes. If not `is_possible`,
+    /// limits that are on are left out.
     fn limits(&mut self, axes: &[(bool, FileEntry)], key: Key, is_possible: bool) {
         let is_on = is_possible && axes.iter().any(|(on, _)| *on);
         for (index, (on, entry)) in axes.iter().enumerate() {
@@ -418,7 +420,8 @@ impl Reader {
         }
     }
 
-    /// Takes the axis with a second motor.
+    /// Takes which axis has a second motor, whether the direction of this motor is inverted, and whether it has its own
+    /// switch. Leaves out further second motors.
     fn second_motor(&mut self, machine: &ConfiguredMachine) {
         let mut ganged = None;
         for (axis, entry) in &machine.second_motors {

@@ -20,7 +20,7 @@ pub const NO_SETTING: &str = "no such setting";
 /// The result of importing a file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Import {
-    /// The controller whose settings they are: `Grbl`, `grblHAL`, `FluidNC` or `Oxmill`.
+    /// The controller that the settings come from: `Grbl`, `grblHAL`, `FluidNC` or `Oxmill`.
     pub what: &'static str,
     /// Settings, in the order of the file. Each number appears once.
     pub taken: Vec<TakenSetting>,

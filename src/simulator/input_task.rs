@@ -77,7 +77,8 @@ impl InputTask {
         self.sample(self.low())
     }
 
-    /// Takes a sample. Returns whether an armed input stops the step task.
+    /// Takes a sample, and counts the changes that the filter rejects. Returns whether an armed input stops the step
+    /// task.
     pub fn sample(&mut self, low: u32) -> bool {
         let stops = self.inputs.sample(low);
         let rejected = self.inputs.rejected();

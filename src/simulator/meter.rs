@@ -37,8 +37,8 @@ const ROUNDING: f64 = 0.5;
 const TOLD: f64 = 0.5 / AxisSteps::PARTS as f64;
 /// Blocks shorter than this many steps say little about the length of their path: several are measured together.
 const SHORT: f64 = 4.0;
-/// In blocks of at least this many steps, the length that rounding across the path adds is ignored, because it is less
-/// than 0.01 %.
+/// Rounding to steps also moves the ends of a block sideways, which makes the block longer. In blocks of at least this
+/// many steps, this is less than 0.01 % and is not corrected.
 const LONG: f64 = 32.0;
 /// Number of steps of short blocks that are measured together.
 const TOGETHER: f64 = 12.0;

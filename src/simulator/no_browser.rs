@@ -14,7 +14,8 @@ const LONGEST_LINE: usize = 1024;
 /// recognized.
 const LONGEST_METHOD: usize = 64;
 
-/// A reader that fails if a browser writes to it.
+/// Wraps the reader of a connection. Reads fail if the first line is what a browser would send: an HTTP request, or the
+/// beginning of TLS. A line longer than `LONGEST_LINE` counts as a request.
 pub struct NoBrowser<R> {
     reader: R,
     /// The first line, while it may still be the beginning of a request.

@@ -238,7 +238,7 @@ impl Walk {
         self.state().offsets().tool_length.get(Axis::Z).unwrap_or_default()
     }
 
-    /// Runs a line.
+    /// Runs a line, and notes the move that it makes. Fails if the line is rejected or probes.
     fn take(&mut self, index: usize, line: &[u8]) -> Result<(), String> {
         let line = spoken(line);
         let begins_homed = line.trim_start().to_ascii_uppercase().starts_with("$H") && !self.moved.0.contains(&true);
@@ -427,7 +427,8 @@ fn jog(simulator: &mut Simulator, by: [f64; AXES]) -> Result<(), String> {
     settle(simulator)
 }
 
-/// Sends a line and runs until it is answered.
+/// Sends a line and runs until it is answered; presses cycle start where the program pauses. Fails if the answer is an
+/// error, if an alarm occurs, or if no answer will come.
 fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
     simulator.take_output();
     simulator.send(format!("{line}\n"));

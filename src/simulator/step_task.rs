@@ -237,7 +237,8 @@ impl StepTask {
         first
     }
 
-    /// Stops immediately.
+    /// Stops immediately, and switches a laser off whose power the segments set. Reports the stop to the controller,
+    /// and drops all waiting messages.
     pub fn stop(&mut self, clock: &Clock, world: &mut World) {
         let event = self.stepper.stop([0; AXES]);
         self.stopped(event, clock, world);

@@ -261,7 +261,7 @@ fn board_faults(_: &Path, text: &str) -> Vec<String> {
             "oxmill_controller" => {
                 matches!(path.get(1).map(String::as_str), Some("Profile" | "StepRates" | "digest" | "ResetCause"))
             }
-            // Boards hand received bytes to a task through a channel, so they need neither RTIC nor the simulator.
+            // To hand received bytes to a task, boards need only a channel, not RTIC itself.
             "rtic" | "oxmill_simulator" => false,
             _ => true,
         };

@@ -274,7 +274,7 @@ impl Board {
         self.book.is_sure = false;
     }
 
-    /// Sets the levels of the inputs; armed inputs stop the step task.
+    /// Sets the levels of the inputs. If an armed input has just become active, stops the step task.
     pub fn inputs(&mut self, word: u32) {
         let risen = word & !self.signals.word();
         self.signals = Signals::of_word(word);

@@ -44,7 +44,7 @@ pub const RAMP: f64 = 0.05;
 const STEPS: [f64; 2] = [0.6, 1.0];
 /// Uncertainty of a position, in half digits: its own 1, and √3 by which a curve can be taken to be flatter.
 const DIGITS: f64 = 2.75;
-/// Uncertainty of a point, in half digits: about √3, its three coordinates together.
+/// Uncertainty of a point, in half digits: about √3, because a point has three coordinates.
 const POINT: f64 = 1.75;
 /// Largest turn, rad, through which the path still counts as keeping its direction.
 const STRAIGHT: f64 = 0.25;
@@ -118,8 +118,8 @@ pub struct Unsure {
     radius: f64,
 }
 
-/// Returns the allowed speed jump of each axis where the path turns from one direction to another, at no more than the
-/// feed.
+/// Returns the allowed speed jump of each axis where the path turns from one direction to another. The path speed there
+/// is at most `feed`.
 pub fn granted(before: [f64; AXES], after: [f64; AXES], unsure: Unsure, limits: &Limits, feed: f64) -> [f64; AXES] {
     let turn = minus(after, before);
     let size = norm(turn);

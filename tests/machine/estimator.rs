@@ -179,7 +179,7 @@ fn passes(limits: &Limits, from: [f64; AXES], to: [f64; AXES], place: [f64; AXES
     least <= most
 }
 
-/// Finds the moves that the machine can have made of a program's lines by joining them.
+/// Finds the moves that the machine can have made by joining lines of a program.
 struct Joins<'a> {
     lines: &'a [Line],
     limits: &'a Limits,

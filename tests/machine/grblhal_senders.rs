@@ -1,8 +1,9 @@
-//! A whole session with `$900=3`, read as gSender and ioSender read a grblHAL: each line has to fit one of the patterns
-//! that they know, and what they learn from the lines has to be whole and true.
+//! A whole session with `$900=3`, read as gSender and ioSender read a grblHAL: each line must fit one of the patterns
+//! that these senders know, and what they learn from the lines must be complete and correct.
 //!
-//! The patterns are facts from their published source (2026). gSender tries its patterns in a fixed order, and takes
-//! a line that fits none for text of a terminal. ioSender splits lines at `:` and `|` and does not expect anything else.
+//! The patterns are facts from their published source (2026). gSender tries its patterns in a fixed order, and shows a
+//! line that fits none of them as text of a terminal. ioSender splits lines at `:` and `|` and does not expect anything
+//! else.
 
 use super::rig::Rig;
 use std::collections::{BTreeMap, BTreeSet};
@@ -33,7 +34,7 @@ struct Known {
     errors: BTreeMap<u8, String>,
     spindles: Vec<Vec<String>>,
     tools: BTreeMap<u32, (Vec<f64>, f64)>,
-    /// Fields of all status reports, the latest value of each; with the states that were seen.
+    /// The latest value of each field of status reports, and all states that were reported.
     status: BTreeMap<String, String>,
     states: Vec<String>,
     oks: usize,
@@ -89,7 +90,8 @@ impl Known {
         if line.is_empty() { Ok(()) } else { Err("text of a terminal".into()) }
     }
 
-    /// A full report ends in `FW:`, and each of its fields has a colon; so ioSender reads the others.
+    /// Reads a status report. Each field must have a known name and a colon, as ioSender expects. `FW:` must be the
+    /// last field of a full report.
     fn hear_report(&mut self, report: &str) -> Result<(), String> {
         let mut fields = report.split('|');
         let state = fields.next().unwrap_or_default();
@@ -358,7 +360,7 @@ fn iosender_drives_a_machine_of_dialect_grblhal() {
     let options: Vec<usize> = known.options[1..].iter().map(|field| field.parse().unwrap()).collect();
     assert_eq!(options, [512, 255, 3, 32], "look-ahead, receive buffer, axes, tools");
     assert!(["ENUMS", "RT+", "EXPR", "SED"].iter().all(|word| known.words.iter().any(|known| known == word)));
-    // Words of what the machine does not have.
+    // Words for features that the machine does not have.
     for word in ["SD", "RTC", "MPG", "ATC", "LATHE", "REBOOT", "BD", "OS", "YM", "FTP", "HOME", "TC"] {
         assert!(!known.words.iter().any(|known| known == word), "{word}");
     }

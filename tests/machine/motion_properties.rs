@@ -344,7 +344,7 @@ proptest! {
         prop_assert!(seconds <= ideal * 1.01 + 0.002, "{seconds} s instead of {ideal}\n{}", job.text);
     }
 
-    /// Incremental moves of any digits add up without drift.
+    /// Incremental moves add up without drift, whatever their digits.
     #[test]
     fn increments_add_up_exactly(step in [-9_999_i64..9_999, -9_999_i64..9_999, -99_i64..99], count in 1_i64..400) {
         // Units of 0.0001 mm.

@@ -12,8 +12,8 @@ const ACCELERATION: f64 = 500.0;
 /// Feed of the job, mm/s.
 const FEED: f64 = 20.0;
 const PARKED_Z: f64 = -5.0;
-/// Distance, mm, that the machine moves at the feed before the controller sees a fault: the pin's filter delays it, and
-/// the control task does not run all the time.
+/// Distance, mm, that the machine still moves at full feed until the controller sees a fault: the pin's filter delays
+/// it, and the control task does not run all the time.
 const LATE: f64 = 0.1;
 /// Host timeout, ms.
 const SILENCE: u64 = 500;

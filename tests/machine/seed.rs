@@ -45,7 +45,7 @@ fn chapter_2_2_1_the_motion_word_stays_in_force() {
     );
 }
 
-/// After G55, `X5 Y15` moves in its coordinates, with and without the motion word that the text recommends there.
+/// After G55, `X5 Y15` moves in the coordinates of G55, with and without the motion word that the document recommends.
 #[test]
 fn chapter_2_2_1_another_system_between_moves() {
     for first in ["X5 Y15", "G1 X5 Y15"] {

@@ -69,7 +69,7 @@ impl Frame {
     }
 }
 
-/// Returns the program and the control points that it stands for.
+/// Returns a program with these curves, and the control points that each of them must have.
 fn meant(frame: &Frame, curves: &[Words]) -> (String, Vec<[Point; 4]>) {
     let mut text = frame.setup();
     let mut chain: Vec<[Point; 4]> = Vec::new();

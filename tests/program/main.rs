@@ -245,7 +245,8 @@ fn a_held_program_that_is_too_long_is_measured() {
     let job = file("too_long.nc", &program);
     let output = run(&["check", text(&job), "--json", "--board", "nucleo_f401re"]);
     let error = &json(&output)["errors"][0];
-    // 700 lines of 10 bytes, and M98P1, M30, O1 with its keyword, X3, less than 64 bytes free.
+    // The held text needs 9 bytes for each of the 700 lines (8 without blanks, and 1 for the length), then M98P1, M30,
+    // O1 with its keyword, X3, and 64 bytes that must stay free. The board has 6144 bytes.
     let lacking = 700 * 9 + 6 + 4 + 6 + 3 + 64 - 6144;
     assert_eq!(error["code"], 83);
     let advice = error["advice"].as_str().expect("advice");
@@ -255,7 +256,7 @@ fn a_held_program_that_is_too_long_is_measured() {
         json(&run(&["check", text(&job), "--json", "--board", "nucleo_f446re"]))["errors"],
         serde_json::json!([])
     );
-    // The lines that follow are refused, too, and say how much it is by then.
+    // The lines that follow are refused, too. Their messages say by how much the program is too long so far.
     let errors = json(&output)["errors"].as_array().cloned().expect("a list");
     let last = errors.last().expect("an error")["text"].as_str().expect("a text").to_owned();
     assert_eq!(

@@ -72,7 +72,8 @@ fn settings_may_be_what_a_machine_has_said() {
     assert_eq!(run(&["run", text(&job), "--settings", text(&other)]).status.code(), Some(2));
 }
 
-/// The simulator supports all words; a check for a board that lacks some reports the errors that the board would.
+/// The simulator supports all words. If a board lacks some of these words, a check for this board (`--board`) reports
+/// the errors that the board would report.
 #[test]
 fn a_check_for_a_small_board_refuses_what_it_leaves_out() {
     let job = file("small.nc", "$110=1000\nG21 G90\nG1 X1 F100\n%\nG999\n#1=2 (two)\nG68 X0 Y0 R45\nG1 X#1\nG69\nM2\n");

@@ -103,7 +103,7 @@ fn masks_of_grblhal_come_apart() {
         ("$22=91", "sum 16: nothing does what they mean"),
         ("$32=2", "no lathe mode"),
         ("$47=0", "three homing cycles"),
-        // `$220` is a jerk here, and belongs to a driver there.
+        // `$220` is a jerk in Oxmill; in grblHAL it belongs to a motor driver.
         ("$220=12", "set the driver itself"),
         ("$481=0", "a host sends ?"),
     ] {
@@ -178,7 +178,7 @@ fn a_configuration_of_fluidnc_becomes_settings() {
     }
 }
 
-/// What the machine cannot have together is left: the board would lock motion.
+/// Of settings that the machine cannot have together, one is left out: with both, the board would lock motion.
 #[test]
 fn a_gantry_of_fluidnc_needs_cartesian_axes() {
     let gantry = "axes:\n  y:\n    steps_per_mm: 80\n    soft_limits: true\n    motor1:\n      step_pin: gpio.1\n";
@@ -238,7 +238,8 @@ fn the_settings_are_written_for_a_board() {
         assert!(place("$22=1") < place("$20=1"), "{written}");
         for dialect in dialects {
             let output = run(&["check", text(&job), "--dialect", dialect, "--settings", text(&out)]);
-            // A rejected setting is status 2. An alarm is none: nothing is wired to the simulated inverted switch.
+            // Status 2 means that a setting was rejected. The status of an alarm is allowed: an inverted switch that is
+            // not wired counts as active in the simulator.
             let refused = String::from_utf8_lossy(&output.stderr);
             assert!(output.status.code() != Some(2) && refused.is_empty(), "{name} {dialect}: {refused}");
         }

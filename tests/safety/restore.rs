@@ -35,7 +35,7 @@ fn any_value(random: &mut Random, kind: Kind) -> i64 {
 fn any_set(random: &mut Random, listed: &Set) -> Set {
     let mut set = listed.clone();
     for entry in SCALARS {
-        // Left unchanged: the dialect, because Grbl's accepts `$20=1` only after `$22=1`, as Grbl does; `$14` and
+        // Left unchanged: the dialect, because Grbl's dialect, like Grbl, accepts `$20=1` only after `$22=1`; `$14` and
         // `$903`, so that no control input or door is active all the time.
         if ![14, 900, 903].contains(&entry.number) && set.contains_key(&entry.number) {
             set.insert(entry.number, any_value(random, entry.kind));

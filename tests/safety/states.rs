@@ -100,7 +100,7 @@ enum Act {
 
 #[derive(Clone, Copy)]
 struct Event {
-    /// Its row in the table.
+    /// The event's row in the table.
     row: &'static str,
     act: Act,
 }

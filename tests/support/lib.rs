@@ -95,7 +95,7 @@ impl Folder {
         Self(path)
     }
 
-    /// Returns its path.
+    /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         &self.0
     }

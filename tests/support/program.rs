@@ -67,7 +67,7 @@ impl Program {
                 lines.push_back(format!("G1 {} F{feed}", self.target(random, axes)));
             }
             12 | 13 => {
-                // Ends at its start.
+                // A full circle, which ends where it starts.
                 let sense = 2 + random.below(2);
                 lines.push_back(format!("G17 G{sense} I0.{} J-0.{} F3000", 1 + random.below(9), random.below(9)));
             }

@@ -30,7 +30,7 @@ const STEP_CALLS: [Allowed; 6] = [
     Allowed { function: "step_timer::", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "channel::Receiver<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "executor::waker_wake", targets: &["FnOnce"] },
-    // Images built for size make the same calls, but from these functions, because they are not inlined.
+    // Images built for size make the same calls from these functions, which are not inlined there.
     Allowed { function: "wait_queue::DoublyLinkedList<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "signal::SignalWriter<", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed {

@@ -91,7 +91,7 @@ impl Lines {
         self.expect(">\r\n")
     }
 
-    /// Requests the status until it starts with `state`.
+    /// Requests the status until it contains `state`. Fails at an alarm, unless `state` is one.
     fn wait_for(&mut self, state: &str) -> Result<String, Failure> {
         let begin = Instant::now();
         while begin.elapsed() < LIMIT {

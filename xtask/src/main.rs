@@ -138,8 +138,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// Checks a change within a minute, if the rest has been built: the format, and the lints and unit tests of the rooms
-/// that change most. `names`: if there is one, only tests whose names contain it.
+/// Checks a change within a minute, if the rest has been built: the format, and the lints and unit tests of the
+/// packages that change most. `names`: if there is one, only tests whose names contain it.
 fn quick(names: &[&str]) -> Result<(), Failure> {
     let rooms = ["--package=oxmill-controller", "--package=oxmill-store", "--package=oxmill-simulator"];
     run(cargo().args(["fmt", "--all", "--check"]))?;

@@ -50,9 +50,9 @@ fn cargo_with(more: &[&str]) -> Result<Command, Failure> {
 
 /// The compiler that cargo uses.
 pub struct Compiler {
-    /// Its version.
+    /// Version of the compiler.
     pub version: String,
-    /// Its default target.
+    /// Target for which it compiles by default.
     pub host: String,
     /// The commit of its sources.
     commit: String,

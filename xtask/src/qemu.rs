@@ -59,8 +59,8 @@ fn machine(elf: &Path, rest_is_skipped: bool) -> Command {
     qemu
 }
 
-/// Runs a program to its own end. `read` gets the log with the address of each instruction through a pipe, because the
-/// log is several gigabytes long.
+/// Runs a program until it ends by itself. `read` gets the log, which has the address of each instruction. The log
+/// comes through a pipe, because it is several gigabytes long.
 pub fn trace<T>(elf: &Path, read: impl FnOnce(ChildStdout) -> Result<T, Failure>) -> Result<T, Failure> {
     require()?;
     let mut qemu = Command::new(PROGRAM);

@@ -29,7 +29,8 @@ const POLL: u32 = 100;
 /// Maximum duration of a group.
 const LIMIT: Duration = Duration::from_secs(600);
 
-/// Runs all groups without pins, or the named ones of them.
+/// Replays the groups in which no pin is moved. If `only` has texts, replays those of these groups whose names begin
+/// with one of them.
 pub fn replay_all(only: &[&str]) -> Result<(), Failure> {
     let folder = root().join("tests/transcripts");
     let mut files: Vec<_> = fs::read_dir(&folder)

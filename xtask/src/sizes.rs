@@ -9,7 +9,8 @@ const TOLERANCE: u64 = 2;
 /// Environment variable: `check` rejects images that have grown, `accept` records the new sizes.
 const MODE: &str = "OXMILL_SIZES";
 
-/// Compares the flash and RAM bytes of a board's image with the expected ones; returns a message for the user.
+/// Compares the flash and RAM bytes of a board's image with the expected ones, or records them, depending on [`MODE`].
+/// Returns a message for the user if there is one.
 pub fn judge(board: &str, flash: u32, ram: u32) -> Result<Option<String>, Failure> {
     let path = root().join("boards/sizes.txt");
     let text = fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;

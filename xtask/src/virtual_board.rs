@@ -27,7 +27,7 @@ const BOARDS: [(&str, &[&str]); 13] = [
     ("blackpill_f411_grblhal", ON_OTHER_PINS),
 ];
 
-/// Long cases, which this board runs only if it is named, except that a Nucleo runs `uart lines`.
+/// Long cases, which this board runs only if the command names it. A run of all boards has `uart lines` on a Nucleo.
 const LEFT_OUT_ON_F411: &[&str] = &["-bursts of overrides", "-late starts", "-tight pulses", "-uart lines"];
 
 /// Long cases that run only if this board is named. Most of them run on the first board, on the same timers and streams.

@@ -12,7 +12,8 @@ pub enum Direction {
     LeftOut,
     /// Run the subroutine that the line calls: [`Interpreter::next_held`](super::Interpreter::next_held).
     Call,
-    /// Run the loop that ends with this line. The line has been recorded.
+    /// Run held text: the loop that ends with this line, the line itself, or the program that has waited for the
+    /// subprogram that ends here. The line has been recorded.
     Run,
 }
 

@@ -17,9 +17,9 @@ use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
 impl<const N: usize> Interpreter<N> {
-    /// Resets modal state, G92, tool length offset and parameters. Keeps the stored offsets, the position, and the tool
-    /// in the spindle with its measured length. That tool becomes the selected one, so that M6 without T changes
-    /// nothing.
+    /// Resets modal state, rotation, scaling, G92, tool length offset and parameters. Ends check mode; the next line
+    /// begins a program. Keeps the stored offsets, the position, and the tool in the spindle with its measured length.
+    /// That tool becomes the selected one, so that M6 without T changes nothing.
     pub fn reset(&mut self) {
         self.modal = Modal::INITIAL;
         if let Some(before) = self.before_check.take() {
@@ -64,7 +64,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Ends the modal states that a program in the new dialect might be unable to end, because the dialect lacks the
-    /// word.
+    /// word. Abandons the present program, and drops saved states and the measured length of the tool.
     pub fn change_dialect(&mut self) {
         self.end_cycles();
         if matches!(self.modal.motion, MotionMode::Spline(_)) {

@@ -83,7 +83,7 @@ pub enum Dialect {
     /// All words of Grbl with Grbl's meaning, and further words.
     #[default]
     Oxmill,
-    /// As Oxmill, except that axis words after G80 move the axes in the mode of the last G0 or G1, and that an arc
+    /// As Oxmill, with two exceptions. Axis words after G80 move the axes in the mode of the last G0 or G1. An arc
     /// whose end point is off its circle ends where the ray from the centre to that point crosses the circle.
     Seed,
 }

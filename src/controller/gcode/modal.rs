@@ -96,12 +96,12 @@ impl CycleKind {
     }
 }
 
-/// Condition that ends a probing move, and whether it is an alarm if the condition is not met.
+/// Condition that ends a probing move, and whether an alarm occurs if the condition is not met.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProbeMode {
     /// Ends at the loss of contact (G38.4, G38.5) instead of at contact.
     pub away: bool,
-    /// It is an alarm if the contact does not change (G38.2, G38.4).
+    /// Whether an alarm occurs if the contact does not change (G38.2, G38.4).
     pub alarm: bool,
 }
 

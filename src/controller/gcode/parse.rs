@@ -301,7 +301,7 @@ impl<const N: usize> Parsed<N> {
         if !values.has(letter) {
             return match letter {
                 ASSIGNMENT => Ok(()),
-                // This cannot be Grbl's dialect, because it has no rotations.
+                // The dialect is not Grbl's, because that one has no rotations.
                 b'A' | b'B' if FULL_IMAGE && self.extended.rotation == Some(true) => {
                     if self.values.has(letter) {
                         return Err(Error::WordRepeated);

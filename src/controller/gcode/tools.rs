@@ -176,7 +176,8 @@ fn may_be_one_of(number: &[u8], wanted: &[u8]) -> bool {
     }
 }
 
-/// Returns the number for the entry that a program sets for a tool; in check mode it has the bit [`CHECKED`].
+/// Returns the number under which the table keeps an entry that a program sets for a tool; in check mode it has the bit
+/// [`CHECKED`].
 pub(super) fn entry_number(number: u32, is_checking: bool) -> u32 {
     if is_checking { number | CHECKED } else { number }
 }

@@ -55,7 +55,7 @@ const MOST_OF_A_MOVE: f32 = 0.25;
 const SHARPEST2: f32 = 2.832;
 /// q² of a turn by 1.2 rad. Only larger turns get four vertices.
 const LARGE_FOR_FOUR2: f32 = 1.275;
-/// q² of a turn by 0.6 rad: from [`GENTLE2`] up to here corners stay.
+/// q² of a turn by 0.6 rad. Corners from [`GENTLE2`] up to this value are not cut off.
 const LARGE2: f32 = 0.349;
 /// q² of a turn by 0.25 rad.
 const GENTLE2: f32 = 0.0622;

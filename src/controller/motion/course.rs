@@ -111,8 +111,8 @@ impl<const N: usize> Course<N> {
         }
     }
 
-    /// Restores the axes' remainders as they were when the block was left after `entered` units, and moves its start so
-    /// that the current position is the one after these units.
+    /// Restores the axes' remainders as they were when the block was left after `entered` units, and moves the start of
+    /// the block so that the current position is the one after these units.
     #[cold]
     pub(super) fn enter_midst(&mut self, left: &mut [u32; N]) {
         let Course { rates, threshold, entered, directions, .. } = *self;

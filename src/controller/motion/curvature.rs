@@ -179,8 +179,8 @@ impl<const N: usize> Span<N> {
         }
     }
 
-    /// Returns the path length between the point at which the span has its direction and its end: half of the path, or
-    /// 0 for a single piece.
+    /// Returns the path length from the point at which the span has its direction to the end of the span: half of the
+    /// path, or 0 for a single piece.
     #[inline]
     fn half(&self) -> f32 {
         if self.blocks == 1 { 0.0 } else { 0.5 * self.path }
@@ -347,8 +347,8 @@ impl<const N: usize> Finder<'_, N> {
     fn limit(&mut self, bend: Bend, behind: usize, length: f32) {
         let length = if behind > 0 { length + self.newest } else { length };
         if LEAVES_OUT && bend.once.is_none() && length <= self.since_steep {
-            // If the bend is found late, the machine may be too fast for it already. But it could stop within `length`
-            // when it reached the bend, because the end of the queue was there.
+            // If the bend is found late, the machine may already be too fast for it. But when the machine reached the
+            // bend, it could still stop within `length`, because the queue ended within this distance.
             let rise2 = rise2(self.rule.most, length);
             self.attainable2 = lesser(self.attainable2, greater(bend.speed2, rise2) + rise2);
         }
@@ -547,8 +547,8 @@ pub(super) struct Chain<const N: usize> {
     digit: LastDigit,
     /// [`Finder::attainable2`] at the end of the last piece.
     attainable2: f32,
-    /// Path length since the last steep block, mm. A block is steep if it speeds up faster than any path of moves with
-    /// steps can, because moves without a step make it longer.
+    /// Path length since the last steep block, mm. A block is steep if it may speed up along its path faster than any
+    /// path of moves with steps. This is possible because moves without a step have lengthened its path.
     since_steep: f32,
 }
 
@@ -622,8 +622,8 @@ impl<const N: usize> Chain<N> {
         self.attainable2 = finder.attainable2;
     }
 
-    /// Returns the maximum speed² that the machine can have in the newest piece, because it speeds up to there from an
-    /// earlier limit.
+    /// Returns the maximum speed² that the machine can reach in the newest piece when it speeds up from an earlier
+    /// limit. Also updates `since_steep`.
     #[inline]
     fn attainable2_in(&mut self, piece: &PathPiece<'_, N>, block: EntryLimit, rule: &TurnRule<N>) -> f32 {
         if !LEAVES_OUT {

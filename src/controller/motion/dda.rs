@@ -23,7 +23,8 @@ const MOST_AXES: usize = 4;
 pub(super) fn step_axes<const N: usize>(left: &mut [u32; N], increments: &[u32; N], threshold: u32) -> u8 {
     let mut minus_steps = 0_i32;
     let threshold = threshold as i32;
-    // Begins with the last axis, because each pass of the loop shifts up the bits of the axes before by one.
+    // Begins with the last axis, because each pass of the loop shifts the bits of the axes that it has already handled
+    // up by one.
     for (left, increment) in left.iter_mut().zip(increments).rev() {
         // `left` and `increment` lie between 0 and the threshold (at most 2^30), or a few parts of a step outside this
         // range. So the sign of `rest` shows whether the axis steps. `stepping` is all ones or all zeros, which avoids

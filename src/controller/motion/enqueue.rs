@@ -128,8 +128,8 @@ impl<const N: usize> MoveQueue<N> {
         {
             return self.put_timed(m, seconds, curve_speed2, chord);
         }
-        // Moves that ignore overrides are not divided, because a probing move, which is one of them, brakes within its
-        // own block.
+        // A probing move must not be divided, because it brakes within its own block. So no move that ignores overrides
+        // is divided.
         if self.backlash.is_on() && !m.no_feed_override {
             if !chord {
                 self.take_up_before_plunge(m);

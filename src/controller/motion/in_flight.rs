@@ -132,7 +132,8 @@ impl<const N: usize> SegmentsInFlight<N> {
         }
     }
 
-    /// Updates the ring from the step task's count of begun segments. `idle`: the step task is at rest.
+    /// Updates the ring from the step task's count of begun segments. `idle`: the step task is at rest. If it is, and
+    /// no segment is in flight, reports show speed, power and line number 0 from then on.
     #[inline]
     pub(super) fn observe(&mut self, begun: u32, idle: bool) {
         while self.len > 0 && self.begun != begun {

@@ -167,7 +167,8 @@ impl<const N: usize> Join<N> {
         way.iter().zip(&self.slopes).all(|(part, (least, most))| (*least..=*most).contains(&(part * share)))
     }
 
-    /// Saves the end of the queue before a new block is made of a move.
+    /// Call before a new block is made of a move: saves the end of the queue. Later moves can be joined to the block,
+    /// unless the move has a duration.
     pub(super) fn remember(&mut self, m: &Move<N>, end: PathEnd<N>) {
         self.open = !matches!(m.speed, Speed::Duration(_));
         self.fresh = true;

@@ -357,8 +357,9 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.exchange_ring(&mut other.source.in_flight);
     }
 
-    /// Starts to execute the queue. Before the first call, no segments are handed over. After the queue has run empty,
-    /// none are handed over until the next call.
+    /// Starts to execute the queue. If it has no block, queues the held moves first; without any moves, has no effect.
+    /// Before the first call, no segments are handed over. After the queue has run empty, none are handed over until
+    /// the next call.
     pub fn start(&mut self) {
         if self.queue.planner.len() == 0 {
             self.queue.release();
@@ -375,8 +376,8 @@ impl<const N: usize> Motion<N> {
         self.next_message()
     }
 
-    /// Like [`Motion::next`], without a new observation. The controller calls this very often, so the check, which is
-    /// usually false, is inlined.
+    /// Like [`Motion::next`], without a new observation. The controller calls this very often, and usually no message
+    /// is wanted. So only the check for this is inlined.
     #[inline]
     pub fn next_message(&mut self) -> Option<ToStep> {
         if self.source.wants_more() { self.wanted_message() } else { None }
@@ -474,7 +475,8 @@ impl<const N: usize> Motion<N> {
         self.queue.planner.replan(self.queue.overrides, state, left);
     }
 
-    /// Discards all queued moves. Has an effect only if the last segment for the step task ends at rest.
+    /// Discards all queued moves, and ends a hold. Has an effect only if the last segment for the step task ends at
+    /// rest.
     pub fn discard(&mut self) {
         if !self.source.ends_at_rest() {
             return;
@@ -483,9 +485,9 @@ impl<const N: usize> Motion<N> {
         self.source.stop();
     }
 
-    /// Call after a stop or underrun of the step task; `position`: its step counters. Discards everything queued and
-    /// takes over the exact position. The caller must open the step task's gate (`ToStep::Resume`) before it sends
-    /// messages of `next`.
+    /// Call after a stop or underrun of the step task; `position`: its step counters. Discards everything queued, ends
+    /// a hold, and takes over the exact position. The caller must open the step task's gate (`ToStep::Resume`) before
+    /// it sends messages of `next`.
     pub fn stopped(&mut self, position: &PerAxis<i32, N>) {
         let steps = position.zip(&self.origin, |count, origin| count.wrapping_add(origin));
         let before = self.source.in_flight.before();
@@ -603,8 +605,8 @@ impl<const N: usize> Motion<N> {
         self.queue.long.is_none()
     }
 
-    /// Sets the mark (0 to 31) of all blocks queued from now on. When a block has begun, [`Motion::begun_mark`] returns
-    /// its mark.
+    /// Sets the mark (0 to 31) of all blocks queued from now on. If the mark changes, first queues the held moves, and
+    /// stops joining moves to the last block. When a block has begun, [`Motion::begun_mark`] returns its mark.
     pub fn set_mark(&mut self, mark: u8) {
         let marked = mark << MARK_SHIFT;
         if marked != self.queue.marked {

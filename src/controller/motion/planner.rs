@@ -1,5 +1,6 @@
-//! Look-ahead planner. `Planner` is a ring of blocks. Its reverse pass sets the maximum entry speed of each block from
-//! which the machine can stop within the blocks after it; with a jerk limit it finds anchors (ends of ramps) instead.
+//! Look-ahead planner. `Planner` is a ring of blocks. For each block, its reverse pass finds the maximum entry speed
+//! from which the machine can stop within the rest of the queue. With a jerk limit, the pass finds anchors (ends of
+//! ramps) instead.
 //!
 //! ```text
 //!   v²   ___                 corner limits      |

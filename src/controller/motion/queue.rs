@@ -38,7 +38,7 @@ pub(super) struct LongMove<const N: usize> {
 /// Source of the line numbers of blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Numbering {
-    /// The N word of its line.
+    /// The N word of the line of the block.
     Words,
     /// A number set by `Motion::number_moves`.
     Given(u32),

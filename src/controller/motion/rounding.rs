@@ -19,7 +19,7 @@ use super::{Move, Speed};
 use crate::axes::{LINEAR, PerAxis};
 use crate::image::FULL_IMAGE;
 
-/// Minimum look-ahead, in blocks, with which moves are held back.
+/// Moves are held back only if the look-ahead has at least this many blocks.
 const LEAST_BLOCKS: usize = 32;
 /// Number of entries that are searched for one at its maximum speed.
 const MOST_ENTRIES: usize = 64;
@@ -37,7 +37,7 @@ impl<const N: usize> MoveQueue<N> {
         self.line(m)
     }
 
-    /// Queues a chord of a curve, after the held moves.
+    /// Queues the held moves, then a chord of a curve. Returns `false`, with nothing done, if there is no room.
     #[inline]
     pub(super) fn take_chord(&mut self, m: &Move<N>, curvature: Curvature) -> bool {
         if self.blend.is_holding() {

@@ -271,7 +271,7 @@ impl<const N: usize> SegmentSource<N> {
         &self.last_rest
     }
 
-    /// Returns the next message for the step task; `None` without a block.
+    /// Returns the next message for the step task. Without a block, ends handing over (and a hold) and returns `None`.
     #[inline]
     pub(super) fn next_message(
         &mut self,
@@ -341,7 +341,8 @@ impl<const N: usize> SegmentSource<N> {
             .map(|(curve, left)| segment::cut(&curve, run.done, left, pace, run.scales_power()))
     }
 
-    /// Returns a segment that waits for a part of the time until a pending tick.
+    /// Returns a segment that waits for a part of the time until a pending tick, and keeps the rest of this time in
+    /// `long_tick`.
     #[inline(never)]
     fn wait(&mut self, cut: Cut, time: u64, backlash: &Backlash<N>) -> Segment {
         let wait = self.clocks_per_ms * WAIT_MS;
@@ -366,7 +367,8 @@ impl<const N: usize> SegmentSource<N> {
         self.hand_over(&still, &motors, Segment::FLAG_WAIT | Segment::FLAG_LAST, interval, 0, 1, clocks)
     }
 
-    /// Hands over a piece with its time. If it is the last one of the block, removes the block from the queue.
+    /// Hands over a piece with its time. If it is the last one of the block, removes the block from the queue. If it
+    /// ends at rest, a hold is complete.
     #[inline]
     fn emit(&mut self, cut: &Cut, time: u32, planner: &mut Planner<N>, backlash: &Backlash<N>) -> Segment {
         let intervals = self.pacer.intervals(time, cut.ticks, cut.ramp);

@@ -113,8 +113,8 @@ impl<const N: usize> MoveQueue<N> {
         self.join.pass(&end)
     }
 
-    /// Checks whether a move continues the last block within its limits. If so, returns the entry speed² that the plan
-    /// of earlier blocks relies on.
+    /// Checks whether a move continues the last block within its limits. If so, adds the end of the move to the points
+    /// of the line, and returns the entry speed² that the plan of earlier blocks relies on.
     fn continues(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>) -> Option<f32> {
         // A block that is alone in the queue can be running already, or its entry speed can be fixed already.
         if self.planner.len() < 2 && self.planner.is_entered() {

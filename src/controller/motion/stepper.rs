@@ -49,8 +49,8 @@ struct Piece<const N: usize> {
     increments: [u32; N],
     /// Ticks left that do nothing but step.
     plain_ticks: u32,
-    /// Ticks left after the plain ones, which may do more: the last tick of the segment, or all of them while a probe
-    /// is watched. With no tick left the machine is at rest.
+    /// Ticks left after the plain ones. They may do more than step: the last tick of the segment, or all of its ticks
+    /// while a probe is watched. With no tick left the machine is at rest.
     rare_ticks: u32,
     /// Interval to the next tick, in fixed point.
     interval: u32,
@@ -366,7 +366,7 @@ impl<const N: usize> Stepper<N> {
         Tick { steps, directions: self.directions, interval: 0, begins: false, underrun }
     }
 
-    /// Computes the time of the next tick, and returns this one.
+    /// Returns the present tick with the time to the next one, which it computes.
     #[inline(always)]
     fn set_out(&mut self, steps: u8) -> Tick {
         let now = self.moment();
@@ -414,7 +414,8 @@ impl<const N: usize> Stepper<N> {
         self.moment = u64::from(moment) << 32 | u64::from(self.moment as u32);
     }
 
-    /// Ends motion because no segment has followed. Returns whether this is a fault (underrun).
+    /// Ends motion because no segment has followed. If the last segment does not end at rest, this is a fault
+    /// (underrun): shuts the gate and returns true.
     #[cold]
     fn run_out(&mut self) -> bool {
         let underrun = !self.piece.last;
@@ -528,8 +529,9 @@ impl<const N: usize> Stepper<N> {
         self.latch.sees(active)
     }
 
-    /// Saves the state at the contact, discards the queue, and starts to brake. The tick that detects the contact has
-    /// no time for this, so the next call that loads a message, ticks, stops or reports the contact runs this first.
+    /// Saves the state at the contact, discards the queue, shuts the gate, and starts to brake. The tick that detects
+    /// the contact has no time for this, so the next call that loads a message, ticks, stops or reports the contact
+    /// runs this first.
     #[cold]
     fn note_touch(&mut self) {
         self.latch.is_unnoted = false;

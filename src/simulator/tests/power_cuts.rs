@@ -3,8 +3,8 @@
 
 use oxmill_simulator::{Options, Simulator, Store};
 
-/// Size of a sector, in bytes: little more than all records together, so that the log moves to the other sector every
-/// few dozen commands.
+/// Size of a sector, in bytes: slightly more than all records together need, so that the log moves to the other sector
+/// every few dozen commands.
 const SECTOR: u32 = 1280;
 const SESSIONS: usize = 50;
 const COMMANDS: usize = 24;

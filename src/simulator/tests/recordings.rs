@@ -312,15 +312,15 @@ proptest! {
         let mut again = recording.power_up().unwrap();
         let arrival = oxmill_simulator::board_replay::play(&recording, &mut again, |_| {}, |_| {});
         if log.rfind(" stored]") > log.rfind(" state ") {
-            // A setting was changed while a switch was active, so no state was recorded after it at which a replay can
-            // begin.
+            // A setting was changed while a switch was active. After this change, no state was recorded at which a
+            // replay can begin.
             prop_assert!(arrival.parted.is_some_and(|why| why.starts_with("begins in the middle")), "{}", log);
             return Ok(());
         }
-        // A recording leaves some facts open: the order of bytes of two hosts at the same time, whether `~` came just
-        // before the machine rested in a hold, and when a line arrived that had to wait. (The controller runs when a
-        // line arrives, so a later braking can end one segment later.) In these cases a replay may differ, but must
-        // report that it does.
+        // A recording leaves three facts open: the order in which bytes of two hosts arrived at the same time; whether
+        // `~` arrived just before the machine came to rest in a hold; and when a line that had to wait arrived. (The
+        // arrival of a line makes the controller run, and because of that, a later braking can end one segment later.)
+        // In these cases the replay may differ from the recorded run, but must report the difference.
         let unclear = |input: &Input| match input {
             Input::Connect | Input::Disconnect => true,
             Input::Host(bytes) => bytes == b"~" || brakes(input),

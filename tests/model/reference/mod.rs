@@ -82,7 +82,7 @@ enum Work {
     Tool { tool: u8, spindle: bool },
     /// A jog that follows a jog ended by 0x85.
     LaterJog(Line),
-    /// A forbidden target: locks when the machine has come to rest and a hold or a door is over.
+    /// A forbidden target: the machine locks when it has come to rest and a hold or a door is over.
     Forbidden,
     /// `$H`.
     Homing,

@@ -427,7 +427,7 @@ fn planning(motion: &mut Planner) {
     let mut observed = Observed::default();
     let mut handed = 0;
     while let Some(message) = unit_prepare(motion, black_box(&observed)) {
-        // A block's first message is the block itself. From the first one on, the units count for the row.
+        // A block's first message is the block itself. From the first block on, the units count for the row.
         match message {
             ToStep::Segment(_) => {
                 handed += 1;
@@ -761,8 +761,8 @@ fn gentle_line(streaming: &mut Streaming) {
 /// Runs the lines of reliefs and of a spiral, whose turns are so tight that they can limit the speed. Each curve begins
 /// where the one before it ends.
 fn tight_lines(streaming: &mut Streaming) {
-    // Each of these lines lasts longer than those of the gentle curve. With less, segments go before lines; with more, the
-    // controller does not want the next block yet.
+    // Each of these lines lasts longer than those of the gentle curve. With a lower limit, segments would take
+    // precedence over lines; with a higher one, the controller would not want the next block yet.
     streaming.most_ms = 10;
     let micrometres = |mm: f32| libm::roundf(mm * 1000.0) as i32;
     let (x, y) = (600 * 98, 600 * 600 / 10);

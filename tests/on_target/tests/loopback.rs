@@ -66,8 +66,8 @@ const LEAST_SETUP_US: i32 = 2;
 /// Number of ticks in a segment. Segments are short, so that the step task also receives messages between the pulses of
 /// the fastest train.
 const SEGMENT_TICKS: u32 = 50;
-/// Pulses of the longest train. Its segments must all fit in the queue before it starts, because no task sends more of
-/// them later.
+/// Pulses of the longest train. All segments of this train must fit into the queue before it starts, because no task
+/// sends further segments later.
 const LONGEST_TRAIN: u32 = 1_000;
 const _: () = assert!(LONGEST_TRAIN / SEGMENT_TICKS + 2 < SEGMENTS_DEPTH as u32);
 

@@ -18,8 +18,8 @@ pub const NAMED: [&str; 4] = ["#<u>", "#<v>", "#<_g>", "#<_h k>"];
 pub const POINTER: &str = "#40";
 
 /// Parameters that show the machine's state and do not depend on the unit of time. Stored positions, from #5161 on, are
-/// excluded: they are in the unit of the machine, which is the inch in `rs274`. So is `#<_rpm>`, which has seven digits
-/// in Oxmill.
+/// excluded: they are in the unit of the machine, which is the inch in `rs274`. `#<_rpm>` is excluded, too, because it
+/// has seven digits in Oxmill.
 const SHOWN: [&str; 9] =
     ["#5420", "#5421", "#5422", "#5220", "#<_x>", "#<_y>", "#<_z>", "#<_metric>", "#<_call_level>"];
 

@@ -18,15 +18,18 @@
 //! * `do` after a `break` in a `while`: in `rs274` the `break` also ends the next `do` after one pass
 //! * `continue` in a `do`: in its last pass, within another loop, `rs274` never leaves the loop
 //! * `#<_value>` other than after a call: `rs274` also sets it at the definition of a subroutine
-//! * G with a number near a hundredth, such as G0.004: Oxmill, like Grbl, takes it for the nearest word
+//! * a G number with more than two decimals, such as G0.004: Oxmill, like Grbl, rounds it to hundredths
 //! * `#5401` and on: in Oxmill the active offset, in LinuxCNC that of the tool in the spindle
 //! * the spindle after M6: LinuxCNC stops it, so M3 is written in the same line
 //! * a message in a line with words: `rs274` sends it before the words act, so it shows the earlier values
 //! * `#<_feed>` after a change of the unit in which F was set, or in G93: LinuxCNC keeps the number of F; also F in a
 //!   line with G20 or G21
-//! * a change of units under a tool offset; M6 unless all axes have moved since the last change of offsets (the command
-//!   line has no machine)
-//! * G53 with G91; a rotation (the generator in `programs` has it)
+//! * a change of units under a tool offset
+//! * M6, unless all axes have moved since the last change of offsets: at M6 the machine stub of `rs274` forgets such
+//!   changes
+//! * G53 with G91
+//!
+//! Rotations are generated in `programs`.
 
 use super::expressions::{self, NAMED, NUMBERED, POINTER};
 use super::programs::Batch;

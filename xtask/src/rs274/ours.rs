@@ -21,7 +21,7 @@ pub struct Mill {
     place: [f64; AXES],
     /// Whether the end of the last event is missing in the events, because it was a spline.
     is_place_untold: bool,
-    /// Whether rounding decides if the last line has a move, because it is so short.
+    /// Whether the move of the last line is so short that rounding decides if there is a move at all.
     is_doubtful: bool,
 }
 
@@ -64,7 +64,7 @@ impl Mill {
         &mut self.interpreter
     }
 
-    /// Carries out a line, and for a call the lines called; the line has no blanks within words.
+    /// Carries out a line, and the held lines that it runs (by a call or a loop). Blanks in the line are ignored.
     pub fn run(&mut self, line: &str) -> Result<Vec<Event>, Error> {
         self.is_doubtful = false;
         match self.interpreter.direct(line.replace(' ', "").to_uppercase().as_bytes(), &[], 0)? {

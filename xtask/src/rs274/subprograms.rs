@@ -31,7 +31,8 @@ fn label(number: u64) -> String {
     if number == 2 { "0200".into() } else { (100 * number).to_string() }
 }
 
-/// Returns a line of subprogram `number`, or of the program with 0. It calls only subprograms with higher numbers.
+/// Returns a line of subprogram `number`, or of the main program if `number` is 0. It calls only subprograms with
+/// higher numbers.
 fn line(random: &mut Random, number: u64, subprograms: u64) -> String {
     let length = |random: &mut Random| format!("{}.{:03}", random.below(40), random.below(1000));
     match random.below(9) {

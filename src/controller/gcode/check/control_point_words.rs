@@ -23,7 +23,7 @@ impl<const N: usize> Draft<'_, N> {
         self.state.modal.motion == POINTS && self.state.control_points.iter().any(|points| points.begin_at(here))
     }
 
-    /// Refuses another motion mode before G5.3.
+    /// If a curve has been started: refuses every motion mode other than G5.2, except `MotionMode::Cancelled` (G80).
     pub(super) fn leaves_control_points(&self, mode: MotionMode) -> Result<(), Error> {
         let leaves = !matches!(mode, POINTS | MotionMode::Cancelled);
         if leaves && self.has_control_points() { Err(Error::ControlPointsNotEnded) } else { Ok(()) }

@@ -15,7 +15,7 @@ use crate::units::{Coordinate, Decimal};
 const BEFORE_THE_FIRST: usize = CoordinateSystem::OF_GRBL;
 
 impl<const N: usize> Draft<'_, N> {
-    /// G54.1, G154, G8, G187, M29.
+    /// G54.1 and G154 select a coordinate system by its number. G8, G187 and M29 only cause a notice.
     pub(super) fn habits(&mut self) -> Result<(), Error> {
         let extended = &self.line.extended;
         if !FULL_IMAGE {

@@ -142,8 +142,8 @@ impl<const N: usize> Draft<'_, N> {
         let (first, second) = (centre_letter(axes.first), centre_letter(axes.second));
         let (has_first, has_second) = (self.line.values.has(first), self.line.values.has(second));
         let absolute = self.dialect != Dialect::Grbl && self.action.modal.arc_distance == ArcDistance::Absolute;
-        // If I, J and K are distances, one of the two needed words can be missing and is 0. If they are coordinates,
-        // both are required.
+        // If I, J and K are distances, one of the two words for the plane can be missing, and counts as 0. If they are
+        // coordinates, both are required.
         if !(has_first || has_second) || absolute && !(has_first && has_second) {
             return Err(Error::NoPlaneOffsets);
         }

@@ -58,7 +58,8 @@ impl<const N: usize> Draft<'_, N> {
                 } else if let Some(measured) = self.state.measured_offset(self.state.spindle_tool) {
                     action.tool_length.set(TOOL_AXIS, measured.get(TOOL_AXIS).unwrap_or_default());
                 }
-                // M72 does not restore the value of G92, but it restores whether G92 acts, as G92.2 or G92.3 would.
+                // M72 does not restore the value of G92, only whether this offset acts: it suspends the offset like
+                // G92.2, or restores it like G92.3.
                 if action.after.g92_acts != saved.g92_acts {
                     self.let_offset_act(saved.g92_acts);
                 }

@@ -44,7 +44,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Rotates `target`, which was computed without the rotation.
+    /// Rotates `target`, which was computed without the rotation. Also notes the position in the program's coordinates.
     fn rotated_target(
         &mut self,
         rotated: RotatedPlane,

@@ -1,4 +1,5 @@
-//! Compares the limits that are found with the complete rule, and with those of a machine that leaves nothing out.
+//! Compares the limits that are found with those of the complete rule, and with those that are found if no limit is
+//! left out.
 
 use super::*;
 
@@ -109,8 +110,8 @@ fn limits<const N: usize>(history: &History<N>, new: &Span<N>, rule: &TurnRule<N
     speeds2
 }
 
-/// Compares the limits that are found for many turns, at speeds close to them, with those of the complete rule.
-/// Returns how many are limited, and how many are excluded in advance.
+/// For many turns, compares the limits that are found with those of the complete rule, at speeds close to these limits.
+/// Returns how many turns are limited, and how many are excluded in advance.
 fn ask<const N: usize>(random: &mut Random, count: u32) -> (u32, u32) {
     let (mut limited, mut left_out) = (0, 0);
     for _ in 0..count {
@@ -209,8 +210,8 @@ fn profile(points: &[[f32; 2]], limits2: &[f32], rule: &TurnRule<2>) -> Vec<f32>
     speeds2
 }
 
-/// Returns the entry limits of a path's pieces, and how many bends have been found. `attainable`: whether a limit
-/// that the machine cannot exceed is omitted.
+/// Returns the entry limits of a path's pieces, and how many bends have been found. `attainable`: whether limits that
+/// the machine cannot exceed anyway are omitted.
 fn entry_limits(points: &[[f32; 2]], fast2: f32, rule: &TurnRule<2>, attainable: bool) -> (Vec<f32>, usize) {
     let place = |point: &[f32; 2]| PerAxis(point.map(|mm| Coordinate((f64::from(mm) * 1.0e7) as i64)));
     let mut chain = Chain::new(Lent::new(Chain::<2>::SCALES));

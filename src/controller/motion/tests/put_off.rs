@@ -230,8 +230,8 @@ fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
     }
 }
 
-/// A turn that is found limits the entries of the last two blocks. That does not change the entry of the last block,
-/// but the settled entry depends on the entry of the block before.
+/// A turn is found, and limits the entries of the last two blocks. The entry of the last block does not change, but the
+/// settled entry depends on the entry of the last block but one.
 #[test]
 fn what_counts_on_a_lowered_entry_is_lowered() {
     let mut ring = planner(24);
@@ -268,8 +268,8 @@ fn with_a_jerk_limit_nothing_is_settled() {
     assert_eq!(queue.block(1).unwrap().entry2, 49.0);
 }
 
-/// A turn that has been found limits the speed of the last blocks, and a block leaves the queue before the next pass.
-/// That pass must not process the slots after the queue: they hold old blocks, which would change the entries.
+/// A turn is found, and limits the speed of the last blocks. Then a block leaves the queue before the next pass. That
+/// pass must not process the slots after the queue: they hold old blocks, which would change the entries.
 #[test]
 fn what_has_been_lowered_moves_up_with_the_queue() {
     for begin in 0..24 {
