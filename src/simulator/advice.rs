@@ -66,11 +66,21 @@ pub fn for_line(code: u8, line: &str) -> &'static str {
     }
 }
 
-/// Returns the advice for error `code` at the line `line`, beside the controller's sentence about the line. A sentence
-/// that says what to write, behind a colon, needs no advice of a general kind.
+/// Returns the advice for error `code` at the line `line`, to be shown beside the controller's sentence about the line.
+/// Returns no general advice if this sentence already says, after a colon, what to write.
 pub fn beside(sentence: &str, code: u8, line: &str) -> &'static str {
+    /// Begins of what a sentence says to write.
+    const IMPERATIVES: [&str; 17] = [
+        "write", "set", "take", "correct", "choose", "add", "divide", "give", "name", "use", "split", "end", "remove",
+        "put", "let", "mill", "such as",
+    ];
     let advice = for_line(code, line);
-    if sentence.contains(": ") && advice == for_code(code) { "" } else { advice }
+    let says_what_to_write = sentence
+        .split([':', '.', ','])
+        .skip(1)
+        .any(|part| IMPERATIVES.iter().any(|word| part.trim_start().to_lowercase().starts_with(word)));
+    let is_enough = says_what_to_write || sentence.ends_with("fits both");
+    if is_enough && advice == for_code(code) { "" } else { advice }
 }
 
 /// Returns whether a comment of the line contains an opening parenthesis.

@@ -16,6 +16,11 @@ use oxmill_controller::messages::Realtime;
 
 /// Begin of the message with the number of a subprogram that a held program waits for.
 const AWAITS: &str = "[MSG:Program waits for subprogram ";
+/// Begin of the message about G43 while no tool is in the table.
+pub const NO_TOOLS: &str = "[MSG:No tool is in the table";
+/// What this message means for a job.
+const WITHOUT_LENGTH: &str = "no tool has a stored length, so G43 has no effect. That is right if Z zero was set with this tool. \
+     Otherwise store the length: G10 L1 P(tool) Z(length), above the line or once in the machine";
 /// Maximum number of errors, and of warnings, that the report lists. Further ones are only counted.
 const KEPT_ERRORS: usize = 1000;
 /// Maximum number of controller messages, and of simulator notes, that the report lists. Further ones are only counted.
@@ -51,6 +56,9 @@ impl Outcome {
                 // A held program repeats what it waits for.
                 Said::Message { text, .. } if self.messages.last() == Some(&text) && text.starts_with(AWAITS) => {}
                 Said::Message { line, text } if self.messages.len() < KEPT_MESSAGES => {
+                    if text.starts_with(NO_TOOLS) {
+                        self.warn(Warning { line, text: WITHOUT_LENGTH.into() });
+                    }
                     self.messages.push(text);
                     self.message_lines.push(line);
                 }
@@ -71,17 +79,31 @@ impl Outcome {
 
     fn refused(&mut self, line: u64, code: u8, text: &str, source: String) {
         if self.errors.len() < KEPT_ERRORS {
-            self.errors.push(LineError {
-                line,
-                code,
-                column: column::of_word(text, &source),
-                text: text.into(),
-                advice: advice::beside(text, code, &source).into(),
-                source,
-            });
+            let (text, advice) = self.explained(code, text, &source);
+            let column = column::of_word(&text, &source);
+            self.errors.push(LineError { line, code, column, text, advice, source });
         } else {
             self.more_errors += 1;
         }
+    }
+
+    /// Returns what is wrong with a line and what to do. Uses what only the file shows: an earlier line with F that was
+    /// refused, or several points in one line.
+    fn explained(&self, code: u8, text: &str, source: &str) -> (String, String) {
+        let has = |text: &str, letter: char| text.to_ascii_uppercase().contains(letter);
+        let refused_feed = self.errors.iter().rev().find(|error| has(&error.source, 'F'));
+        if code == Error::UndefinedFeed.code()
+            && let Some(LineError { line, .. }) = refused_feed
+        {
+            return (text.into(), format!("Line {line} has an F and was refused: correct that line first."));
+        }
+        let moves = source.to_ascii_uppercase().matches('X').count();
+        if code == Error::LineTooLong.code() && moves > 1 {
+            let more =
+                "X stands in this line several times, and a line takes it once: write each point in a line of its own.";
+            return (text.into(), more.into());
+        }
+        (text.into(), advice::beside(text, code, source).into())
     }
 
     fn warn(&mut self, warning: Warning) {
@@ -136,7 +158,9 @@ impl Outcome {
 fn missing<'a>(number: &str, present: impl Iterator<Item = &'a str>) -> String {
     match present.collect::<Vec<_>>()[..] {
         [] => format!("{number} is called here and is not in the file: write it after M30, from {number} to M99"),
-        [only] => format!("{number} is called here, and the file has only {only}: correct one of the numbers"),
+        [only] => {
+            format!("{number} is not in the file, which has only {only}: correct {only}, or each call of {number}")
+        }
         [first, .., last] => {
             format!("{number} is called here, and the file has {first} to {last}: correct the number, or add {number}")
         }
@@ -287,7 +311,8 @@ impl Check {
         self.look_for_feeds_in_inches();
     }
 
-    /// Notes a small job in millimetres whose feeds are as slow as those of a program in inches.
+    /// Notes a small job in millimetres whose comments mention inches, and whose feeds are as slow as those of a program in
+    /// inches.
     fn look_for_feeds_in_inches(&mut self) {
         /// Millimetres per minute, on average. Programs in mm mostly have 100 or more, and those in inches 5 to 100.
         const SLOW: f64 = 50.0;
@@ -300,9 +325,13 @@ impl Check {
         let [x, y] = [0, 1].map(|axis| high[axis] - low[axis]);
         let feed = 60.0 * (measured.distance - measured.rapid_distance) / feed_s;
         let is_metric = simulator.controller().interpreter().modal().units == Units::Mm;
-        if is_metric && feed < SLOW && x.max(y) > 0.0 && x.max(y) < SMALL {
+        let mentions_inches = simulator.job().is_some_and(JobText::mentions_inches);
+        if mentions_inches && is_metric && feed < SLOW && x.max(y) > 0.0 && x.max(y) < SMALL {
+            let place = simulator.job().and_then(JobText::metric_at);
+            let cure = place
+                .map_or("write G20 above the first move".into(), |line| format!("write G20 for G21 in line {line}"));
             self.outcome.note(format!(
-                "the feeds are {feed:.0} mm/min on average, and the job covers {x:.1} x {y:.1} mm: write G20 if these are inches"
+                "the feeds are {feed:.0} mm/min on average, and the job covers {x:.1} x {y:.1} mm. If its numbers are inches: {cure}"
             ));
         }
     }
@@ -497,11 +526,16 @@ mod tests {
     /// Inches taken for millimetres make a job that is too small, and slow.
     #[test]
     fn a_small_job_with_slow_feeds_is_noted() {
-        let is_noted = |text| checked("oxmill", text).notes.iter().any(|note| note.contains("write G20"));
-        assert!(is_noted("G21 G90\nG1 Z-0.05 F8\nG1 X4 F30\nG1 Y3\nG1 X0 Y0\nM30"));
-        assert!(!is_noted("G20 G90\nG1 Z-0.05 F8\nG1 X4 F30\nG1 Y3\nM30"));
-        assert!(!is_noted("G21 G90\nG1 Z-1 F80\nG1 X40 F300\nG1 Y30\nM30"));
-        assert!(!is_noted("G21\nG0 X5\nM30") && !is_noted("G21\nG1 Z-1 F10\nM30") && !is_noted("M30"));
+        let is_noted = |text| checked("oxmill", text).notes.iter().any(|note| note.contains("are inches: write G20"));
+        assert!(is_noted("(SIZE 4 X 3 IN)\nG21 G90\nG1 Z-0.05 F8\nG1 X4 F30\nG1 Y3\nG1 X0 Y0\nM30"));
+        assert!(!is_noted("(SIZE 4 X 3 IN)\nG20 G90\nG1 Z-0.05 F8\nG1 X4 F30\nG1 Y3\nM30"));
+        assert!(!is_noted("(SIZE 40 X 30 IN MM)\nG21 G90\nG1 Z-1 F80\nG1 X40 F300\nG1 Y30\nM30"));
+        assert!(
+            !is_noted("(drill)\nG21 G81 X10 Z-2 R1 F40\nX20\nM30")
+                && !is_noted("G21\nG0 X5\nM30")
+                && !is_noted("G21\nG1 Z-1 F10\nM30")
+                && !is_noted("M30")
+        );
     }
 
     /// Here, M6 does not wait for the preceding moves. The time of a move must still count for the tool of the move,

@@ -66,7 +66,7 @@ mod tests {
     fn the_word_is_found_as_it_was_written() {
         for (reason, line, column) in [
             ("comma in X1,5: write a decimal point", "g1 (X1) x 1,5 f100", Some(9)),
-            ("Q is missing in G83: the depth of a peck", "N10  G83 X1 Z-5 R1", Some(6)),
+            ("Q is missing in G83: the step of a peck, above 0, such as Q2", "N10  G83 X1 Z-5 R1", Some(6)),
             ("the radii of G2 differ by 2.000 mm: 4.000 at its start", "G21 G02 X10 I4", Some(5)),
             ("G0 and G1 in one line: write one of them, or two lines", "G10 G01 G0 X1", Some(9)),
             ("no number behind X", "X1 Y2 X", Some(7)),

@@ -1,6 +1,7 @@
 //! The report of `check` on one screen: verdict, first rejected lines with advice, alarm, messages, times by tool, and
 //! extents. Long lists are truncated, with the number of further entries.
 
+use crate::check::NO_TOOLS;
 use crate::summary::{Summary, clock_time, counted};
 use anstyle::{AnsiColor, Style};
 use oxmill_controller::axes::Axis;
@@ -29,11 +30,15 @@ impl fmt::Display for ShortReport<'_> {
             summary.board,
             counted(summary.lines, "line")
         )?;
+        let mut shown: Vec<&str> = Vec::new();
         for error in summary.errors.iter().take(SHOWN_ERRORS) {
             writeln!(f, "  line {}: {}", error.line, error.source)?;
             writeln!(f, "    {BAD}error:{}{BAD:#} {}", error.code, error.text)?;
-            if !error.advice.is_empty() {
+            // The same advice is shown once.
+            let is_new = !shown.contains(&error.advice.as_str());
+            if is_new && !error.advice.is_empty() {
                 writeln!(f, "    {FAINT}{}{FAINT:#}", error.advice)?;
+                shown.push(&error.advice);
             }
         }
         if summary.error_count() > SHOWN_ERRORS as u64 {
@@ -53,7 +58,10 @@ impl fmt::Display for ShortReport<'_> {
         for note in summary.notes.iter().take(SHOWN_ERRORS) {
             writeln!(f, "  {WARNING}note{WARNING:#}: {note}")?;
         }
-        for (message, line) in summary.messages.iter().zip(&summary.message_lines).take(SHOWN_ERRORS) {
+        // The warning about G43 says more than its message, and the normal end needs no mention.
+        let is_shown = |message: &String| !message.starts_with(NO_TOOLS) && message != "[MSG:Pgm End]";
+        let messages = summary.messages.iter().zip(&summary.message_lines).filter(|(message, _)| is_shown(message));
+        for (message, line) in messages.take(SHOWN_ERRORS) {
             let place = if *line > 0 { format!("line {line}: ") } else { String::new() };
             writeln!(f, "  {place}{message}")?;
         }

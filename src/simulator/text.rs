@@ -15,6 +15,8 @@ use std::io::{self, BufRead};
 
 /// Maximum length of a line, in bytes. A file with a longer line is not a program for a machine.
 const LONGEST_LINE: usize = 1 << 20;
+/// Number of characters of a line that reports show.
+const SHOWN_LINE: usize = 120;
 /// Number of bytes that are made ready ahead of the controller, like a full receive queue.
 const AHEAD: usize = 256;
 
@@ -53,6 +55,10 @@ pub struct JobText {
     failed: Option<io::Error>,
     /// Unanswered lines: line number in the file, text, and the error with which the board rejects the line if it does
     /// not support all words (see `small_board`).
+    /// A comment mentions inches.
+    mentions_inches: bool,
+    /// Line number of the last line with G21.
+    metric_at: Option<u64>,
     unanswered: VecDeque<(u64, String, Option<Error>)>,
     /// Whether the board supports all words of the simulator.
     has_all_words: bool,
@@ -128,6 +134,8 @@ impl JobText {
             after_cr: false,
             stopped: false,
             failed: None,
+            mentions_inches: false,
+            metric_at: None,
             unanswered: VecDeque::new(),
             has_all_words: true,
             has_tape_marks: true,
@@ -213,6 +221,16 @@ impl JobText {
     /// Number of bytes of the file read so far.
     pub fn consumed(&self) -> u64 {
         self.consumed
+    }
+
+    /// Returns whether a comment has mentioned inches so far.
+    pub fn mentions_inches(&self) -> bool {
+        self.mentions_inches
+    }
+
+    /// Line number of the last line with G21 so far.
+    pub fn metric_at(&self) -> Option<u64> {
+        self.metric_at
     }
 
     /// Line number in the file of the oldest line that has not been answered.
@@ -338,7 +356,14 @@ impl JobText {
         self.bytes.extend(text.chars().map(plain));
         self.bytes.push_back(b'\n');
         let left_out = if self.has_all_words { None } else { small_board::error_of(text) };
-        let shown = text.trim().chars().take(120).map(shown_character).collect();
+        let mut shown: String = text.trim().chars().take(SHOWN_LINE).map(shown_character).collect();
+        if text.trim().chars().nth(SHOWN_LINE).is_some() {
+            shown += " ...";
+        }
+        self.mentions_inches |= mentions_inches(text);
+        if text.contains("G21") || text.contains("g21") {
+            self.metric_at = Some(self.lines);
+        }
         self.unanswered.push_back((self.lines, shown, left_out));
     }
 
@@ -400,6 +425,13 @@ impl JobText {
             self.said.push(Said::Message { line, text: reply.to_owned() });
         }
     }
+}
+
+/// Returns whether a comment of a line has the word IN, INCH or INCHES.
+fn mentions_inches(line: &str) -> bool {
+    let Some(at) = line.find(['(', ';']) else { return false };
+    let comment = line[at..].to_ascii_uppercase();
+    comment.split(|c: char| !c.is_ascii_alphabetic()).any(|word| ["IN", "INCH", "INCHES"].contains(&word))
 }
 
 /// Returns an answer without the header of a checked line.
