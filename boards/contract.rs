@@ -122,7 +122,7 @@ pub struct Undone<const N: usize> {
 ///  queue      ───▼───────▼───────▼─────────────────────────────────────────────▼───────▼──▶ each event at its time
 /// ```
 /// The step task commits events, and then sets the time of its next call ([`StepOutput::call_at`]), before the queue
-/// runs dry. At this time the board calls it with [`Due::MORE`], and it commits more events.
+/// runs dry. At this time the board calls the step task with [`Due::MORE`], and the task commits more events.
 ///
 /// [`StepOutput::begin`] starts the output. From then on, committed events follow each other without the CPU, as long
 /// as each is committed in time ([`StepOutput::joins_until`]). If an event is committed too late, the output ends

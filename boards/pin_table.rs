@@ -146,7 +146,8 @@ impl Pin {
 pub struct PinTable([u8; SIZE]);
 
 impl PinTable {
-    /// The table of an image that no tool has given a board yet: it has no pins, and is not intact.
+    /// Returns the table in an image for which no board has been chosen yet. It has no pins, and its checksum is wrong,
+    /// so `is_intact` returns false.
     pub const fn none(image: u8) -> PinTable {
         let mut bytes = [NO_PIN; SIZE];
         let mut at = 0;
@@ -181,7 +182,8 @@ impl PinTable {
         PinTable(bytes)
     }
 
-    /// Takes bytes of an image for a table. [`PinTable::is_intact`] returns whether they are one.
+    /// Makes a table of bytes of an image, without a check. [`PinTable::is_intact`] returns whether the bytes are a
+    /// table.
     pub const fn from_bytes(bytes: [u8; SIZE]) -> PinTable {
         PinTable(bytes)
     }

@@ -155,7 +155,7 @@ pub const NUCLEO_F401RE: Board = Board {
 
 /// Control boards with STM32F446 and USB: 168 MHz instead of 180, because USB needs 48 MHz from the same PLL. The step
 /// timer is on the 84 MHz bus clock. The image is built for size, except the step task: otherwise the events would run
-/// out at 1 MHz, after changes of direction. The boards are [`OCTOPUS_F446`] and its neighbours.
+/// out at 1 MHz, after changes of direction. The boards are [`OCTOPUS_F446`] and those derived from it.
 pub const CONTROL_F446: Board = Board {
     name: "control_f446",
     step_clock_hz: 84_000_000,
@@ -173,7 +173,7 @@ pub const CONTROL_F446: Board = Board {
     ..NUCLEO_F446RE
 };
 
-/// Control boards with STM32F405 or F407 and USB: the clocks are those of [`CONTROL_F446`].
+/// Control boards with STM32F407 and USB: the clocks are those of [`CONTROL_F446`].
 pub const CONTROL_F407: Board = Board { name: "control_f407", image: 7, ports: 5, ..CONTROL_F446 };
 
 /// BTT Octopus.

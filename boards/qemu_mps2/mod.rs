@@ -411,7 +411,8 @@ impl Port for SerialPort {
     }
 
     /// If the program has no space, a received byte stays in the data register. This function clears the byte's
-    /// interrupt, which would otherwise recur forever; [`SerialPort::receive`] later finds the byte without it.
+    /// interrupt, which would otherwise recur forever; [`SerialPort::receive`] later finds the byte without an
+    /// interrupt.
     fn allow(&mut self, room: usize) {
         if room == 0 {
             self.0.clear_interrupts(Uart0::RX_INTERRUPT);

@@ -55,12 +55,12 @@ pub(super) const DEPTH: usize = 96;
 /// Ticks of TIM1 from its start to the leading edge of the pulse; the trailing edge follows after the pulse length. Also
 /// ticks of TIM8 from its start to the directions, if there are ports with directions alone.
 const EDGE_COUNT: u32 = 1;
-/// Ticks by which ports with directions alone are written before the ports with steps. DMA2 writes two such ports in
-/// fewer: about 12 cycles for the first and 8 for the second.
+/// Ticks by which ports with directions alone are written before the ports with steps. DMA2 needs less time for two
+/// such ports: about 12 cycles for the first and 8 for the second.
 const DIRECTION_LEAD: u32 = 20;
 /// Minimum ticks from the last reading of TIM5 to the first event, so that TIM1 listens for its trigger in time.
 const LISTENS_TICKS: u32 = 48;
-/// Maximum duration, in ticks, of one more attempt in `begin`, which delays all times of the ring.
+/// Maximum duration, in ticks, of a further attempt in `begin`. Before it, all times of the ring are delayed.
 const AGAIN_TICKS: u32 = 2_200;
 /// Ticks before and after a scheduled time within which its DMA request can be under way. Even at the maximum rate,
 /// events are about 90 ticks apart.
@@ -169,9 +169,9 @@ pub(super) struct Chain<M, const S: usize, const P: usize> {
     one_by_one: bool,
     /// With `one_by_one`: an event has been committed and is not output yet.
     pending: bool,
-    /// Number of event times that DMA1 has counted when the first one is in CCR1: 1 if DMA1 counts words as it writes
-    /// them, 2 if it counts them as it fetches them. The manual leaves open when DMA counts (DMA_SxNDTR), so each
-    /// `begin` measures this number.
+    /// Number of event times that DMA1 has counted when the first time is in CCR1: 1 if DMA1 counts a word when writing
+    /// it, 2 if DMA1 counts it when fetching it. The manual leaves open when DMA counts (DMA_SxNDTR), so each `begin`
+    /// measures this number.
     first_moments: usize,
     map: PhantomData<M>,
 }
@@ -184,7 +184,7 @@ pub(super) fn cut<M: Map, const S: usize, const P: usize>() {
     write(M::TIM1 + SMCR, 0);
     write(M::TIM1 + CR1, 0);
     if P > S {
-        write(M::TIM8 + SMCR, 0);
+        write(M::TIM8 + SMCR, IGNORED_BY_TIM8);
         write(M::TIM8 + CR1, 0);
     }
     let of_ports = (0..P).flat_map(|port| {
@@ -302,7 +302,13 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
     /// Returns the slot of the next event to be output.
     #[inline(always)]
     fn tail(&self) -> usize {
-        RING.wrapping_sub(read(stream(M::DMA2, streams(0, S).on) + NDTR) as usize) % RING
+        self.output_by(0)
+    }
+
+    /// Returns the slot of the next event that a port will output.
+    #[inline(always)]
+    fn output_by(&self, port: usize) -> usize {
+        RING.wrapping_sub(read(stream(M::DMA2, streams(port, S).on) + NDTR) as usize) % RING
     }
 
     #[inline(always)]
@@ -528,7 +534,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
             return false;
         }
         if self.one_by_one {
-            // If TIM1 has missed a trigger, the word of an event that counts as output is still in the ring.
+            // If TIM1 has missed a trigger, DMA2 has not taken the word of an event that already counts as output.
             return !self.pending && self.lags() && (0..MORE_LOOKS).all(|_| self.lags());
         }
         if self.stands() {
@@ -543,7 +549,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
     /// Returns whether DMA2 has not output the word of every committed event.
     #[inline(always)]
     fn lags(&self) -> bool {
-        self.tail() != self.head
+        (0..P).any(|port| self.output_by(port) != self.head)
     }
 
     /// Returns whether the output is stuck: the time of the next event has passed long ago.

@@ -81,7 +81,8 @@ pub fn step_pins(
     let pwm_channel = pwm_pin.and_then(Pin::channel_of_tim3).unwrap_or(0);
     pac::TIM3::enable(rcc);
     pac::TIM3::reset(rcc);
-    // Without preload, a new value takes effect at once. This matters most for 0, which switches off.
+    // Without preload, a new compare value (the power) takes effect at once. This matters most for 0, which switches
+    // the spindle or the laser off.
     pwm.ccmr1_output().write(|w| raw!(w, PWM_MODE));
     pwm.ccmr2_output().write(|w| raw!(w, PWM_MODE));
     // CCER: four bits for each channel, of which the first enables its output.
@@ -301,8 +302,8 @@ fn bits_of(bit: u8) -> u32 {
     1 << bit | if is_of_fourth_axis { 1 << (LIMITS + 3) } else { 0 }
 }
 
-/// Number of enable outputs, the first of [`SLOW_OUTPUTS`]. They are high while the machine is safe; the other slow
-/// outputs are low then.
+/// Number of enable outputs, which come first in [`SLOW_OUTPUTS`]. At the start these are high, and the other slow
+/// outputs are low: nothing is switched on.
 const ENABLES: usize = 4;
 /// Slow outputs.
 const SLOW_OUTPUTS: [Role; 10] = [
@@ -334,7 +335,7 @@ impl SlowPins {
             note_safe_level(*place, false);
         }
         if let Some(place) = pins::place(table, Role::MotorPower) {
-            // It stays on, also in the safe state, because an unpowered axis may drop.
+            // The supply of the motors stays on, also in the safe state, because an unpowered axis may drop.
             pins::output(place, true);
         }
         SlowPins(places)
@@ -380,7 +381,7 @@ pub struct Parts<I, S: Port, L: Port> {
     pub watchdog: Watchdog,
     /// Frequency of the external oscillator, MHz; 0 if the chip runs on its internal one.
     pub oscillator_mhz: u8,
-    /// Why the machine must stay locked, found at the start.
+    /// The reason, found at the start, why the machine must stay locked. `None` if there is none.
     pub fault: Option<&'static str>,
 }
 

@@ -41,9 +41,9 @@ const IS_OSCILLATOR: u32 = 0b10;
 /// SR: a capture has come.
 const CAPTURED: u32 = 1 << 1;
 
-/// Switches the external oscillator on and measures it. Returns the frequency in MHz: that of the table, if it has one,
-/// or the known one that fits. Returns `None` if there is no oscillator, or if no frequency fits. The chip must run on
-/// its internal oscillator, as after a reset.
+/// Switches the external oscillator on and measures it. Returns its frequency in MHz: if the table gives a frequency,
+/// that one; otherwise the one of `KNOWN_MHZ` that fits the measurement. Returns `None` if the oscillator does not
+/// start, or if no frequency fits. The chip must run on its internal oscillator, as after a reset.
 #[inline(never)]
 pub fn find_oscillator(rcc: &pac::RCC, table: &PinTable) -> Option<u32> {
     // The two bits must not be set together (reference manual, RCC_CR, HSEBYP).

@@ -23,6 +23,7 @@ const ALTERNATE: u32 = 2;
 // PUPDR
 const NO_PULL: u32 = 0;
 const PULL_UP: u32 = 1;
+const PULL_DOWN: u32 = 2;
 /// OSPEEDR: edges of a few nanoseconds, for steps.
 const MEDIUM: u32 = 1;
 /// Alternate function of TIM3 on all its pins (data sheets, "Alternate function mapping").
@@ -93,6 +94,18 @@ pub(super) fn pwm(place: Place) {
     let register = AFRL + 4 * (place.pin() / 8) as usize;
     set(Place::new(place.port(), place.pin() % 8), register, 4, TIM3);
     set(place, MODER, 2, ALTERNATE);
+}
+
+/// Makes the debug pins A15 and B4 inputs with a pull-down if the board uses them for nothing. After a reset they have
+/// pull-ups, which could switch on the MOSFET that a control board has there.
+pub(super) fn release_debug_pins(table: &PinTable) {
+    for (port, number) in [(0, 15), (1, 4)] {
+        if !Role::ALL.iter().any(|role| table.pin(*role) == Some(Pin { port, number })) {
+            let place = Place::new(usize::from(port), u32::from(number));
+            set(place, PUPDR, 2, PULL_DOWN);
+            set(place, MODER, 2, INPUT);
+        }
+    }
 }
 
 /// Sets the pull resistor of an input (PUPDR): 0 for none, 1 for a pull-up, 2 for a pull-down.

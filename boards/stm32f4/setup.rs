@@ -47,7 +47,8 @@ pub fn call_serial() {
     pac::NVIC::pend(SERIAL);
 }
 
-/// The UART's receiver, for the tasks at the priority of the inputs.
+/// The UART's receiver, used by the task `inputs` and, if the UART has no DMA, also by the task `uart` of the same
+/// priority.
 pub type UartInput = uart::Input;
 /// The UART to a host.
 #[cfg(feature = "usb")]
@@ -86,6 +87,7 @@ pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {
     // This resets port A, so it comes before the pins of the table are set up.
     let a = device.GPIOA.split(&mut rcc);
     pins::clock_ports(&mut rcc);
+    pins::release_debug_pins(table);
     let slow_pins = SlowPins::new(table);
     let inputs = InputPins::new(table);
     let rings = cortex_m::singleton!(: stm32f4::Rings = stm32f4::Rings::EMPTY);

@@ -71,8 +71,8 @@ const ALL: u8 = (COMBINATIONS - 1) as u8;
 const FOURTH_AXIS: u8 = ALL & 8;
 
 /// Computes the words of each port for all combinations. `driven`: for each pin, the bits of a combination that make it
-/// active. `invert`: a bit for each pin that is active low. If none of a pin's bits is set, the word makes the pin
-/// inactive with `both`, and leaves it unchanged otherwise. A motor without a pin has no part in any word.
+/// active. `invert`: a bit for each pin that is active low. If none of a pin's bits is set: with `both`, the word makes
+/// the pin inactive; otherwise it leaves the pin unchanged. A motor without a pin has no part in any word.
 fn fill<const P: usize>(
     ports: [usize; P],
     places: [Option<Place>; 4],
@@ -281,9 +281,9 @@ impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M,
         // Stop the output first, so that the computations below do not delay the stop.
         let (tail, fault) = self.chain.silence(dark);
         let mut net = [0; AXES];
-        // For each axis and port, finds the bits of a word that show a step and those that show a negative direction. A
-        // step shows by the bits of the word for this step alone. A negative direction shows by the bits that are set
-        // in the word for it, but not in the word without negative directions.
+        // For each axis and port, finds the bits of a word that mean a step, and those that mean a negative direction.
+        // A step is meant by all bits of the word for this step alone. A negative direction is meant by the bits that
+        // are set in the word for this direction alone, but not in the word without negative directions.
         let of = |table: &[u32; COMBINATIONS], axis: usize| table.get(1 << axis).copied().unwrap_or(0);
         let mut masks = [[(0, 0); P]; AXES];
         for (axis, masks) in masks.iter_mut().enumerate() {

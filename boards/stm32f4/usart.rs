@@ -41,8 +41,8 @@ pub(super) fn set_baud(usart: usize, clock: u32, baud: u32) {
     let _ = (read(usart + SR), read(usart + DATA));
 }
 
-/// A UART's receiver, for the tasks at the priority of the inputs: sends the received bytes as messages to the serial
-/// task.
+/// The UART's receiver, used by the task `inputs` and, if the UART has no DMA, also by the task `uart` of the same
+/// priority. Sends the received bytes as messages to the serial task.
 pub struct UartInput<S, const N: usize> {
     pub(super) receiver: UartReceiver<S>,
     messages: Sender<'static, ReceivedBytes, N>,

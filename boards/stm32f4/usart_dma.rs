@@ -7,8 +7,8 @@
 //! DMA does not read the status register. A damaged byte raises the USART's interrupt line (EIE). The vector of this
 //! line is masked, so its pending bit stays set until software clears it, even after a read of the data register has
 //! cleared the error flags. The bit is set before DMA fetches the damaged byte. So if the receiver finds the bit clear
-//! when it looks, all bytes that arrived before are good. Otherwise it treats all bytes from its previous look up to
-//! its next one as damaged (`uart_receiver`).
+//! when it looks, all bytes that arrived before are good. Otherwise it treats all bytes from the previous look up to
+//! the next look as damaged (`uart_receiver`).
 
 use super::dma::{CIRCULAR, HISR, MEMORY_COUNTS, NDTR, SERVED_CYCLES, TO_PERIPHERAL, clear_flags, stream, switch_on};
 use super::registers::{read, write};

@@ -68,7 +68,7 @@ pub struct ByInterrupt {
     sent: Receiver<'static, u8, SENT>,
 }
 
-/// The receiver, for the tasks at the priority of the inputs.
+/// The receiver, for the tasks `inputs` and `uart`, which have the same priority.
 pub type Input = UartInput<ByInterrupt, MESSAGES>;
 /// The UART, for the serial task.
 pub type InterruptPort = Usart<Queue, MESSAGES>;

@@ -91,8 +91,8 @@ const TXFNUM_SHIFT: u32 = 6;
 const FLAG_TICKS: u32 = 100 * crate::CLOCK_TICKS_PER_US;
 /// DOEPCTL and DIEPCTL: the next packet is DATA0.
 const SD0PID: u32 = 1 << 28;
-/// Whether the driver enables an endpoint when it fetches a packet (cores since the F446's, by their CID), or when it
-/// takes the entry that ends the packet.
+/// True if the driver enables an endpoint when it fetches a packet (cores since the F446's, by their CID); false if the
+/// driver does so when it takes the entry that ends the packet.
 const IS_ENABLED_WITH_DATA: bool = cfg!(feature = "stm32f446");
 /// Index of the interface with the data endpoints: it is the class's second interface, after the control interface.
 const DATA_INTERFACE: u16 = 1;
@@ -265,8 +265,9 @@ impl UsbPort {
         }
     }
 
-    /// Makes the endpoint answer NAK, until [`UsbPort::enable_endpoint`]. On this chip the driver enables the endpoint as
-    /// soon as it has fetched a packet. A packet that comes between the two waits in the FIFO (see [`UsbPort::mask`]).
+    /// Makes the endpoint answer NAK, until [`UsbPort::enable_endpoint`]. On this chip the driver enables the endpoint
+    /// as soon as it has fetched a packet. A packet that arrives before this function disables the endpoint again stays
+    /// in the FIFO (see [`UsbPort::mask`]).
     fn refuse_packets(&mut self) {
         let control = DOEPCTL + self.class.port.read_ep().address().index() * NEXT_ENDPOINT;
         write(control, read(control) & !ENABLED | SNAK);
@@ -299,8 +300,8 @@ impl UsbPort {
     }
 
     /// Masks or unmasks the interrupt of the receive FIFO. If a packet ends between two looks at the FIFO, the driver
-    /// enables the endpoint. If that happens twice in a row, a packet waits for which there is no space. Masking keeps
-    /// this packet from raising the interrupt forever.
+    /// enables the endpoint. If that happens twice in a row, a packet for which there is no space waits in the FIFO.
+    /// Masking keeps this packet from raising the interrupt forever.
     fn mask(&mut self, masked: bool) {
         if masked != self.masked {
             self.masked = masked;
@@ -414,8 +415,8 @@ impl Port for UsbPort {
                 if !self.is_configured() || !self.host.speaks(LATE_BYTES_TICKS, clock_ticks) {
                     self.received.length = 0;
                 } else if !is_known {
-                    // Report the new host before its bytes are read: otherwise its arrival, which discards a partial
-                    // line, would discard part of its own first line.
+                    // Report the new host before its bytes are read: otherwise the arrival of the host, which discards
+                    // a partial line, would discard a part of that host's first line.
                     crate::call_serial();
                     return Incoming::Nothing;
                 }

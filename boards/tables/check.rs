@@ -12,8 +12,15 @@ const OSCILLATORS: [u8; 9] = [4, 8, 10, 12, 16, 20, 24, 25, 26];
 /// Entries of a file beside `pins`.
 const KEYS: [&str; 8] = ["name", "title", "image", "chip", "oscillator", "remarks", "drawing", "pins"];
 /// Functions whose pin must not be pulled up while the chip is reset, because a device would be on.
-const ON_WHEN_HIGH: [Role; 6] =
-    [Role::SpindleOn, Role::SpindlePwm, Role::Flood, Role::Mist, Role::ProgramOutput, Role::SecondProgramOutput];
+const ON_WHEN_HIGH: [Role; 7] = [
+    Role::SpindleOn,
+    Role::SpindlePwm,
+    Role::Flood,
+    Role::Mist,
+    Role::ProgramOutput,
+    Role::SecondProgramOutput,
+    Role::MotorPower,
+];
 /// Pairs of a function and another one that it needs.
 const NEEDS: [(Role, Role); 14] = [
     (Role::StepX, Role::DirectionX),

@@ -32,7 +32,7 @@ pub fn write(image: &[u8], table: &PinTable) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// Replaces the table in the bytes.
+/// Replaces the table in the bytes. Fails unless they have exactly one table, and it is for the same image as `table`.
 fn put(bytes: &mut [u8], table: &PinTable) -> Result<(), String> {
     let Some((at, own)) = find(bytes) else {
         return Err("the file has no intact pin table: is it an undamaged image of Oxmill?".into());

@@ -63,7 +63,7 @@ pub struct Use {
     line: usize,
 }
 
-/// A board, as its file describes it, checked.
+/// A board, read from its file and checked.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Board {
     /// Name on the command line and in `$I`.
@@ -97,7 +97,8 @@ impl Board {
     ///
     /// # Errors
     ///
-    /// All faults of the file, in the order of its lines: nothing of it may be used then.
+    /// If the file has faults, returns all of them, in the order of the lines. In this case, nothing of the file may be
+    /// used.
     pub fn parse(text: &str) -> Result<Board, Vec<Fault>> {
         check::parse(text)
     }

@@ -31,7 +31,7 @@ fn faults(before: &str, after: &str) -> Vec<String> {
     )
 }
 
-/// Faults: what of [`GOOD`] is replaced, by what, and the begin of the sentence that must come.
+/// Faults to make in [`GOOD`]: the text that is replaced, its replacement, and the beginning of the expected sentence.
 const FAULTS: &[(&str, &str, &str)] = &[
     ("name = \"mine\"", "name = mine", "1: no TOML: "),
     ("step_x = \"A1\"", "step_x = \"A1\"\nstep_x = \"A8\"", "7: no TOML: duplicate key"),
@@ -88,7 +88,7 @@ fn each_fault_has_its_sentence() {
     }
 }
 
-/// The ports that an image does not use: a chip with more ports than the image of a Nucleo.
+/// A chip can have ports that the image does not use. Here the chip has more ports than the image of a Nucleo.
 #[test]
 fn a_port_that_the_image_does_not_use_is_refused() {
     let text = GOOD.replace("blackpill_f411", "nucleo_f446re").replace("STM32F411CE", "STM32F446ZE");
