@@ -80,7 +80,7 @@ fn rates_table() -> String {
             None => rows.push((vec![name], cells)),
         }
     }
-    // The most frequent rates come as those of the other boards.
+    // The row of the rates that most boards have comes last, and is named "all others".
     rows.sort_by_key(|(names, _)| names.len());
     for (names, cells) in &rows {
         let is_rest = names.len() > BOARDS.len() / 2;
@@ -136,8 +136,8 @@ fn wiring_list() -> String {
     text
 }
 
-/// Rows of the table for the choice: boards, for whom they are, their drivers, what they lack. The numbers come from the
-/// profiles.
+/// Rows of the table for choosing a board: the boards, whom they suit, their drivers, and what they lack. The numbers
+/// come from the profiles.
 const CHOICES: [(&str, &[&str], &str, &str, &str); 11] = [
     (
         "Black Pill, STM32F411",

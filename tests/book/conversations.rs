@@ -51,7 +51,8 @@ fn said(mill: &mut Simulator, fence: &str) -> (String, usize) {
             mill.run_for(std::time::Duration::from_millis(500));
         }
         let answer = mill.take_output().replace('\r', "");
-        // The machine must become idle, except in an alarm that only a reset ends, in which it leaves bytes unread.
+        // The machine must become idle. The only exception is an alarm that only a reset ends: then the machine leaves
+        // bytes unread.
         assert!(done || answer.contains("ALARM"), "{line}: {answer}");
         now += &format!("{line}\n{answer}");
         seen += 1;

@@ -231,7 +231,7 @@ fn labels(svg: &mut Svg, group: &Group, side: Side, edge: i32, first: i32) {
     }
 }
 
-/// Draws a header of two rows with five pins, as most control boards have two of.
+/// Draws a header with two rows of five pins. Most control boards have two such headers.
 fn header(svg: &mut Svg, name: &str, x: i32, y: i32, groups: &[Group]) {
     svg.text((x, y - 6), "h", name);
     for number in 1..=10 {

@@ -55,6 +55,7 @@ impl<const N: usize> Interpreter<N> {
     /// not end a refusal. `rested`: no more subprograms are expected.
     #[cfg_attr(not(feature = "full"), allow(unused_variables, reason = "there are no subprograms"))]
     pub fn unlock(&mut self, is_locked: bool, rested: bool) {
+        self.computed.end_modal_call();
         match self.place {
             _ if self.is_held() => self.abandon_program(),
             #[cfg(feature = "full")]
@@ -98,6 +99,7 @@ impl<const N: usize> Interpreter<N> {
 
     /// Takes note that a line with the end of the program was refused: for the lines after it, the program has ended.
     pub fn note_end(&mut self) {
+        self.computed.end_modal_call();
         if self.place == ProgramPlace::Program {
             self.place = ProgramPlace::End;
         }

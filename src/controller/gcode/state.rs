@@ -324,6 +324,11 @@ impl<const N: usize> Interpreter<N> {
         self.rotation.as_ref()
     }
 
+    /// Whether G66 is active.
+    pub fn has_modal_call(&self) -> bool {
+        self.computed.has_modal_call()
+    }
+
     /// The scaling by G51, if one acts.
     pub fn scaling(&self) -> Option<&Scaling> {
         self.scaling.as_ref()

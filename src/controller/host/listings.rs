@@ -284,6 +284,7 @@ impl<const N: usize> Controller<N> {
             rotation: self.m.interpreter.rotation().is_some(),
             // A report tells grblHAL's hosts of it (`Sc`).
             scaling: self.m.interpreter.scaling().is_some() && !self.speaks_grblhal(),
+            calls: self.m.interpreter.has_modal_call() && !self.speaks_grblhal(),
             blends: self.m.interpreter.modal().path.tolerance().is_some(),
             spindle: modal.spindle,
             coolant: modal.coolant,

@@ -435,6 +435,8 @@ pub struct ParserState {
     pub scaling: bool,
     /// Rotation is active (G68).
     pub rotation: bool,
+    /// Each line with a move is followed by a call (G66).
+    pub calls: bool,
     /// Path blending is active (G64 P).
     pub blends: bool,
     /// Spindle.
@@ -467,6 +469,9 @@ pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
     }
     if state.rotation {
         put(out, b" G68");
+    }
+    if state.calls {
+        put(out, b" G66");
     }
     if state.blends {
         put(out, b" G64");

@@ -99,6 +99,19 @@ fn modal_calls() {
     goes(&format!("G0 X1\nG66 P1\nX3\nM30\n{drill}\nG0 X4"), &[1, 3, 50, 4]);
     fails(&format!("G0 X1\nG66 P1 A#5\nX3\nM30\n{drill}"), &[121], &[1, 3]);
     fails("G0 X1\nG66 A1\nX3\nM30", &[28], &[1, 3]);
+    // A message moves nothing, and neither does the value of a function.
+    goes(&format!("G0 X1\nG66 P1\nX3\n(MSG, All X)\n#5=ABS[#4]\nX5\nM30\n{drill}"), &[1, 3, 50, 5, 50]);
+    // It ends with its level of calls, not with a sibling's.
+    goes("G0 X1\nG65 P2\nG65 P3\nM30\nO1\nX50\nM99\nO2\nG66 P1\nX4\nM99\nO3\nX7\nM99\n%", &[1, 4, 50, 7]);
+    // Conditions act on it, and M98 behind a move follows the modal call.
+    goes(&format!("G0 X1\nG66 P1\nIF [1] THEN X3\nIF [1] THEN G67\nX5\nM30\n{drill}"), &[1, 3, 50, 5]);
+    let two = "o1 sub\nX50\no1 endsub\no2 sub\nM8\no2 endsub";
+    goes(&format!("{two}\nG0 X1\nG66 P1\nX3 M98 P2\nG67\nX5\nM30"), &[1, 3, 50, 5]);
+    // Within the called subprogram it would take the place of the outer one.
+    fails("G0 X1\nG66 P1\nX3\nM30\nO1\nX50\nG66 P1\nM99\n%", &[82], &[1, 3, 50]);
+    // The next program does not inherit it, even without M30.
+    goes(&format!("{two}\nG0 X1\nG66 P1\nX3\n%\nX4\nM30"), &[1, 3, 50, 4]);
+    fails(&format!("{two}\nG0 X1\nG66 P1\nX3\nG66 P2 A#5\nX4\nM30"), &[121], &[1, 3, 50, 4]);
     // A refused line ends it, so that nothing is called where the program did not mean to.
     fails("o1 sub\nX50\no1 endsub\nG0 X1\nG66 P1\nX3\nX4 X5\nX6\nM30", &[25], &[1, 3, 50, 6]);
 }

@@ -148,8 +148,8 @@ fn definitions_end_with_their_file() {
     }
 }
 
-/// Whatever is wrong in a subprogram, the rest of the subprogram is not run as a program, even after a rest of the
-/// machine.
+/// Whatever error a subprogram has, its remaining lines are refused, not run as a program, even if the machine was idle
+/// in between. A line `%` ends this.
 #[test]
 fn a_refused_subprogram_is_no_program_after_a_rest() {
     for program in ["G0 X1\nM30\n", "G0 X1\nM98 P1\nM30\n"] {

@@ -75,7 +75,8 @@ fn the_tool_in_the_spindle() {
 fn entries_by_measuring() {
     for dialect in NEW {
         for (before, word, z) in [
-            // The tip must read Z5 at the current machine position.
+            // `G10 L10 P1 Z5` sets the offset with which the tip is at Z5 of the active coordinates. The machine is at
+            // Z3, so the offset is -2.
             ("", "L10", -2.0),
             // L10 includes G92, but not the previous tool offset.
             ("G92 Z10\nG43.1 Z4", "L10", 5.0),

@@ -8,7 +8,8 @@ use crate::error::Error;
 use crate::gcode::state::{Interpreter, ProgramPlace};
 
 impl<const N: usize> Interpreter<N> {
-    /// Begins a call. `back`: the position to which the call returns, or [`STREAM`].
+    /// Begins a call. `back`: the position to which the call returns, or [`STREAM`]. If a call from the stream cannot
+    /// begin, stops the text that should run.
     pub(super) fn call(
         &mut self,
         kind: FrameKind,
@@ -27,13 +28,13 @@ impl<const N: usize> Interpreter<N> {
         pushed
     }
 
-    /// Stops the running text after one of its lines was refused.
+    /// Stops the running text after one of its lines was refused, and ends the modal call.
     pub fn abandon_held(&mut self) {
         self.computed.flow.modal.end();
         self.stop_held();
     }
 
-    /// Stops the running text.
+    /// Stops the running text, ends its calls, and drops the states saved in them.
     pub(super) fn stop_held(&mut self) {
         self.computed.flow.stop();
         self.computed.parameters.leave_calls();

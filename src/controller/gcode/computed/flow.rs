@@ -36,8 +36,8 @@ pub(super) const MOST_HELD: usize = 12_288;
 pub const LEAST_HELD: usize = 6144;
 /// Maximum number of bytes of the held text that macros may take; the rest is for programs.
 pub(super) const MOST_MACROS: usize = 3072;
-/// Size of the part of the held text that is reserved for the first line of a subroutine or loop, in bytes. So the
-/// label is recorded and the end is recognized, even if the other lines do not fit.
+/// Size of the part of the held text that is reserved for the first line of a subroutine or loop, in bytes. With this
+/// reserve, the label is recorded and the end is recognized, even if the other lines do not fit.
 pub(super) const SPARE: usize = 64;
 /// Maximum nesting of conditions, loops and calls: enough for 16 nested calls, each within two conditions.
 const DEPTH: usize = 48;
@@ -186,7 +186,7 @@ impl<'a> OWord<'a> {
         match rest.strip_prefix(b"THEN") {
             Some(words) => {
                 let then = OWord { label: words, keyword: Keyword::Then, arguments: condition };
-                // A line that begins a block, calls, returns or ends the program cannot be a part of another line.
+                // The words after THEN must not begin a block, call or leave a subprogram, or end the program.
                 let is_plain =
                     !words.is_empty() && OWord::of(words).is_none() && !has_m_word(words, &[b"2", b"30", b"98", b"99"]);
                 (is_plain && condition.first() == Some(&b'[')).then_some(then)
@@ -359,15 +359,15 @@ pub(super) enum FlowState {
     Holding,
     /// The recorded program has ended, and waits for the definition of a subprogram.
     Waiting,
-    /// Held text runs. With a position, the text is a loop from the stream: it begins at this position and is dropped
-    /// when the loop ends.
+    /// Held text runs. With a position, the text comes from the stream, such as a loop: it begins at this position and
+    /// is dropped at its end.
     Running(Option<u16>),
 }
 
-/// Buffer of held text.
+/// Buffer of the held text, with the capacity for hosts.
 #[cfg(feature = "alloc")]
 pub(super) type HeldText = heapless::Vec<u8, MOST_HELD>;
-/// Buffer of held text.
+/// Buffer of the held text. A view, because each board lends memory of its own size.
 #[cfg(not(feature = "alloc"))]
 pub(super) type HeldText = heapless::vec::VecView<u8>;
 
@@ -408,7 +408,7 @@ pub(super) struct FlowControl {
     pub(super) missing: u32,
     /// Number of open conditions and loops in the subprogram that is recorded.
     pub(super) within: u8,
-    /// The present line comes from the host, which can send more lines.
+    /// The present line comes from the host, so the host can still send a subprogram that is missing.
     pub(super) of_host: bool,
     /// The call that follows each line with a move.
     pub(super) modal: ModalCall,

@@ -12,7 +12,8 @@ use crate::gcode::remark::split_remark;
 use crate::gcode::state::Interpreter;
 
 impl<const N: usize> Interpreter<N> {
-    /// Executes `IF [..] THEN` in a held line: leaves only the words after THEN in the line.
+    /// Executes `IF [..] THEN` in a held line. If the condition is true, leaves only the words after THEN in the line;
+    /// otherwise empties the line.
     #[inline(never)]
     pub(super) fn then(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         let order = OWord::of(line).ok_or(Error::FlowSyntax)?;
@@ -24,6 +25,7 @@ impl<const N: usize> Interpreter<N> {
         let start = words.len() - order.label.len();
         line.copy_within(start.., 0);
         line.truncate(line.len() - start);
+        self.note_for_modal_call(line);
         Ok(Held::Line)
     }
 
@@ -101,8 +103,8 @@ impl FlowControl {
                 FrameKind::While => (frame.at + 1, Keyword::EndWhile),
                 FrameKind::Do => (frame.at, Keyword::While),
                 FrameKind::Repeat(_) => (frame.at, Keyword::EndRepeat),
-                // A condition has no position, so it is always closed. If the target is within the condition, its
-                // `endif` is an error.
+                // A condition has no position, so it is always closed. If the target is within the condition, the
+                // `endif` of the condition is an error.
                 FrameKind::If(_) => {
                     self.pop();
                     continue;

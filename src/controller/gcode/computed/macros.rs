@@ -53,7 +53,7 @@ impl FlowControl {
         }
         let length = u8::try_from(line.len()).map_err(|_| Error::OutOfMemory)?;
         let added = missing + 1 + line.len();
-        let (free, all) = (self.text.capacity() - self.text.len(), usize::from(self.macros));
+        let (free, all) = (self.most.saturating_sub(self.text.len()), usize::from(self.macros));
         if added > free + replaced || all + added > MOST_MACROS + replaced {
             return Err(Error::OutOfMemory);
         }

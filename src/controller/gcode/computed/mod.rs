@@ -109,13 +109,25 @@ impl<const N: usize> Computed<N> {
         self.input_read = 0;
     }
 
-    /// Forgets the O number of the program.
+    /// Ends G66.
+    pub fn end_modal_call(&mut self) {
+        self.flow.modal.end();
+    }
+
+    /// Whether G66 is active.
+    pub fn has_modal_call(&self) -> bool {
+        self.flow.modal.is_active()
+    }
+
+    /// Forgets the O number of the program, and G66.
     pub fn forget_number(&mut self) {
+        self.end_modal_call();
         self.program = 0;
         self.overflow.end();
     }
 
-    /// Counts a line of a held program that did not fit.
+    /// If the last held program did not fit into the memory: adds a further refused line to the number of bytes by
+    /// which it is too long. Counts only in builds with `reasons`.
     pub fn count_refused(&mut self, line: &[u8]) {
         if REASONS {
             self.overflow.count(&self.flow, line);

@@ -6,9 +6,9 @@
 //!  X10          ──▶ X10, then the kept call          also in loops and in subprograms called by M98
 //!  G67          ──▶ the call is forgotten
 //! ```
-//! Guarantees: the lines of the called subprogram call nothing. The arguments are plain numbers, so each call gets the
-//! same ones. A refused line in running text ends the modal call, so that the machine does not drill where the program
-//! did not mean to.
+//! Guarantees: the lines of the called subprogram do not trigger the call again. The arguments are plain numbers, so
+//! each call gets the same ones. A refused line in running text ends the modal call, so that the machine does not drill
+//! where the program did not mean to.
 
 /// Maximum length of the kept call.
 const LONGEST: usize = 80;
@@ -18,7 +18,8 @@ const LONGEST: usize = 80;
 pub(super) struct ModalCall {
     /// The call, as a line with G65; empty if there is none.
     line: heapless::Vec<u8, LONGEST>,
-    /// Number of active calls with arguments where G66 was read. Lines at other levels call nothing.
+    /// Number of calls with arguments that were active when G66 was read. Lines at other levels do not trigger the
+    /// modal call.
     level: u8,
     /// The call comes next, because the line before it has moved an axis.
     is_due: bool,
@@ -31,7 +32,8 @@ impl ModalCall {
         !self.line.is_empty()
     }
 
-    /// Keeps a call with these arguments of G66, made at a level of calls. Returns whether it fits.
+    /// Keeps the call with these arguments of G66, which was read at this level of calls. If the arguments are too
+    /// long, keeps no call and returns false.
     pub fn begin(&mut self, arguments: &[u8], level: u8) -> bool {
         self.end();
         self.level = level;
@@ -47,16 +49,22 @@ impl ModalCall {
         core::mem::take(&mut self.is_due).then(|| self.line.clone())
     }
 
+    /// The level of calls at which the call was made.
+    pub fn level(&self) -> u8 {
+        self.level
+    }
+
     /// Forgets the call.
     pub fn end(&mut self) {
         self.line.clear();
         self.is_due = false;
     }
 
-    /// Takes note of a line that comes next, at a level of calls.
+    /// Examines the line that runs next, at this level of calls. Ends the modal call at G67, or if the level is lower
+    /// than that of G66. Makes the call due if the line moves an axis.
     #[inline(never)]
     pub fn look_at(&mut self, line: &[u8], level: u8) {
-        if level < self.level || level == self.level && has_g_word(line, &[67]) {
+        if level < self.level || level == self.level && has_g_word(line, &[670]) {
             self.end();
         }
         self.is_due = self.is_active() && level == self.level && moves(line);
@@ -67,16 +75,19 @@ impl ModalCall {
 /// meaning.
 fn moves(line: &[u8]) -> bool {
     words(line).any(|(letter, _)| matches!(letter, b'X' | b'Y' | b'Z' | b'A' | b'I' | b'J' | b'K'))
-        && !has_g_word(line, &[4, 10, 51, 52, 65, 66, 68, 92])
+        && !has_g_word(line, &[40, 100, 431, 510, 520, 650, 660, 680, 920])
 }
 
-/// Whether a line has a G word with one of these whole numbers, with or without a fraction.
-fn has_g_word(line: &[u8], numbers: &[u32]) -> bool {
+/// Whether a line has one of these G words, in tenths: 431 is G43.1.
+fn has_g_word(line: &[u8], tenths: &[u32]) -> bool {
     words(line).any(|(letter, rest)| {
-        let digits = rest.iter().take_while(|byte| byte.is_ascii_digit());
+        let (whole, fraction) = rest.split_at(rest.iter().take_while(|byte| byte.is_ascii_digit()).count());
+        let tenth =
+            fraction.strip_prefix(b".").and_then(|digits| digits.first()).filter(|digit| digit.is_ascii_digit());
+        let digits = whole.iter().chain([tenth.unwrap_or(&b'0')]);
         let number =
             digits.fold(0_u32, |number, digit| number.saturating_mul(10).saturating_add(u32::from(digit - b'0')));
-        letter == b'G' && rest.first().is_some_and(u8::is_ascii_digit) && numbers.contains(&number)
+        letter == b'G' && !whole.is_empty() && tenths.contains(&number)
     })
 }
 
@@ -89,8 +100,9 @@ fn words(line: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
             b']' | b'>' => depth = depth.saturating_sub(1),
             _ => {}
         }
-        // Letters after a letter are those of a function.
-        let begins = depth == 0 && byte.is_ascii_uppercase() && !before.is_ascii_uppercase();
+        // Letters after a letter, a sign or `=` are those of a function.
+        let is_within = before.is_ascii_uppercase() || matches!(before, b'=' | b'+' | b'-');
+        let begins = depth == 0 && byte.is_ascii_uppercase() && !is_within;
         before = *byte;
         begins.then(|| (*byte, line.get(at + 1..).unwrap_or_default()))
     })
@@ -102,7 +114,9 @@ mod tests {
 
     #[test]
     fn lines_that_move_an_axis() {
-        for line in ["X10", "G1Y2F100", "G2I5", "G0X[#1+2]", "XSIN[30]", "N10G91Z-1", "G81X1Y2Z-3R1"] {
+        for line in
+            ["X10", "G1Y2F100", "G2I5", "G0X[#1+2]", "XSIN[30]", "X-ABS[#1]", "N10G91Z-1", "G43H1Z5", "G81X1Y2Z-3R1"]
+        {
             assert!(moves(line.as_bytes()), "{line}");
         }
         for line in [
@@ -120,6 +134,6 @@ mod tests {
         ] {
             assert!(!moves(line.as_bytes()), "{line}");
         }
-        assert!(has_g_word(b"G40G067G80", &[67]) && !has_g_word(b"G6.7", &[67]) && !has_g_word(b"G[67]", &[67]));
+        assert!(has_g_word(b"G40G067G80", &[670]) && !has_g_word(b"G6.7", &[670]) && !has_g_word(b"G[67]", &[670]));
     }
 }

@@ -48,6 +48,12 @@ impl<const N: usize> Computed<N> {
 
     pub fn reset(&mut self) {}
 
+    pub fn end_modal_call(&mut self) {}
+
+    pub fn has_modal_call(&self) -> bool {
+        false
+    }
+
     pub fn forget_number(&mut self) {}
 
     pub fn count_refused(&mut self, _: &[u8]) {}

@@ -96,7 +96,8 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Detects that a program has ended within a block. After an M2 or M30 that was skipped or recorded, only O words
-    /// other than calls can belong to the same program. So any other line belongs to the next program.
+    /// other than calls can belong to the same program. So any other line belongs to the next program. In this case,
+    /// drops the open blocks and refuses the line.
     fn look_for_end(&mut self, line: &[u8], order: Option<OWord>) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         let left_out = flow.leaves_lines_out();
@@ -129,7 +130,8 @@ impl<const N: usize> Interpreter<N> {
         self.direct_part(line, remark, order)
     }
 
-    /// Directs a line, or a part of one.
+    /// Decides what to do with a line, or with a part of one. Records it if it belongs to a subroutine or loop, and
+    /// executes its O word.
     fn direct_part(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
         if let Some(directed) = self.direct_subprogram(line, remark, order) {
             return directed;
@@ -186,7 +188,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(Direction::Done)
     }
 
-    /// Records a line of a subroutine or loop.
+    /// Records a line of a subroutine or loop. At its end, a loop runs. If a line is refused or does not fit, all lines
+    /// up to the end of the block are refused, and the block is dropped.
     fn record(
         &mut self,
         line: &[u8],
@@ -255,6 +258,7 @@ impl<const N: usize> Interpreter<N> {
     /// dropped, and all lines that follow are refused.
     pub fn line_refused(&mut self, error: Error) {
         self.computed.begin();
+        self.computed.end_modal_call();
         if self.is_held() {
             self.refuse_rest();
         } else if let FlowState::Recording(from, None) = self.computed.flow.state {
@@ -504,6 +508,9 @@ impl<const N: usize> Interpreter<N> {
             if frame.kind.is_call() {
                 if frame.kind.is_level() {
                     parameters.leave_call();
+                }
+                if parameters.level() < flow.modal.level() {
+                    flow.modal.end();
                 }
                 *returned = value;
                 flow.next = frame.at;

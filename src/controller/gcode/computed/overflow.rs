@@ -67,7 +67,7 @@ impl Overflow {
         self.0.first().filter(|excess| excess.counts).map(|excess| excess.lacking)
     }
 
-    /// Returns how many bytes the program was too long; `None` if all programs have fit.
+    /// Returns by how many bytes the last program that did not fit was too long; `None` if all programs have fit.
     pub fn lacking(&self) -> Option<usize> {
         self.0.first().map(|excess| excess.lacking).filter(|lacking| *lacking > 0)
     }

@@ -173,7 +173,7 @@ impl Parameters {
         self.forget_locals();
     }
 
-    /// Begins a call, and sets its parameters to its arguments: numbers and values.
+    /// Begins a call. `arguments` are the numbers of the parameters that it gets, and their values.
     pub fn enter_call(&mut self, arguments: &[(u8, Real)]) -> Result<(), Error> {
         self.level += 1;
         for (number, value) in arguments {
@@ -226,7 +226,8 @@ impl Parameters {
         }
     }
 
-    /// Returns key and level of a parameter.
+    /// Returns the key and the level under which a parameter is stored. Fails if no parameter can have this number or
+    /// name.
     fn stored_as(&self, reference: ParameterReference) -> Result<(Key, u8), Error> {
         match reference {
             ParameterReference::Number(number) if (1..=NUMBER_MAX).contains(&number) => {

@@ -24,7 +24,7 @@ const MANTISSA_END: i64 = 1_000_000_000_000_000_000;
 const SPARE_DIGITS: u32 = 20;
 /// Maximum decimal exponent of a number's first digit: 10^41 and more is an error.
 const EXPONENT_MAX: i32 = 40;
-/// Minimum exponent of a mantissa; smaller numbers become 0.
+/// Minimum of [`Real::exponent`]; a number that would need a smaller exponent becomes 0.
 const EXPONENT_MIN: i32 = -50;
 
 /// A number: mantissa × 10^exponent.

@@ -27,6 +27,7 @@ use crate::error::Error;
 use crate::gcode::REASONS;
 use crate::gcode::direction::Direction;
 use crate::gcode::program_number::{behind_line_number, has_program_number, number_of, subprogram_number};
+use crate::gcode::remark::split_remark;
 use crate::gcode::state::{Interpreter, ProgramPlace};
 use core::fmt::Write;
 
@@ -131,7 +132,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(Direction::Run)
     }
 
-    /// Executes a line of the host as held text.
+    /// Appends a line of the host to the held text, and makes the flow continue there, so that the line runs next. If
+    /// there is no room, refuses the rest of the program.
     pub(super) fn run_line(&mut self, line: &[u8], remark: &[u8]) -> Result<Direction, Error> {
         let flow = &mut self.computed.flow;
         let from = flow.text.len() as u16;
@@ -144,8 +146,9 @@ impl<const N: usize> Interpreter<N> {
         Ok(Direction::Run)
     }
 
-    /// Examines a line after the end of a program: one with an O number, or one among subprograms. Returns whether the
-    /// line may be directed.
+    /// Examines a line with an O number after the end of a program, or a line among subprograms. Returns whether the
+    /// line belongs to a held program or to a subprogram; if not, the caller refuses it. For a line of a subprogram,
+    /// sets the place to [`ProgramPlace::Subprogram`].
     #[inline(never)]
     pub(in crate::gcode) fn look_among_subprograms(&mut self, line: &[u8]) -> bool {
         let flow = &self.computed.flow;
@@ -179,7 +182,9 @@ impl<const N: usize> Interpreter<N> {
         self.computed.program > 0 && number_of(line) == self.computed.program
     }
 
-    /// Holds a line of the program that comes after the call of an unknown subprogram.
+    /// Holds a line of the program after the call of an unknown subprogram. If the line cannot belong to the program,
+    /// or does not fit, refuses it and all lines that follow. After the end of the program, the number of a subprogram
+    /// begins the definition of that subprogram.
     #[inline(never)]
     fn hold_line(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
         let flow = &mut self.computed.flow;
@@ -213,12 +218,14 @@ impl<const N: usize> Interpreter<N> {
         self.refuse_rest();
     }
 
-    /// Returns the minimum number of bytes that were missing for the last held program that did not fit.
+    /// Returns by how many bytes, at least, the last held program that did not fit was too long; `None` if all programs
+    /// have fit.
     pub fn lacking_bytes(&self) -> Option<usize> {
         self.computed.overflow.lacking()
     }
 
-    /// Begins the definition of a subprogram.
+    /// Begins the definition of a subprogram. If there already is one with this number, or no room, refuses this line
+    /// and all that follow.
     #[inline(never)]
     fn define(&mut self, label: &[u8]) -> Result<Direction, Error> {
         self.place = ProgramPlace::Subprogram;
@@ -245,7 +252,8 @@ impl<const N: usize> Interpreter<N> {
 
     /// Records a line of a subprogram. M99 ends the subprogram, unless the M99 is within a condition or loop. At the
     /// end, the program that waits for the subprogram goes on. If no program waits, the subprogram is forgotten,
-    /// because no later program may call it.
+    /// because no later program may call it. A line that has a program number, M2 or M30, or does not fit, is refused,
+    /// and so are all lines that follow.
     #[inline(never)]
     fn record_subprogram(
         &mut self,
@@ -324,16 +332,22 @@ impl<const N: usize> Interpreter<N> {
         if self.computed.flow.find_own(&call.label).is_none() {
             return self.await_subprogram(&call, at);
         }
-        let level = self.computed.level();
+        let (level, modal) = (self.computed.level(), &self.computed.flow.modal);
+        // Within the called subprogram, it would take the place of the call that goes on after the return.
+        if modal.is_active() && modal.level() < level {
+            return Err(Error::TooDeep);
+        }
         if self.computed.flow.modal.begin(order.arguments, level) { Ok(true) } else { Err(Error::OutOfMemory) }
     }
 
-    /// Takes note of a line that the running text returns next. [`Self::call_if_due`] then executes the modal call.
+    /// While a modal call is active, examines the line that runs next. If this line moves an axis,
+    /// [`Self::call_if_due`] executes the call after it.
     #[inline]
     pub(super) fn note_for_modal_call(&mut self, line: &[u8]) {
         if self.computed.flow.modal.is_active() {
             let level = self.computed.level();
-            self.computed.flow.modal.look_at(line, level);
+            let (words, _) = split_remark(line);
+            self.computed.flow.modal.look_at(words, level);
         }
     }
 
@@ -347,15 +361,21 @@ impl<const N: usize> Interpreter<N> {
         self.call_from_text(&order, at)
     }
 
-    /// Directs a line of the host while there is a modal call. A line that moves an axis runs as held text, which the
-    /// call follows.
+    /// Decides on a line of the host while a modal call is active. If the line moves an axis, appends it to the held
+    /// text and runs it there, followed by the call. Otherwise the line is checked as usual.
     #[inline(never)]
     pub(super) fn direct_before_modal_call(&mut self, line: &[u8], remark: &[u8]) -> Result<Direction, Error> {
         self.note_for_modal_call(line);
-        match self.computed.flow.modal.take_due() {
-            Some(_) => self.run_line(line, remark),
-            None => Ok(Direction::Check),
+        if self.computed.flow.modal.take_due().is_none() {
+            return Ok(Direction::Check);
         }
+        if let Some((words, call)) = split_call(line)
+            && let Some(order) = OWord::of(call)
+            && order.keyword == Keyword::CallProgram
+        {
+            return self.run_call(words, call, remark, &order);
+        }
+        self.run_line(line, remark)
     }
 
     /// Reads the words of M98 or G65.
@@ -363,7 +383,7 @@ impl<const N: usize> Interpreter<N> {
     pub(super) fn read_call(&self, order: &OWord) -> Result<Call, Error> {
         let is_macro = order.keyword != Keyword::CallProgram;
         let is_modal = order.keyword == Keyword::BeginModalCall;
-        // Its calls come later, and the value of an expression could change meanwhile.
+        // The calls that G66 causes come later, and the value of an expression could change meanwhile.
         if is_modal && order.arguments.iter().any(|byte| matches!(byte, b'#' | b'[')) {
             return Err(Error::NotSupported);
         }

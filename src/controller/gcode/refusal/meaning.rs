@@ -316,7 +316,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
                 } else if !has(b'R') {
                     lacks("R", motion, ": where the feed begins");
                 } else if kind.pecks() && !has(b'Q') {
-                    lacks("Q", motion, ": the depth of a peck");
+                    lacks("Q", motion, ": the step of a peck, above 0, such as Q2");
                 } else {
                     lacks("P", motion, ": how many seconds to wait");
                 }
@@ -447,7 +447,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             }
             MotionMode::Spline(_) => say(out, "% in % is no order that there is", &[self.word(b'L'), self.motion()]),
             _ if value(b'Q').is_some_and(|peck| peck <= Decimal::ZERO) => {
-                say(out, "% in % must be above 0: the depth of a peck", &[self.word(b'Q'), self.motion()]);
+                say(out, "% in % must be above 0: the step of a peck", &[self.word(b'Q'), self.motion()]);
             }
             _ => say(out, "% in % has to be 1 to 1000000: how many holes", &[self.word(b'L'), self.motion()]),
         }
