@@ -48,6 +48,9 @@ pub fn safe_state() {
         (*pac::TIM3::ptr()).ccmr2_output().write(|w| w.bits(FORCED_LOW));
         (*pac::TIM5::ptr()).cr1().write(|w| w.bits(0));
     }
+    for power in [timer::CCR1, timer::CCR2, timer::CCR3, timer::CCR4] {
+        write(<Chip as Map>::TIM3 + power, 0);
+    }
 }
 
 /// CCMR1 and CCMR2 of TIM3: both channels in PWM mode 1, without preload.
