@@ -61,7 +61,7 @@ pub fn for_line(code: u8, line: &str) -> &'static str {
     let instead = INSTEAD.iter().find(|(refused, _)| plain.iter().any(|word| refused.contains(&word.as_str())));
     match instead {
         Some((_, advice)) => advice,
-        None if code == Error::UnsupportedCommand.code() && words.iter().any(|word| is_of_a(word)) => WORD_OF_A,
+        None if code == Error::UnsupportedCommand.code() && words.iter().any(|word| is_of(word, 'A')) => WORD_OF_A,
         None => for_code(code),
     }
 }
@@ -69,18 +69,23 @@ pub fn for_line(code: u8, line: &str) -> &'static str {
 /// Returns the advice for error `code` at the line `line`, to be shown beside the controller's sentence about the line.
 /// Returns no general advice if this sentence already says, after a colon, what to write.
 pub fn beside(sentence: &str, code: u8, line: &str) -> &'static str {
-    /// Begins of what a sentence says to write.
-    const IMPERATIVES: [&str; 17] = [
+    /// Verbs with which a part of a sentence begins that says what to write.
+    const IMPERATIVES: [&str; 15] = [
         "write", "set", "take", "correct", "choose", "add", "divide", "give", "name", "use", "split", "end", "remove",
-        "put", "let", "mill", "such as",
+        "put", "let",
     ];
     let advice = for_line(code, line);
-    let says_what_to_write = sentence
-        .split([':', '.', ','])
-        .skip(1)
-        .any(|part| IMPERATIVES.iter().any(|word| part.trim_start().to_lowercase().starts_with(word)));
-    let is_enough = says_what_to_write || sentence.ends_with("fits both");
+    let says_what_to_write = sentence.split([':', '.', ',']).skip(1).any(|part| {
+        let verb = part.split_whitespace().next().unwrap_or_default().to_lowercase();
+        IMPERATIVES.contains(&verb.as_str())
+    });
+    let is_enough = says_what_to_write || sentence.contains("such as") || sentence.ends_with("fits both");
     if is_enough && advice == for_code(code) { "" } else { advice }
+}
+
+/// Returns how many words of a line, outside of comments, are this letter with a number or an expression.
+pub fn count(line: &str, letter: char) -> usize {
+    words(line).iter().filter(|word| is_of(word, letter)).count()
 }
 
 /// Returns whether a comment of the line contains an opening parenthesis.
@@ -97,9 +102,10 @@ fn has_nested_remark(line: &str) -> bool {
     false
 }
 
-/// Returns whether `word` is a word of the axis A with its value, and not the first letter of a function such as `ABS`.
-fn is_of_a(word: &str) -> bool {
-    word.strip_prefix('A').is_some_and(|number| number.starts_with(|c: char| c.is_ascii_digit() || "+-.[#".contains(c)))
+/// Returns whether `word` is this letter with its value, and not a letter of a function such as `ABS`.
+fn is_of(word: &str, letter: char) -> bool {
+    word.strip_prefix(letter)
+        .is_some_and(|number| number.starts_with(|c: char| c.is_ascii_digit() || "+-.[#".contains(c)))
 }
 
 /// Returns the words of a line, without comments and parameter names.
@@ -324,6 +330,31 @@ mod tests {
         ] {
             assert_eq!(for_line(code, line), for_code(code), "{line}");
         }
+    }
+
+    /// General advice is left out if the sentence of the controller says what to write. Advice for a word stays.
+    #[test]
+    fn a_sentence_that_says_what_to_write_needs_no_general_advice() {
+        for sentence in [
+            "#<DEPTH> is not set above this line: set it, or correct the name",
+            "Q is missing in G83: the step of a peck, above 0, such as Q2",
+            "the radii of G2 differ by 2.000 mm: 4.000 at its start, 6.000 at its end. I5.000 J0.000 fits both",
+        ] {
+            assert_eq!(beside(sentence, 33, "G2 X10 I4"), "", "{sentence}");
+        }
+        for sentence in
+            ["R1 lies below Z5, the bottom of the hole", "X: used by nothing", "a value, settings of which end here"]
+        {
+            assert_eq!(beside(sentence, 33, "G2 X10 I4"), for_code(33), "{sentence}");
+        }
+        assert!(beside("G84 is not supported: choose another word", 121, "G84 X1").contains("G81"));
+    }
+
+    #[test]
+    fn words_are_counted_outside_of_comments_and_functions() {
+        assert_eq!(count("N1 (X2) G1 X1 x[2] X#<X> F5 ; X3", 'X'), 3);
+        assert_eq!(count("(F5) FUP[2] G1 X1", 'F'), 0);
+        assert_eq!(count("G1 F.5", 'F'), 1);
     }
 
     #[test]

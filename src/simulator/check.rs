@@ -79,31 +79,27 @@ impl Outcome {
 
     fn refused(&mut self, line: u64, code: u8, text: &str, source: String) {
         if self.errors.len() < KEPT_ERRORS {
-            let (text, advice) = self.explained(code, text, &source);
-            let column = column::of_word(&text, &source);
-            self.errors.push(LineError { line, code, column, text, advice, source });
+            let (column, advice) = (column::of_word(text, &source), self.advice(code, text, &source));
+            self.errors.push(LineError { line, code, column, text: text.into(), advice, source });
         } else {
             self.more_errors += 1;
         }
     }
 
-    /// Returns what is wrong with a line and what to do. Uses what only the file shows: an earlier line with F that was
-    /// refused, or several points in one line.
-    fn explained(&self, code: u8, text: &str, source: &str) -> (String, String) {
-        let has = |text: &str, letter: char| text.to_ascii_uppercase().contains(letter);
-        let refused_feed = self.errors.iter().rev().find(|error| has(&error.source, 'F'));
-        if code == Error::UndefinedFeed.code()
-            && let Some(LineError { line, .. }) = refused_feed
-        {
-            return (text.into(), format!("Line {line} has an F and was refused: correct that line first."));
+    /// Returns what to do about a refused line. Uses what only the file shows: an earlier line with F that was refused,
+    /// or several points in one line.
+    fn advice(&self, code: u8, text: &str, source: &str) -> String {
+        let refused_feed = self.errors.iter().rev().find(|error| advice::count(&error.source, 'F') > 0);
+        match refused_feed {
+            Some(LineError { line, .. }) if code == Error::UndefinedFeed.code() => {
+                format!("Line {line} has an F and was refused: correct that line first.")
+            }
+            _ if code == Error::LineTooLong.code() && advice::count(source, 'X') > 1 => {
+                "X stands in this line several times, and a line takes it once: write each point in a line of its own."
+                    .into()
+            }
+            _ => advice::beside(text, code, source).into(),
         }
-        let moves = source.to_ascii_uppercase().matches('X').count();
-        if code == Error::LineTooLong.code() && moves > 1 {
-            let more =
-                "X stands in this line several times, and a line takes it once: write each point in a line of its own.";
-            return (text.into(), more.into());
-        }
-        (text.into(), advice::beside(text, code, source).into())
     }
 
     fn warn(&mut self, warning: Warning) {

@@ -53,12 +53,12 @@ pub struct JobText {
     after_cr: bool,
     stopped: bool,
     failed: Option<io::Error>,
-    /// Unanswered lines: line number in the file, text, and the error with which the board rejects the line if it does
-    /// not support all words (see `small_board`).
     /// A comment mentions inches.
     mentions_inches: bool,
     /// Line number of the last line with G21.
     metric_at: Option<u64>,
+    /// Unanswered lines: line number in the file, text, and the error with which the board rejects the line if it does
+    /// not support all words (see `small_board`).
     unanswered: VecDeque<(u64, String, Option<Error>)>,
     /// Whether the board supports all words of the simulator.
     has_all_words: bool,
@@ -427,11 +427,14 @@ impl JobText {
     }
 }
 
-/// Returns whether a comment of a line has the word IN, INCH or INCHES.
+/// Returns whether a comment of a line has the word INCH or INCHES, or IN after a number.
 fn mentions_inches(line: &str) -> bool {
     let Some(at) = line.find(['(', ';']) else { return false };
     let comment = line[at..].to_ascii_uppercase();
-    comment.split(|c: char| !c.is_ascii_alphabetic()).any(|word| ["IN", "INCH", "INCHES"].contains(&word))
+    let words: Vec<&str> = comment.split(|c: char| !c.is_ascii_alphanumeric() && c != '.').collect();
+    let is_number = |word: &str| word.starts_with(|c: char| c.is_ascii_digit() || c == '.');
+    words.iter().any(|word| ["INCH", "INCHES"].contains(word) || is_number(word) && word.ends_with("IN"))
+        || words.windows(2).any(|pair| is_number(pair[0]) && pair[1] == "IN")
 }
 
 /// Returns an answer without the header of a checked line.
@@ -496,6 +499,16 @@ mod tests {
 
     fn drain(job: &mut JobText) -> String {
         std::iter::from_fn(|| job.next_byte()).map(char::from).collect()
+    }
+
+    #[test]
+    fn inches_are_a_unit_and_not_a_preposition() {
+        for line in ["(SIZE 4 X 3 IN)", "G0 X1 ; .25 in deep", "(3/8IN END MILL)", "(units: inches)", "(1/4 inch)"] {
+            assert!(mentions_inches(line), "{line}");
+        }
+        for line in ["(CUT IN 2 PASSES)", "(MADE IN MM)", "G1 X4", "(3 INTERVALS)", "(T1 IN SPINDLE)"] {
+            assert!(!mentions_inches(line), "{line}");
+        }
     }
 
     #[test]
