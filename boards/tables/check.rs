@@ -10,7 +10,7 @@ use toml::{Table, Value};
 /// Frequencies of oscillators from which the clocks can be made, MHz.
 const OSCILLATORS: [u8; 9] = [4, 8, 10, 12, 16, 20, 24, 25, 26];
 /// Entries of a file beside `pins`.
-const KEYS: [&str; 8] = ["name", "title", "image", "chip", "oscillator", "remarks", "drawing", "pins"];
+const KEYS: [&str; 7] = ["name", "title", "image", "chip", "oscillator", "remarks", "pins"];
 /// Functions whose pin must not be pulled up while the chip is reset, because a device would be on.
 const ON_WHEN_HIGH: [Role; 7] = [
     Role::SpindleOn,
@@ -135,9 +135,8 @@ fn read(checked: &mut Checked<'_>, table: &Table) -> Option<Board> {
         .get("remarks")
         .and_then(Value::as_array)
         .map_or(Vec::new(), |remarks| remarks.iter().filter_map(Value::as_str).map(str::to_owned).collect());
-    let drawing = table.get("drawing").and_then(Value::as_str).unwrap_or_default().to_owned();
     let (name, title) = (name?.0.to_owned(), title.to_owned());
-    Some(Board { name, title, image, chip, oscillator_mhz, is_external, remarks, drawing, pins })
+    Some(Board { name, title, image, chip, oscillator_mhz, is_external, remarks, pins })
 }
 
 fn check_name(checked: &mut Checked<'_>, name: &str, line: usize) {

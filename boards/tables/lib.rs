@@ -9,7 +9,6 @@
 //! chip = "STM32F411CE"             # which pins the package has
 //! oscillator = "measured"          # or "8 MHz", "12 MHz", ...; with ", external" if a clock drives the input
 //! remarks = ["..."]                # optional
-//! drawing = """..."""              # optional
 //! [pins]                           # functions without a pin are left out
 //! step_x = "A1"                    # port and number ...
 //! probe = "B15 J4-2"               # ... and, if there is one, the label on the board
@@ -80,8 +79,6 @@ pub struct Board {
     pub is_external: bool,
     /// Sentences for whoever wires the board.
     pub remarks: Vec<String>,
-    /// A drawing in characters; empty if there is none.
-    pub drawing: String,
     /// The pins, by function.
     pub pins: BTreeMap<&'static str, Use>,
 }

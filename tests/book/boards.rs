@@ -128,9 +128,6 @@ fn wiring_list() -> String {
         for remark in &boards[0].remarks {
             let _ = writeln!(text, "* {remark}");
         }
-        if !boards[0].drawing.is_empty() {
-            let _ = writeln!(text, "\n```text\n{}\n```", boards[0].drawing.trim_matches('\n'));
-        }
         text.push('\n');
     }
     text
