@@ -45,15 +45,18 @@ fn profiles_are_those_of_the_files() {
     }
 }
 
+/// Returns a constant of a file in `boards/stm32f4`.
+fn number(file: &str, name: &str) -> u32 {
+    let text = board_file(&format!("stm32f4/{file}"));
+    let values = ["usize", "u32"].map(|kind| text.split(&format!("const {name}: {kind} = ")).nth(1));
+    let value = values.into_iter().flatten().next().and_then(|rest| rest.split(';').next());
+    value.and_then(|value| value.parse().ok()).unwrap_or_else(|| panic!("{file} has no {name}"))
+}
+
 /// The step output and the UART use different DMA streams. A Nucleo's UART uses two streams of DMA1; a Black Pill's
 /// UART uses one of DMA2 while flash is written.
 #[test]
 fn no_stream_has_two_uses() {
-    let number = |file: &str, name: &str| -> usize {
-        let text = board_file(&format!("stm32f4/{file}"));
-        let value = text.split(&format!("const {name}: usize = ")).nth(1).and_then(|rest| rest.split(';').next());
-        value.and_then(|value| value.parse().ok()).unwrap_or_else(|| panic!("{file} has no {name}"))
-    };
     let dma1 =
         [("chain.rs", "MOMENTS"), ("chain.rs", "BEAM"), ("usart_dma.rs", "RECEIVER"), ("usart_dma.rs", "SENDER")];
     let streams = dma1.map(|(file, name)| number(file, name));
@@ -105,10 +108,10 @@ fn step_rates_follow_the_rule() {
         let rates = StepRates { safe_hz: u32::MAX, least_pulse_tenths: board.least_pulse_tenths };
         assert!(rates.greatest_hz(board.least_pulse_tenths) >= hz as f32, "{board:?}");
         // The pause must have room for 7 ticks: 4 from the trigger to the first count, 1 to the edge, 1 after the
-        // pulse, 1 to the stop. If there are ports with directions alone, the edge comes 20 ticks later. A tick of the
-        // pulse timer is not longer than a tick of the step clock.
+        // pulse, 1 to the stop. If there are ports with directions alone, the edge comes later. A tick of the pulse timer
+        // is not longer than a tick of the step clock.
         let timing = StepTiming::new(board.step_clock_hz / 1_000_000, board.least_pulse_tenths, 0);
-        let lead = if board.direction_ports > 0 { 20 } else { 0 };
+        let lead = if board.direction_ports > 0 { number("chain.rs", "DIRECTION_LEAD") } else { 0 };
         assert!(timing.gap > timing.pulse + 7 + lead, "{board:?}");
     }
 }

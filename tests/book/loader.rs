@@ -20,7 +20,7 @@ fn loader(board: &Board) -> &'static Loader {
     match &board.chip.name["STM32".len().."STM32F411".len()] {
         "F401" | "F411" => &F401_F411,
         "F446" => &F446,
-        "F405" | "F407" => &F407,
+        "F407" => &F407,
         other => panic!("no boot loader of {other}"),
     }
 }
