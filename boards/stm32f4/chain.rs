@@ -10,7 +10,7 @@
 //!        │      └────────────────────────────▶ CC4 (CC2) ─▶ DMA2 ─▶ BSRR   directions; second such port
 //!        └─▶ DMA1 S2 ─▶ TIM5_CCR1: the time of the next event
 //!   CC2, CC3: calls at a set time   CC4: calls by software
-//!        CC3 ─▶ DMA1 S0 ─▶ TIM3_CCR2: the laser's power, at the step that begins its segment
+//!        CC3 ─▶ DMA1 S0 ─▶ TIM3_CCRx: the laser's power, at the step that begins its segment
 //! ```
 //! Event times are absolute, so errors do not accumulate. The ring entry after the last committed event holds a time
 //! that has just passed, which the counter reaches only after 2^32 ticks. So if the program commits no more events, for

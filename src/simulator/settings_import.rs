@@ -8,7 +8,8 @@ pub use crate::import_list::{Import, LeftEntry, TakenSetting, Value};
 
 /// Imports a text. Line ends of all systems and a byte order mark are accepted.
 ///
-/// # Errors If the text is not of a known form; the error says why.
+/// # Errors
+/// If the text is not of a known form; the error says why.
 pub fn import(text: &str) -> Result<Import, String> {
     let text = text.strip_prefix('\u{FEFF}').unwrap_or(text).replace("\r\n", "\n").replace('\r', "\n");
     if import_fluidnc::is_configuration(&text) {

@@ -165,8 +165,8 @@ impl Replies {
         self.is_full.first_mut().is_some_and(core::mem::take)
     }
 
-    /// Takes note of the fields for a report of dialect `grblhal`, and decides on `Sc`. Returns whether those that come with `WCO` have changed
-    /// since the previous report, and whether M6 has begun or ended to wait.
+    /// Takes note of the fields for a report of dialect `grblhal`, and decides on `Sc`. Returns whether the fields that
+    /// come with `WCO` have changed since the previous report, and whether M6 has begun or ended to wait.
     pub fn note_fields(&mut self, fields: &mut GrblHalFields) -> (bool, bool) {
         let before = self.told.first_mut().and_then(|told| told.replace(*fields));
         fields.tells_scaling = fields.scaled || before.is_some_and(|before| before.scaled);

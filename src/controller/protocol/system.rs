@@ -146,8 +146,9 @@ pub fn allowed(line: &[u8]) -> Allowed {
 
 /// Parses a `$` line (filtered; begins with `$`).
 ///
-/// # Errors [`Error::InvalidStatement`] for a known command with invalid text after it, [`Error::BadNumber`] for an
-/// unknown command.
+/// # Errors
+/// [`Error::InvalidStatement`] for a known command with invalid text after it, [`Error::BadNumber`] for an unknown
+/// command.
 pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
     let rest = line.get(2..).unwrap_or(&[]);
     let alone = |command| if rest.is_empty() { Ok(command) } else { Err(Error::InvalidStatement) };

@@ -145,12 +145,12 @@ impl<const N: usize> Interpreter<N> {
             flow.skipped = flow.skipped.saturating_add(1);
             return Ok(Direction::LeftOut);
         }
-        let flow_is_modal = flow.modal.is_active();
+        let has_modal_call = flow.modal.is_active();
         let Some(order) = order else {
             if let Some(b'O' | b':') = line.first() {
                 self.note_number(line);
             }
-            if flow_is_modal {
+            if has_modal_call {
                 return self.direct_before_modal_call(line, remark);
             }
             return Ok(Direction::Check);
