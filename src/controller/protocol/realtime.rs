@@ -42,32 +42,31 @@ impl Received {
 #[inline]
 #[allow(clippy::indexing_slicing, reason = "there is one for each byte")]
 pub const fn is_plain(byte: u8) -> bool {
-    PLAIN[byte as usize]
+    KINDS[byte as usize] == PLAIN
 }
 
 /// Returns whether a byte is plain ([`is_plain`]) or an LF.
 #[inline]
 #[allow(clippy::indexing_slicing, reason = "there is one for each byte")]
 pub const fn is_plain_or_lf(byte: u8) -> bool {
-    PLAIN_OR_LF[byte as usize]
+    KINDS[byte as usize] != OTHER
 }
 
+const OTHER: u8 = 0;
+const LF: u8 = 1;
+const PLAIN: u8 = 2;
+
+/// For each byte, whether it is plain, an LF, or another one.
 #[allow(clippy::indexing_slicing, reason = "the compiler computes it")]
-const PLAIN: [bool; 256] = {
-    let mut plain = [false; 256];
+const KINDS: [u8; 256] = {
+    let mut kinds = [OTHER; 256];
     let mut byte = b' ';
     while byte <= b'}' {
-        plain[byte as usize] = !matches!(byte, b'!' | b'?' | b'(' | b')' | b';');
+        kinds[byte as usize] = if matches!(byte, b'!' | b'?' | b'(' | b')' | b';') { OTHER } else { PLAIN };
         byte += 1;
     }
-    plain
-};
-
-#[allow(clippy::indexing_slicing, reason = "the compiler computes it")]
-const PLAIN_OR_LF: [bool; 256] = {
-    let mut plain = PLAIN;
-    plain[b'\n' as usize] = true;
-    plain
+    kinds[b'\n' as usize] = LF;
+    kinds
 };
 
 /// Returns the realtime command of a byte (Grbl 1.1 interface, realtime commands).
