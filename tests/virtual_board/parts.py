@@ -111,6 +111,8 @@ class Wiring:
     """Enable inputs of the other drivers, on a board whose drivers have an input each."""
     program_outputs: tuple = ()
     program_inputs: tuple = ()
+    motor_power: str | None = None
+    """Switch of the motors' supply, on when high."""
     step_irq: int = 50
     serial_irq: int = 17
     """Interrupt that runs the serial task: on a Nucleo that of the sending DMA stream, on a Black Pill that of SPI2."""
@@ -130,6 +132,13 @@ class Wiring:
             if found := re.search(rf"\b{field}: (\w+)", row):
                 return found[1]
             begin = f"const {rest.strip()}: Board"
+
+    @property
+    def pwm_channel(self):
+        """Channel of TIM3 on the spindle's pin (RM0383 and RM0390 refer to the data sheets, "Alternate function
+        mapping")."""
+        channels = {"A6": 1, "B4": 1, "C6": 1, "A7": 2, "B5": 2, "C7": 2, "B0": 3, "C8": 3, "B1": 4, "C9": 4}
+        return channels[self.pwm]
 
     def promised(self, number):
         """Returns a number of the board's entry in `profiles.rs`, so that the cases test what the firmware promises."""
@@ -179,6 +188,7 @@ def on(name, part, hse_hz, core_hz, **others):
         at_speed=pins.get("at_speed"),
         program_outputs=tuple(pins[name] for name in ("program_output", "second_program_output") if name in pins),
         program_inputs=tuple(pins[name] for name in ("program_input", "second_program_input") if name in pins),
+        motor_power=pins.get("motor_power"),
         **others,
     )  # fmt: skip
 

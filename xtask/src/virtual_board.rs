@@ -21,7 +21,7 @@ const BOARDS: [(&str, &[&str]); 13] = [
     ("octopus_pro_f446", &[]),
     ("spider_f446", ON_OTHER_PINS),
     ("robin_nano_v3", ON_CONTROL_F407),
-    ("skr2_f407", ON_OTHER_PINS),
+    ("skr2_f407", ON_SKR2),
     ("monster8_f407", &[]),
     ("jz_f407", &[]),
     ("blackpill_f411_grblhal", ON_OTHER_PINS),
@@ -111,6 +111,11 @@ const ON_CONTROL_F407: &[&str] = &[
 /// Cases for boards that share an image and have other pins.
 const ON_OTHER_PINS: &[&str] =
     &["boot", "pulses", "trips", "probe", "inverted outputs", "outputs of programs", "inputs of programs"];
+
+/// Cases for the board with a switch of the motors' supply. Its spindle has another channel of the timer than on all other
+/// boards of this list.
+const ON_SKR2: &[&str] =
+    &["boot", "pulses", "trips", "probe", "outputs of programs", "inputs of programs", "spindle PWM", "raster", "fault"];
 
 /// Boards that also run the loop-back suite with its wires: one per chip.
 const LOOPBACK: [&str; 3] = ["blackpill_f411", "nucleo_f446re", "blackpill_f401"];

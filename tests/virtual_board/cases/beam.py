@@ -41,7 +41,8 @@ class BeamWatch:
         self.board, self.pwm = board, board.peripherals["TIM3"]
         self.changes = []
         """(cycle, new duty cycle)."""
-        self.last = self.pwm.values[timer.CCR2]
+        self.compare = timer.COMPARE[board.wiring.pwm_channel - 1]
+        self.last = self.pwm.values[self.compare]
         by_program, by_dma = self.pwm.write, self.pwm.store_by_dma
 
         def write(offset, value):
@@ -55,7 +56,7 @@ class BeamWatch:
         self.pwm.write, self.pwm.store_by_dma = write, store
 
     def note(self, at):
-        value = self.pwm.values[timer.CCR2]
+        value = self.pwm.values[self.compare]
         if value != self.last:
             self.last = value
             self.changes.append((at, value / (self.pwm.values[timer.ARR] + 1)))
@@ -325,7 +326,7 @@ def brown_out_of_a_beam(bench):
 
     def and_stand(offset, value):
         write(offset, value)
-        if offset == timer.CCR2 and value == 0 and not made_safe:
+        if offset == beam.compare and value == 0 and not made_safe:
             made_safe.append(board.now)
             board.stall(away_s() + 20 * US)
 

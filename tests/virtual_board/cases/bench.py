@@ -165,7 +165,11 @@ def duty(board):
     """Returns the share of time for which the spindle's PWM is high; 0 if the timer does not drive its pin."""
     if board.shown(board.wiring.pwm) != "AF":
         return 0
-    return board.peripherals["TIM3"].duty(2)
+    share = board.peripherals["TIM3"].duty(board.wiring.pwm_channel)
+    if share is None:
+        raise Failure("the spindle's pin belongs to the timer, which does not drive it")
+    return share
+
 
 JOB_SETTINGS = {"s110": 3000, "s111": 3000, "s112": 3000, "s120": 1000, "s121": 1000, "s122": 1000}
 

@@ -276,6 +276,9 @@ def faulted(bench):
     stuck = [name for name in wiring.step if board.level(name) == 1]
     if late > STOP_S or stuck:
         raise Failure(f"pulses for {us(late)} after the fault, step pins left high: {stuck}")
+    # An axis without a brake must not drop. (In a reset the pin floats, which is no level.)
+    if any(edge > at and level == 0 and f"{port}{pin}" == wiring.motor_power for edge, port, pin, level in board.edges):
+        raise Failure("the fault switches the motors' supply off")
     yield f"HardFault: spindle and coolant off after {us_off(bench, at)}, last rising edge after {us(late)}"
     if board.resets:
         # The injected instruction must not affect the restarted firmware.

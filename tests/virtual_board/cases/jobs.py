@@ -26,6 +26,10 @@ def boot(bench):
     coolant = (wiring.flood, wiring.mist)
     safe = {name: 0 for name in (*wiring.step, wiring.spindle, wiring.spindle_direction, *coolant, *wiring.program_outputs)}
     safe |= dict.fromkeys((wiring.enable, *wiring.other_enables), 1)
+    if wiring.motor_power:
+        safe[wiring.motor_power] = 1
+        if board.level(wiring.motor_power) != 1:
+            raise Failure("the motors have no supply")
     for at, port, pin, level in board.edges:
         wanted = safe.get(f"{port}{pin}")
         if wanted is not None and level in (0, 1) and level != wanted:
