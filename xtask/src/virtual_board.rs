@@ -114,8 +114,17 @@ const ON_OTHER_PINS: &[&str] =
 
 /// Cases for the board with a switch of the motors' supply. Its spindle has another channel of the timer than on all other
 /// boards of this list.
-const ON_SKR2: &[&str] =
-    &["boot", "pulses", "trips", "probe", "outputs of programs", "inputs of programs", "spindle PWM", "raster", "fault"];
+const ON_SKR2: &[&str] = &[
+    "boot",
+    "pulses",
+    "trips",
+    "probe",
+    "outputs of programs",
+    "inputs of programs",
+    "spindle PWM",
+    "raster",
+    "fault",
+];
 
 /// Boards that also run the loop-back suite with its wires: one per chip.
 const LOOPBACK: [&str; 3] = ["blackpill_f411", "nucleo_f446re", "blackpill_f401"];

@@ -2,77 +2,9 @@
 //! same text, the expected lists were checked with it.
 #![cfg(feature = "full")]
 
-use oxmill_controller::gcode::{Action, Dialect, Direction, Held, HeldLine, Interpreter, MotionCommand};
+use crate::subprogram_sender::{Sender, fails};
+use oxmill_controller::gcode::{Direction, Interpreter};
 use proptest::prelude::*;
-
-/// A host that sends a program. Records the X target of every rapid, and the error numbers.
-struct Sender {
-    interpreter: Interpreter<3>,
-    went: Vec<i64>,
-    errors: Vec<u8>,
-    lines: u32,
-    sent: u32,
-}
-
-impl Sender {
-    fn new() -> Self {
-        Self { interpreter: Interpreter::default(), went: Vec::new(), errors: Vec::new(), lines: 0, sent: 0 }
-    }
-
-    fn carry_out(&mut self, line: &[u8]) -> bool {
-        let mut checked = Action::NOTHING;
-        self.lines += 1;
-        match self.interpreter.check_into(line, Dialect::Oxmill, &mut checked) {
-            Ok(()) => {
-                if let MotionCommand::Line { target, .. } = checked.motion {
-                    self.went.push(target.0[0].0 / 10_000_000);
-                }
-                self.interpreter.commit(&checked);
-                true
-            }
-            Err(error) => {
-                self.errors.push(error.code());
-                false
-            }
-        }
-    }
-
-    fn send(&mut self, line: &str) {
-        let line: String = line.split(';').next().unwrap().replace(' ', "").to_uppercase();
-        self.sent += 1;
-        match self.interpreter.direct(line.as_bytes(), &[], self.sent) {
-            Ok(Direction::Check) => {
-                self.carry_out(line.as_bytes());
-            }
-            Ok(Direction::Done | Direction::LeftOut) => {}
-            Ok(Direction::Call | Direction::Run) => {
-                let mut held = HeldLine::new();
-                loop {
-                    match self.interpreter.next_held(&mut held) {
-                        Ok(Held::Line) => {
-                            if !self.carry_out(&held) {
-                                self.interpreter.abandon_held();
-                                break;
-                            }
-                        }
-                        Ok(Held::Again) => {}
-                        Ok(Held::End) => break,
-                        Err(error) => {
-                            self.errors.push(error.code());
-                            break;
-                        }
-                    }
-                }
-            }
-            Err(error) => self.errors.push(error.code()),
-        }
-    }
-
-    fn send_all(&mut self, text: &str) -> &mut Self {
-        text.lines().for_each(|line| self.send(line));
-        self
-    }
-}
 
 /// Checks the X targets of a program that has no errors.
 #[track_caller]
@@ -80,14 +12,6 @@ fn goes(text: &str, places: &[i64]) {
     let mut sender = Sender::new();
     sender.send_all(text);
     assert_eq!((sender.went, sender.errors), (places.to_vec(), vec![]), "{text}");
-}
-
-/// Checks the errors of a program, and the X targets that it still reaches.
-#[track_caller]
-fn fails(text: &str, errors: &[u8], places: &[i64]) {
-    let mut sender = Sender::new();
-    sender.send_all(text);
-    assert_eq!((sender.errors, sender.went), (errors.to_vec(), places.to_vec()), "{text}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! A host that sends programs with subprograms to the interpreter, for the tests of subprograms.
+//! A host that sends programs to the interpreter, for the tests of O words and subprograms.
 
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{Action, Dialect, Direction, Flow, Held, HeldLine, Interpreter, MotionCommand};
