@@ -328,6 +328,8 @@ mod held {
     const _: fn() -> Option<&'static [u8]> = board::preloaded_job;
     const _: fn() -> ResetCause = board::reset_cause;
     const _: fn(Arguments<'_>) -> ! = board::restart;
+    const _: bool = board::HAS_LOADER;
+    const _: (fn(bool) -> !, fn()) = (board::reboot, board::enter_loader_if_requested);
 
     const fn is_port<P: Port>() {}
     const fn is_flash<F: Flash>() {}

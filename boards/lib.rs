@@ -60,8 +60,9 @@ mod chosen {
     use super::*;
     pub use crate::stm32f4::setup::{Parts, SerialPort, StepPins, UartInput, UsbPort, call_serial, setup};
     pub use crate::stm32f4::{
-        CLOCK_TICKS_PER_US, InputPins, SAMPLE_HZ, SettingsFlash, SlowPins, USUAL_BAUD, WATCHES_CLOCK, Watchdog,
-        call_step, clock_ticks, idle, job_done, preloaded_job, reset_cause, restart, safe_state,
+        CLOCK_TICKS_PER_US, HAS_LOADER, InputPins, SAMPLE_HZ, SettingsFlash, SlowPins, USUAL_BAUD, WATCHES_CLOCK,
+        Watchdog, call_step, clock_ticks, enter_loader_if_requested, idle, job_done, preloaded_job, reboot,
+        reset_cause, restart, safe_state,
     };
     pub use stm32f4xx_hal::pac;
 
@@ -168,5 +169,6 @@ const fn profile_of(board: &profiles::Board, has_second_motor: bool) -> oxmill_c
         most_baud: board.most_baud,
         oscillator_mhz: 0,
         has_store: true,
+        has_loader: HAS_LOADER,
     }
 }

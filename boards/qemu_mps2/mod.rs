@@ -631,6 +631,18 @@ pub fn reset_cause() -> ResetCause {
     }
 }
 
+/// QEMU's board has no boot loader.
+pub const HAS_LOADER: bool = false;
+
+/// Restarts the program.
+pub fn reboot(_into_loader: bool) -> ! {
+    cortex_m::interrupt::disable();
+    reset()
+}
+
+/// There is no boot loader.
+pub fn enter_loader_if_requested() {}
+
 fn reset() -> ! {
     set_alive(ASKED);
     cortex_m::peripheral::SCB::sys_reset()

@@ -1,5 +1,5 @@
 //! Modules shared by the STM32F4 boards: the part that the step interrupt uses ([`step`], `chain`, `dma`, `registers`)
-//! and the rest of the chip (`setup`, `clocks`, `pins`, `chip`, `flash`, `supply`, `usart`, `usb`).
+//! and the rest of the chip (`setup`, `clocks`, `pins`, `chip`, `flash`, `loader`, `supply`, `usart`, `usb`).
 
 mod chain;
 mod dma;
@@ -12,6 +12,8 @@ mod chip;
 mod clocks;
 #[cfg(feature = "stm32f4")]
 mod flash;
+#[cfg(feature = "stm32f4")]
+mod loader;
 #[cfg(feature = "stm32f4")]
 mod pins;
 #[cfg(feature = "stm32f4")]
@@ -31,5 +33,7 @@ pub mod usb;
 pub use chip::*;
 #[cfg(feature = "stm32f4")]
 pub use flash::SettingsFlash;
+#[cfg(feature = "stm32f4")]
+pub use loader::{HAS_LOADER, enter_loader_if_requested, reboot};
 #[cfg(feature = "stm32f4")]
 pub use supply::*;

@@ -47,6 +47,8 @@ pub struct Profile {
     pub oscillator_mhz: u8,
     /// Whether settings survive power-off. If not, the controller requests no store operations.
     pub has_store: bool,
+    /// Whether the board can restart into a boot loader that hosts reach over the same cable (`$DFU`).
+    pub has_loader: bool,
 }
 
 /// The controller of a machine with `N` axes: makes all decisions.
@@ -223,6 +225,15 @@ impl<const N: usize> Controller<N> {
         let silent = self.m.lines.heartbeat().silent_at();
         let lost = if self.needs_speed() { self.m.accessories.speed_lost_at() } else { None };
         [moving, spindle, task, outputs, self.m.drivers.off_at(), silent, lost].into_iter().flatten().min()
+    }
+
+    /// Returns whether the board must restart now (`$REBOOT`, `$DFU`), and whether into the boot loader of the chip. The
+    /// platform asks for this after its rounds; the answer to the command has been sent some time before.
+    pub fn reboot_due(&self) -> Option<bool> {
+        match self.task {
+            Task::Rebooting { into_loader, at } if self.m.now >= at => Some(into_loader),
+            _ => None,
+        }
     }
 
     /// Reports that no more bytes will come, so that queued motion starts without waiting for further moves.

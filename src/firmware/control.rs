@@ -145,6 +145,9 @@ impl Control {
             }
             // After the erase, go on with the lines that had to wait for it.
         }
+        if let Some(into_loader) = self.controller.reboot_due() {
+            boards::reboot(into_loader);
+        }
         let observed = self.observe();
         if observed.step_idle && self.controller.is_idle() {
             self.recorder.at_rest(self.round_began, self.controller);

@@ -1,4 +1,5 @@
-//! The handlers that exist once per program. `panic` reports the location. `HardFault` reports the program counter from
+//! The handlers that exist once per program. `before_start` enters the chip's boot loader on request. `panic` reports
+//! the location. `HardFault` reports the program counter from
 //! the stack frame, or a stack overflow. `NonMaskableInt` reports a failed clock. All end in
 //! [`oxmill_firmware::failure`].
 
@@ -6,6 +7,25 @@ use core::panic::PanicInfo;
 use oxmill_controller::messages::CrashKind;
 use oxmill_firmware::boards;
 use oxmill_firmware::failure::fail;
+
+/// Runs first after a reset, before RAM is initialised: the chip's boot loader, if `$DFU` has requested it, must find
+/// the chip as it is after a reset.
+///
+/// Rust code may run here only because it uses no static that is initialised: registers, and a number in RAM that is
+/// not.
+extern "C" fn before_start() {
+    boards::enter_loader_if_requested();
+}
+
+// The start-up code of cortex-m-rt calls `__pre_init` with an empty stack and returns from it to the initialisation.
+core::arch::global_asm!(
+    ".section .text.__pre_init, \"ax\"",
+    ".global __pre_init",
+    ".type __pre_init, %function",
+    ".thumb_func",
+    "__pre_init: b {before_start}",
+    before_start = sym before_start,
+);
 
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {

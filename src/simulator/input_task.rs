@@ -40,6 +40,11 @@ impl Default for InputTask {
 }
 
 impl InputTask {
+    /// Starts the filter and the counts again, as a restart of the board does. The levels of the pins stay.
+    pub fn restart(&mut self) {
+        *self = InputTask { hand: self.hand, contacts: self.contacts, ..InputTask::default() };
+    }
+
     /// Pins that the user pulls low.
     pub fn hand(&self) -> Signals {
         self.hand

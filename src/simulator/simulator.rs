@@ -24,7 +24,7 @@ use crate::trace::{Sole, Trace};
 use oxmill_controller::axes::LINEAR;
 use oxmill_controller::machine::filter::SAMPLE_HZ;
 use oxmill_controller::memory::Memory;
-use oxmill_controller::messages::{Realtime, Restart, Signals, SlowOutputs, Standing, Wiring};
+use oxmill_controller::messages::{Realtime, ResetCause, Restart, Signals, SlowOutputs, Standing, Wiring};
 use oxmill_controller::pump;
 use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::settings::{AxisKey, Key};
@@ -82,28 +82,41 @@ pub struct Simulator {
     pub(crate) marks: Option<Marks>,
 }
 
+/// Returns a controller of this board with the stored settings, which has just been started and greets the host.
+fn started(board: &Board, store: &mut Store, clock: &Clock, restart: Restart) -> Box<Controller<AXES>> {
+    let profile = Profile {
+        name: board.name,
+        step_clock_hz: board.step_clock_hz,
+        rates: StepRates { safe_hz: board.safe_step_hz, least_pulse_tenths: board.least_pulse_tenths },
+        axes: board.axes,
+        has_second_motor: true,
+        has_at_speed: board.has_at_speed,
+        program_pins: board.program_pins,
+        most_baud: board.most_baud,
+        oscillator_mhz: 0,
+        has_store: true,
+        has_loader: false,
+    };
+    let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS, board.held_bytes)));
+    controller.restarted(restart);
+    for record in store.records() {
+        controller.restore(&record);
+    }
+    controller.start(clock.instant());
+    controller
+}
+
+/// Returns a recorder with empty pages.
+fn recorder(restart: &Restart) -> Recorder<Box<[Page]>> {
+    Recorder::begin(vec![Page::EMPTY; boards::DESK.recording_pages].into(), restart)
+}
+
 impl Simulator {
     /// Powers the board up and lets the controller send its welcome message.
     pub fn new(options: Options) -> Self {
         let Options { board, mut store, fittings, keep_steps } = options;
-        let profile = Profile {
-            name: board.name,
-            step_clock_hz: board.step_clock_hz,
-            rates: StepRates { safe_hz: board.safe_step_hz, least_pulse_tenths: board.least_pulse_tenths },
-            axes: board.axes,
-            has_second_motor: true,
-            has_at_speed: board.has_at_speed,
-            program_pins: board.program_pins,
-            most_baud: board.most_baud,
-            oscillator_mhz: 0,
-            has_store: true,
-        };
-        let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS, board.held_bytes)));
-        for record in store.records() {
-            controller.restore(&record);
-        }
         let clock = Clock::new(board.step_clock_hz);
-        controller.start(clock.instant());
+        let controller = started(&board, &mut store, &clock, Restart::POWER);
         let mut trace = Trace::default();
         if keep_steps {
             trace.keep();
@@ -123,7 +136,7 @@ impl Simulator {
             job: Sole(None),
             job_ready: 0,
             wiring: None,
-            recorder: Recorder::begin(vec![Page::EMPTY; boards::DESK.recording_pages].into(), &Restart::POWER),
+            recorder: recorder(&Restart::POWER),
             marks: None,
         };
         let World { fittings, machine, .. } = &mut simulator.world;
@@ -573,10 +586,27 @@ impl Simulator {
         any | self.host.await_rest(self.clock.instant())
     }
 
+    /// Restarts the board (`$REBOOT`): the controller starts again with the stored settings, and bytes that the old one
+    /// has not read are lost. The machine, its switches and the host stay as they are.
+    fn reboot(&mut self) {
+        let restart = Restart { cause: ResetCause::Software, crash: None, is_recorded: false };
+        self.recorder = recorder(&restart);
+        self.controller = started(&self.board, &mut self.store, &self.clock, restart);
+        self.host = HostLink::default();
+        self.step = StepTask::default();
+        self.inputs.restart();
+        self.inputs.sample_at(self.clock.now());
+        (self.stored, self.pins_asked, self.wiring) = (None, false, None);
+    }
+
     /// Runs one turn of the control task at the present time.
     fn turn(&mut self) {
         while !self.power_is_gone() {
             if !pump::round(self) {
+                if self.controller.reboot_due().is_some() {
+                    self.reboot();
+                    continue;
+                }
                 self.erase_ahead();
                 if self.controller.is_idle() && self.step.is_idle() {
                     self.recorder.at_rest(self.clock.instant(), &self.controller);

@@ -41,6 +41,7 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
         rates: StepRates { safe_hz: 200_000, least_pulse_tenths: 10 },
         oscillator_mhz: 0,
         has_store: false,
+        has_loader: false,
         axes: 3,
         has_second_motor: false,
         has_at_speed: true,

@@ -180,6 +180,7 @@ impl Board {
             most_baud: 1_000_000,
             oscillator_mhz: 0,
             has_store: true,
+            has_loader: false,
         };
         let mut controller =
             Box::new(Controller::new(profile, Memory::on_heap(&profile, BLOCKS, oxmill_controller::gcode::LEAST_HELD)));

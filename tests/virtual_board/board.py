@@ -99,6 +99,11 @@ UNIQUE_ID = bytes.fromhex("3300210007504b4b38373320")
 """A unique number, taken from a real part."""
 
 
+LOADER = 0x1FFF_0000
+"""The chip's boot loader, in ROM: its vector table."""
+LOADER_STACK, LOADER_START = 0x2000_2D40, LOADER + 0x200
+
+
 def _due(peripheral):
     return peripheral.due
 
@@ -160,8 +165,10 @@ class Board:
         guarded = self._guarded
         self.core.map_registers(0x4000_0000, 0x8_0000, guarded(self._read_register), guarded(self._write_register))
         self.core.map_registers(0x5000_0000, 0x4_0000, guarded(self._read_otg), guarded(self._write_otg))
-        # System memory: the part's own number at 0x1FFF_7A10.
-        uc.mem_map(0x1FFF_7000, 0x1000, UC_PROT_ALL)
+        # System memory: in place of the chip's boot loader a program that waits, and the part's own number at 0x1FFF_7A10.
+        uc.mem_map(LOADER, 0x8000, UC_PROT_ALL)
+        self.write_memory(LOADER, struct.pack("<II", LOADER_STACK, LOADER_START | 1))
+        self.write_memory(LOADER_START, b"\xfe\xe7")  # b .
         self.write_memory(0x1FFF_7A10, UNIQUE_ID)
         self.core.map_registers(0x4200_0000, 0x100_0000, guarded(self._read_bit), guarded(self._write_bit))
         self.core.map_registers(0xE000_0000, 0x10_0000, guarded(self._read_core), guarded(self._write_core))
@@ -242,7 +249,7 @@ class Board:
         them."""
         self.power_on()
         self.syscfg.values[0] = SYSTEM_MEMORY
-        self.nvic.vectors = 0x1FFF_0000
+        self.nvic.vectors = LOADER
         if not resets_clocks:
             # 60 MHz from HSI by the PLL, three wait states.
             self.flash.write(0x00, 3)

@@ -43,7 +43,7 @@ state core;
 uint32_t is_profiled;
 uint64_t spent_at[1 << 18], spent_in[512];
 static uint32_t exception;
-instruction flash[1 << 18], ram[1 << 17]; /* one for each half-word */
+instruction flash[1 << 18], ram[1 << 17], rom[1 << 9]; /* one for each half-word; rom: the start of system memory */
 void (*decode)(uint32_t address, instruction *into);
 int (*emu_stop)(void *);
 int (*emu_start)(void *, uint64_t, uint64_t, uint64_t, uint64_t);
@@ -93,6 +93,7 @@ void on_instruction(void *uc, uint64_t address, uint32_t size, void *data) {
     instruction *i;
     if (at - 0x08000000u < sizeof flash / sizeof *flash * 2) i = &flash[(at - 0x08000000u) >> 1];
     else if (at - 0x20000000u < sizeof ram / sizeof *ram * 2) i = &ram[(at - 0x20000000u) >> 1];
+    else if (at - 0x1FFF0000u < sizeof rom / sizeof *rom * 2) i = &rom[(at - 0x1FFF0000u) >> 1];
     else { core.fault = 0; stop(uc, FAULT); return; }
     if (!i->cost) decode(at, i);
     uint64_t before = core.now;

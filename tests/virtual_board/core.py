@@ -192,7 +192,7 @@ class Core:
     @staticmethod
     def forget_decoded():
         """Discards the decoded instructions. Call after the contents of flash have changed."""
-        for name, words in (("flash", 1 << 18), ("ram", 1 << 17)):
+        for name, words in (("flash", 1 << 18), ("ram", 1 << 17), ("rom", 1 << 9)):
             ctypes.memset((Instruction * words).in_dll(compiled(), name), 0, words * 4)
 
     READ = ctypes.CFUNCTYPE(ctypes.c_uint64, ctypes.c_void_p, ctypes.c_uint64, ctypes.c_uint, ctypes.c_void_p)

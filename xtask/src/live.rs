@@ -22,7 +22,7 @@ type Test = fn(&mut Lines) -> Result<(), Failure>;
 /// Runs all conversations, each with a machine that has just been powered up.
 pub fn all() -> Result<(), Failure> {
     let image = image::build(QEMU_BOARD)?;
-    let tests: [(&str, Test); 13] = [
+    let tests: [(&str, Test); 14] = [
         ("a_panic_in_mid_job_is_played_again_on_the_desk", recorded_failure),
         ("hold_and_reset_in_motion_are_played_again_on_the_desk", recorded_stops),
         ("a_panic_is_told_after_the_reset_and_locks", panics),
@@ -31,6 +31,7 @@ pub fn all() -> Result<(), Failure> {
         ("the_watchdog_resets_a_processor_that_hangs", everything_hangs),
         ("a_line_of_every_kind_is_answered", every_kind),
         ("settings_are_there_again_after_a_reset_of_the_machine", settings),
+        ("reboot_restarts_with_the_stored_settings", reboots),
         ("a_flood_of_lines_behind_a_dwell_loses_nothing", flood),
         ("a_hold_brakes_and_a_resume_goes_on_to_the_end", hold_and_resume),
         ("a_host_that_says_nothing_more_is_missed", silence),
@@ -344,6 +345,18 @@ fn settings(lines: &mut Lines) -> Result<(), Failure> {
     lines.send(b"$I\n")?;
     let info = lines.expect("ok\r\n")?;
     hold_on(info.contains("MILL7"), || info)
+}
+
+fn reboots(lines: &mut Lines) -> Result<(), Failure> {
+    lines.send(b"$100=123.5\nG92X5\n$REBOOT\n")?;
+    lines.expect("ok\r\nok\r\nok\r\n")?;
+    lines.expect("Grbl 1.1h")?;
+    lines.send(b"$RC\n")?;
+    let cause = lines.expect("ok\r\n")?;
+    hold_on(cause.contains("[RESET:software]"), || cause)?;
+    lines.send(b"$$\n$#\n")?;
+    let listings = lines.expect("[PRB:")?;
+    hold_on(listings.contains("$100=123.500\r\n") && listings.contains("[G92:0.000,0.000,0.000]"), || listings)
 }
 
 fn hold_and_resume(lines: &mut Lines) -> Result<(), Failure> {

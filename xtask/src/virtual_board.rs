@@ -64,6 +64,7 @@ const ON_F401: &[&str] = &[
     "settings write",
     "fault",
     "lost clock",
+    "restart on request",
 ];
 
 /// Cases for the image of control boards: other ports, a clock of its own, USB with a newer core.
@@ -88,6 +89,7 @@ const ON_CONTROL_F446: &[&str] = &[
     "usb flood",
     "usb lines",
     "lost clock",
+    "restart on request",
 ];
 
 /// Cases for the image of control boards with an F407. This board has two ports with directions alone.
@@ -106,6 +108,7 @@ const ON_CONTROL_F407: &[&str] = &[
     "settings write",
     "usb",
     "lost clock",
+    "restart on request",
 ];
 
 /// Cases for boards that share an image and have other pins.

@@ -10,7 +10,7 @@ use crate::protocol::system::{self, Allowed, Restore, System};
 use crate::protocol::{grblhal, reply_texts};
 use crate::settings::{AxisKey, Key, Settings};
 use crate::states::{Homing, State};
-use crate::units::{DECIMAL_ONE, Decimal};
+use crate::units::{DECIMAL_ONE, Decimal, Duration};
 use crate::work::task::{Answer, Ask, Caller, Listing, Task};
 
 // Numbers of settings whose change has further effects.
@@ -30,6 +30,9 @@ const SPINDLE_MAXIMUM: u16 = Key::SpindleMaximum.number();
 const SPINDLE_MINIMUM: u16 = Key::SpindleMinimum.number();
 const STEP_PULSE: u16 = Key::StepPulse.number();
 const ZERO_AT_PULL_OFF: u16 = Key::ZeroAtPullOff.number();
+
+/// Time between the answer to `$REBOOT` or `$DFU` and the restart.
+const REBOOT_DELAY: Duration = Duration::millis(100);
 
 impl<const N: usize> Controller<N> {
     /// Executes a line that begins with `$`.
@@ -105,6 +108,7 @@ impl<const N: usize> Controller<N> {
             }
             System::CheckLines(session) => self.check_lines(session),
             System::Sleep => self.sleep(),
+            System::Reboot { into_loader } => self.reboot(into_loader)?,
             System::Set(number, value) => self.set_setting(number, value)?,
         }
         Ok(())
@@ -132,6 +136,18 @@ impl<const N: usize> Controller<N> {
         self.say_ok();
         self.say(|out| reply_texts::message(out, "Sleeping"));
         self.fall_asleep();
+    }
+
+    /// Answers, and restarts the board as soon as the answer has had time to reach the host.
+    fn reboot(&mut self, into_loader: bool) -> Result<(), Error> {
+        self.must_hold_nothing()?;
+        if into_loader && !self.m.settings_lock.has_loader() {
+            self.say(|out| reply_texts::message(out, "No boot loader on USB here"));
+            return Err(Error::InvalidStatement);
+        }
+        self.say_ok();
+        self.task = Task::Rebooting { into_loader, at: self.m.now + REBOOT_DELAY };
+        Ok(())
     }
 
     fn set_startup_line(&mut self, index: usize, text: &[u8]) -> Result<(), Error> {

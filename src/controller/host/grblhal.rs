@@ -1,6 +1,7 @@
 //! Answers hosts like grblHAL (`$900=3`): executes grblHAL's `$` commands, and takes values for settings that are masks
 //! in grblHAL.
 
+use crate::axes::Axis;
 use crate::dispatch::Controller;
 use crate::error::Error;
 use crate::gcode::Dialect;
@@ -49,6 +50,15 @@ impl<const N: usize> Controller<N> {
             }
             Command::BlockDelete => {
                 self.toggle(Key::BlockDelete, ["Block delete off", "Block delete on"]);
+                self.say_ok();
+            }
+            Command::LastEvent | Command::Limits => {
+                let ganged = self.m.settings.ganged_axis().map_or(b' ', Axis::letter);
+                let (now, last) = (*self.m.inputs.signals(), *self.m.inputs.last_event());
+                self.say(|out| match command {
+                    Command::Limits => grblhal::limits(out, &now, &[ganged]),
+                    _ => grblhal::last_event(out, &last, &[ganged]),
+                });
                 self.say_ok();
             }
             Command::OptionalStop => {

@@ -24,6 +24,7 @@ pub(crate) struct SettingsLock {
     has_at_speed: bool,
     program_pins: [u8; 2],
     most_baud: u32,
+    has_loader: bool,
     /// The revision of the settings for which `setting` was determined.
     revision: Option<u32>,
     /// The setting that locks motion, if any.
@@ -37,8 +38,17 @@ pub(crate) struct SettingsLock {
 impl SettingsLock {
     /// Creates the lock for a board; no settings have been examined.
     pub(crate) const fn new(profile: &Profile) -> Self {
-        let Profile { name, rates, has_second_motor, has_at_speed, program_pins, most_baud, oscillator_mhz, .. } =
-            *profile;
+        let Profile {
+            name,
+            rates,
+            has_second_motor,
+            has_at_speed,
+            program_pins,
+            most_baud,
+            oscillator_mhz,
+            has_loader,
+            ..
+        } = *profile;
         let (revision, setting, named, refused) = (None, None, None, false);
         Self {
             board: name,
@@ -49,6 +59,7 @@ impl SettingsLock {
             has_at_speed,
             program_pins,
             most_baud,
+            has_loader,
             revision,
             setting,
             named,
@@ -89,6 +100,11 @@ impl SettingsLock {
     /// Returns the maximum rate of the UART (`$931`), in baud.
     pub(crate) fn most_baud(&self) -> u32 {
         self.most_baud
+    }
+
+    /// Returns whether the board can restart into a boot loader (`$DFU`).
+    pub(crate) fn has_loader(&self) -> bool {
+        self.has_loader
     }
 
     /// Returns the shortest step pulse (`$0`) of the board, in tenths of a microsecond.
@@ -144,7 +160,7 @@ mod tests {
     fn after(settings: &[Option<u16>]) -> SettingsLock {
         let rates = StepRates { safe_hz: 0, least_pulse_tenths: 5 };
         let (name, step_clock_hz, axes, program_pins) = ("", 0, 3, [0; 2]);
-        let (has_second_motor, has_at_speed, has_store) = (false, false, false);
+        let (has_second_motor, has_at_speed, has_store, has_loader) = (false, false, false, false);
         let mut lock = SettingsLock::new(&Profile {
             name,
             step_clock_hz,
@@ -156,6 +172,7 @@ mod tests {
             most_baud: 0,
             oscillator_mhz: 0,
             has_store,
+            has_loader,
         });
         for (revision, setting) in settings.iter().enumerate() {
             assert_eq!(lock.look(revision as u32, || *setting), *setting);

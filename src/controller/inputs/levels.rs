@@ -33,6 +33,8 @@ pub struct InputLevels {
     look: Option<bool>,
     /// Last view of the pins; cleared by the next request for a view.
     view: Option<PinView>,
+    /// The control inputs and limit switches that became active most recently (`$LEV`).
+    last_event: Signals,
 }
 
 /// Changes in a message of the inputs task.
@@ -55,6 +57,7 @@ impl InputLevels {
         wiring: InputWiring::PULL_UPS,
         look: None,
         view: None,
+        last_event: Signals::NONE,
     };
 
     /// Applies changed settings.
@@ -74,6 +77,10 @@ impl InputLevels {
         // An input that has tripped can already be inactive again.
         let tripped = fitted(Signals::of_word(sensed.tripped), settings);
         let came = Signals::of_word(signals.word() & !before.word() | tripped.word());
+        let event = Signals { probe: false, at_speed: false, program: 0, ..came };
+        if event != Signals::NONE {
+            self.last_event = event;
+        }
         // Only armed inputs are reported as tripped. Another input that was active only between two messages is missed.
         InputChange { stops, came }
     }
@@ -81,6 +88,11 @@ impl InputLevels {
     /// Returns the levels of the fitted inputs.
     pub fn signals(&self) -> &Signals {
         &self.signals
+    }
+
+    /// Returns the control inputs and limit switches that became active most recently, together.
+    pub fn last_event(&self) -> &Signals {
+        &self.last_event
     }
 
     /// Returns the levels of all pins.

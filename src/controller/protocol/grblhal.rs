@@ -4,9 +4,11 @@
 use super::reply_texts::RELEASE;
 use super::system::Described;
 use super::text::{Text, filled, length, put, real};
-use crate::messages::{LINES_DEPTH, PinView, input};
+use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, Signals, input};
 use crate::number::{self, Digits};
 use crate::units::Coordinate;
+
+const AXIS_LETTERS: &[u8] = b"XYZABC";
 
 /// A `$` command that only hosts of `$900=3` have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,10 +34,14 @@ pub enum Command {
     Help,
     /// `$EAG`, `$EEG`: the alarms or the errors as comma-separated values.
     Table(Described),
+    /// `$LEV`: the inputs that became active most recently.
+    LastEvent,
+    /// `$LIM`: the limit switches that are active now.
+    Limits,
 }
 
 /// The commands without a value.
-const COMMANDS: [(&[u8], Command); 10] = [
+const COMMANDS: [(&[u8], Command); 12] = [
     (b"$SPINDLES", Command::Spindles { in_fields: false }),
     (b"$SPINDLESH", Command::Spindles { in_fields: true }),
     (b"$TLR", Command::ToolReference),
@@ -46,6 +52,8 @@ const COMMANDS: [(&[u8], Command); 10] = [
     (b"$HELP", Command::Help),
     (b"$EAG", Command::Table(Described::AlarmTable)),
     (b"$EEG", Command::Table(Described::ErrorTable)),
+    (b"$LEV", Command::LastEvent),
+    (b"$LIM", Command::Limits),
 ];
 
 /// Reads a `$` line (filtered). Returns `None` for any other command, which Grbl or Oxmill may know.
@@ -65,7 +73,10 @@ pub fn welcome(out: &mut Text) {
 
 /// grblHAL's commands that the answer to `$` does not list.
 pub fn help(out: &mut Text) {
-    put(out, b"[HLP:$HELP $+ $SED=n $SPINDLES $SPINDLESH $TLR $S $B $O $EAG $EEG 0x80-83 0x87 0x88 0xA3]\r\n");
+    put(
+        out,
+        b"[HLP:$HELP $+ $SED=n $SPINDLES $SPINDLESH $TLR $S $B $O $EAG $EEG $LEV $LIM 0x80-83 0x87 0x88 0xA3]\r\n",
+    );
 }
 
 /// Contents of the answers to `$I` and `$I+`.
@@ -100,7 +111,7 @@ pub struct Identity<'a> {
 /// old bytes, such as `?`.
 pub fn options(out: &mut Text, this: &Identity) {
     let date = RELEASE.date.as_bytes();
-    let axes = b"XYZABC".get(..this.axes).unwrap_or_default();
+    let axes = AXIS_LETTERS.get(..this.axes).unwrap_or_default();
     let stops = when(this.pins.fitted >> input::EMERGENCY_STOP & 1 != 0, b",ES");
     let (homes, changes) = (when(this.homing, b",HOME"), when(this.changes_tools, b",TC"));
     filled(
@@ -165,9 +176,50 @@ pub fn spindle(out: &mut Text, in_fields: bool, reports_speed: bool, speeds: [f3
     put(out, b"]\r\n");
 }
 
+/// `[LASTEVENTS:controls,switches,,second,]`: the answer to `$LEV`. Limit switches are listed where grblHAL has those of
+/// the lower ends, because an axis has one input for both ends. `ganged`: letter of the axis with a second motor.
+pub fn last_event(out: &mut Text, event: &Signals, ganged: &[u8]) {
+    put(out, b"[LASTEVENTS:");
+    for (active, letter) in [
+        (event.reset, b"R"),
+        (event.hold, b"H"),
+        (event.start, b"S"),
+        (event.door, b"D"),
+        (event.emergency_stop, b"E"),
+        (event.driver_fault, b"F"),
+    ] {
+        put(out, when(active, letter));
+    }
+    put(out, b",");
+    switches(out, event, ganged);
+}
+
+/// `[LIMITS:switches,,second,]`: the answer to `$LIM`. For the fields see [`last_event`].
+pub fn limits(out: &mut Text, signals: &Signals, ganged: &[u8]) {
+    put(out, b"[LIMITS:");
+    switches(out, signals, ganged);
+}
+
+fn switches(out: &mut Text, signals: &Signals, ganged: &[u8]) {
+    for (axis, letter) in AXIS_LETTERS.chunks(1).enumerate() {
+        put(out, when(signals.limits >> axis & 1 != 0, letter));
+    }
+    put(out, b",,");
+    put(out, when(signals.limits & SECOND_SWITCH != 0, ganged));
+    put(out, b",]\r\n");
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn inputs_have_their_letters() {
+        let all = Signals { limits: 0b100_1111, driver_fault: true, ..Signals::of_word(u32::MAX) };
+        assert_eq!(text(|out| last_event(out, &all, b"Y")), "[LASTEVENTS:RHSDEF,XYZA,,Y,]\r\n");
+        assert_eq!(text(|out| last_event(out, &Signals::NONE, b"")), "[LASTEVENTS:,,,,]\r\n");
+        assert_eq!(text(|out| limits(out, &Signals { limits: 0b101, ..Signals::NONE }, b"")), "[LIMITS:XZ,,,]\r\n");
+    }
 
     fn text(make: impl FnOnce(&mut Text)) -> String {
         let mut out = Text::new();

@@ -261,7 +261,7 @@ pub fn help(out: &mut Text, grbl: bool) {
         if FULL_IMAGE {
             put(out, b"$E $ES $ESG $ESH $EG $EE $EA ");
         }
-        put(out, b"$I+ ");
+        put(out, b"$I+ $REBOOT $DFU ");
     }
     put(out, b"~ ! ? ctrl-x");
     if !grbl {

@@ -58,6 +58,11 @@ pub enum System<'a> {
     CheckLines(Option<&'a [u8]>),
     /// `$SLP`
     Sleep,
+    /// `$REBOOT`: restarts the board. `$DFU`: restarts it into the boot loader of the chip.
+    Reboot {
+        /// Into the boot loader.
+        into_loader: bool,
+    },
     /// `$n=v`
     Set(u16, Decimal),
 }
@@ -87,8 +92,11 @@ impl System<'_> {
             | System::Refusal
             | System::CheckLines(_)
             | System::Macros
-            | System::SetMacro(..) => Err(Error::BadNumber),
-            System::MoreBuildInfo | System::Recording => Err(Error::InvalidStatement),
+            | System::SetMacro(..)
+            | System::Reboot { into_loader: true } => Err(Error::BadNumber),
+            System::MoreBuildInfo | System::Recording | System::Reboot { into_loader: false } => {
+                Err(Error::InvalidStatement)
+            }
             _ => Ok(()),
         }
     }
@@ -185,11 +193,13 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
             b"ST=*" => Ok(System::Restore(Restore::All)),
             b"C" => Ok(System::ResetCause),
             b"EC" => Ok(System::Recording),
+            b"EBOOT" => Ok(System::Reboot { into_loader: false }),
             _ => Err(Error::InvalidStatement),
         },
         Some(b'P') if rest == b"INS" => Ok(System::Pins),
         Some(b'P') if rest == b"INS=0" => Ok(System::ClearNoise),
         Some(b'P') if rest.starts_with(b"INS") => Err(Error::InvalidStatement),
+        Some(b'D') if rest == b"FU" => Ok(System::Reboot { into_loader: true }),
         Some(b'N') if rest.is_empty() => Ok(System::StartupLines),
         Some(b'N') => {
             let (index, line) = numbered(rest)?;
@@ -255,6 +265,8 @@ mod tests {
         assert_eq!(read(b"$E"), Ok(System::Refusal));
         assert_eq!(read(b"$REC"), Ok(System::Recording));
         assert_eq!(read(b"$EA"), Ok(System::Describe(Described::Alarms)));
+        assert_eq!(read(b"$REBOOT"), Ok(System::Reboot { into_loader: false }));
+        assert_eq!(read(b"$DFU"), Ok(System::Reboot { into_loader: true }));
         assert_eq!(read(b"$I=ABC"), Ok(System::SetBuildInfo(b"ABC")));
     }
 
@@ -262,14 +274,16 @@ mod tests {
     fn refusals_have_grbls_numbers() {
         for line in [
             "$$X", "$GX", "$J", "$JX1", "$C1", "$SLPX", "$S", "$IX", "$I+1", "$RST", "$RST=X", "$N0", "$N2=G0",
-            "$N-1=G0",
+            "$N-1=G0", "$REBOOT1", "$REBOO",
         ] {
             assert_eq!(read(line.as_bytes()), Err(Error::InvalidStatement), "{line}");
         }
         for line in ["$1", "$1=5X", "$1=25ABC", "$HQ"] {
             assert_eq!(read(line.as_bytes()), Err(Error::InvalidStatement), "{line}");
         }
-        for line in ["$Z", "$ABC", "$ESX", "$EGG", "$1=", "$=5", "$1=ABC", "$NX=G20", "$N=", "$M1", "$MX"] {
+        for line in
+            ["$Z", "$ABC", "$DFUX", "$D", "$ESX", "$EGG", "$1=", "$=5", "$1=ABC", "$NX=G20", "$N=", "$M1", "$MX"]
+        {
             assert_eq!(read(line.as_bytes()), Err(Error::BadNumber), "{line}");
         }
     }

@@ -166,6 +166,7 @@ impl<const N: usize> Controller<N> {
             | Task::SoftLimit(_)
             | Task::Storing(_)
             | Task::JogWaits
+            | Task::Rebooting { .. }
             | Task::Job(_) => return false,
         }
         true

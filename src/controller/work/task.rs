@@ -25,6 +25,12 @@ pub(crate) enum Task {
     /// A received jog waits until the cancelled jog before it has stopped. `LineIntake` keeps the text of the waiting
     /// jog.
     JogWaits,
+    /// The board restarts at this time: late enough that the answer has reached the host. A reset cancels it.
+    Rebooting {
+        /// Into the boot loader of the chip.
+        into_loader: bool,
+        at: Instant,
+    },
     /// A line of G-code is being executed. Its data is in `LineInWork`.
     Job(Job),
 }
@@ -178,7 +184,7 @@ impl Task {
 
     /// Whether the task is part of a program, not just an answer that takes time.
     pub(crate) fn is_program(&self) -> bool {
-        !matches!(self, Task::None | Task::Listing(..) | Task::Storing(_))
+        !matches!(self, Task::None | Task::Listing(..) | Task::Storing(_) | Task::Rebooting { .. })
     }
 
     /// Whether a reset has to send the host an `ok` for the task.
@@ -190,7 +196,7 @@ impl Task {
             Task::Held(caller) => !matches!(caller, Caller::Startup(_, false)),
             Task::Listing(..) | Task::JogWaits => true,
             Task::Startup(_, answer) => answer.is_some(),
-            Task::None => false,
+            Task::None | Task::Rebooting { .. } => false,
         }
     }
 
@@ -200,6 +206,7 @@ impl Task {
         match self {
             Task::Job(Job { stage: Stage::SpinningUp, until, .. }) => Some(late(*until)),
             Task::Job(Job { stage: Stage::Dwell | Stage::SpinningDown | Stage::Input, until, .. }) => Some(*until),
+            Task::Rebooting { at, .. } => Some(*at),
             _ => None,
         }
     }

@@ -58,6 +58,7 @@ mod boards {
         most_baud: 1_000_000,
         oscillator_mhz: 0,
         has_store: false,
+        has_loader: false,
     };
     // Addresses of large objects in memory that nothing else uses.
     pub const FAR_PLANNER: usize = 0x2120_0000;

@@ -61,6 +61,7 @@ impl Rig {
             most_baud: 115_200,
             oscillator_mhz: 0,
             has_store: false,
+            has_loader: false,
         };
         static mut STORAGE: Storage<AXES, BLOCKS, HELD_BYTES> = Storage::EMPTY;
         assert!(!LIVES.swap(true, Ordering::Relaxed), "one rig at a time");

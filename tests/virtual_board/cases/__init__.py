@@ -13,6 +13,7 @@ from .failures import (
     lost_clock,
     low_at_power_up,
     overflowed,
+    rebooted,
     recorded,
     unserved,
 )
@@ -104,6 +105,7 @@ def all_cases(root):
         ("masked for ever", deaf),
         ("lost clock", lost_clock),
         ("boot loader left", left_loader),
+        ("restart on request", rebooted),
         ("brown-out", brown_out),
         ("brown-out of a beam", brown_out_of_a_beam),
         ("low supply at power-up", low_at_power_up),

@@ -5,7 +5,8 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from ..board import HSI_HZ, Failure
+from ..board import HSI_HZ, LOADER_STACK, LOADER_START, Failure
+from ..models.syscfg import SYSTEM_MEMORY
 from ..scope import Scope
 from .bench import JOB_SETTINGS, LeftOut, STOP_S, busy, duty, switched, us, us_off
 from .patching import control_body, hang, patch, put, unpatch
@@ -26,6 +27,48 @@ def left_loader(bench):
         if any(at < board.resets[0][0] and level in (0, 1) for at, _, _, level in board.edges):
             raise Failure("an output was driven before the reset")
         yield f"left with clocks {'reset' if resets_clocks else 'on'}: reset after {us(board.seconds(board.resets[0][0]) - begin)}"
+
+
+def rebooted(bench):
+    """`$REBOOT` restarts the board, and `$DFU` the chip's boot loader, with all outputs off. The boot loader must find
+    the chip as after a reset. What it leaves in RAM must not bring the board back to it."""
+    bench.boot()
+    board, host = bench.board, bench.host
+    host.send("M3 S1000\n$100=123.5\n$REBOOT\n")
+    begin = board.now
+    bench.wait(lambda: board.resets, 1.0, "a reset")
+    if [why for _, why in board.resets] != ["software"] or host.text.count(b"ok\r\n") < 3:
+        raise Failure(f"resets: {board.resets}, said {host.lines[-4:]}")
+    after = us(board.seconds(board.resets[0][0]) - board.seconds(begin))
+    bench.wait_text("Grbl 1.1h", 2, host.text.rfind(b"Grbl 1.1h") + 1)
+    board.run(seconds=0.05)
+    if any(board.level(pin) != 0 for pin in switched(bench.wiring)) or duty(board):
+        raise Failure("an output is on after the restart")
+    if "[RESET:software]" not in bench.ask("$RC") or "$100=123.500" not in bench.ask("$$"):
+        raise Failure(f"after the restart: {host.lines[-80:]}")
+    yield f"restarted {after} after the command, outputs off, the setting kept"
+    if not bench.wiring.usb:
+        host.send("$DFU\n")
+        bench.wait_text("error:3", 1.0)
+        yield "no boot loader on this link: $DFU is refused"
+        return
+    host.send("M3 S1000\n$DFU\n")
+    bench.wait(lambda: board.core.read("pc") == LOADER_START, 1.0, "the boot loader")
+    board.run(seconds=0.01)
+    registers = [board.core.read(name) for name in ("sp", "primask", "basepri", "control")]
+    enabled = [number for number in board.nvic.enabled if number >= 16]
+    if registers != [LOADER_STACK, 0, 0, 0] or enabled or board.nvic.csr:
+        raise Failure(f"the boot loader finds {registers}, interrupts {enabled}, SysTick {board.nvic.csr}")
+    if board.clocks[-1][2] != HSI_HZ or board.syscfg.values[0] != SYSTEM_MEMORY:
+        raise Failure(f"the boot loader finds a clock of {board.clocks[-1][2]} Hz, MEMRMP {board.syscfg.values[0]}")
+    if any(board.level(pin) in (1, "AF") for pin in switched(bench.wiring)) or len(board.resets) != 2:
+        raise Failure(f"the boot loader finds an output on, or resets {board.resets}")
+    yield "$DFU: the boot loader runs at 16 MHz, no interrupt enabled, system memory at 0, no output driven"
+    board.jump_from_loader(False)
+    bench.wait_text("Grbl 1.1h", 1.0, host.text.rfind(b"Grbl 1.1h") + 1)
+    if len(board.resets) != 3:
+        raise Failure(f"resets: {board.resets}")
+    yield "left by a jump: the program runs again"
 
 
 def lost_clock(bench):

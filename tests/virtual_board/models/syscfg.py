@@ -11,5 +11,5 @@ SYSTEM_MEMORY = 1
 
 
 class Syscfg(Peripheral):
-    REGISTERS = {MEMRMP: ("MEMRMP", 0, 0)}
+    REGISTERS = {MEMRMP: ("MEMRMP", 0, 3)}
     CLOCK = (0x44, 14)

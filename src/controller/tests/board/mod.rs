@@ -19,6 +19,7 @@ pub const PROFILE: Profile = Profile {
     most_baud: 1_000_000,
     oscillator_mhz: 0,
     has_store: false,
+    has_loader: false,
 };
 
 /// Time of power-up.
