@@ -418,6 +418,10 @@ impl Board {
             self.round_replies = 0;
             let begun = self.stepper.segments_begun();
             if !work::at_most(MOST_WORK, || round(self)) {
+                if self.controller.reboot_due().is_some() {
+                    self.reboot();
+                    return;
+                }
                 if self.controller.is_idle() && self.due.is_none() && self.queue.is_empty() && self.stepper.is_idle() {
                     self.recorder.at_rest(self.now(), &self.controller);
                 }
@@ -436,6 +440,16 @@ impl Board {
         // Only a program in a loop can go on for so many rounds, and the controller accepts no line during the loop.
         self.unended += 1;
         assert!(!self.controller.wants_line(), "rounds without end");
+    }
+
+    /// Restarts the board (`$REBOOT`): everything begins again but the store, the time, and what the case has chosen.
+    fn reboot(&mut self) {
+        let Board { now, late, travel, is_true, store_fails, most_rounds, unended, .. } = *self;
+        let (said, records) = (std::mem::take(&mut self.said), std::mem::take(&mut self.records));
+        *self = Board::new(records);
+        self.said.splice(0..0, said);
+        (self.now, self.late, self.travel, self.is_true) = (now, late, travel, is_true);
+        (self.store_fails, self.most_rounds, self.unended) = (store_fails, most_rounds, unended);
     }
 
     /// Returns the output that has not been taken yet.

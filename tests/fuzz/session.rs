@@ -69,7 +69,7 @@ enum Line {
 }
 
 const MOTIONS: [&str; 10] = ["G0", "G1", "G91G1", "G90G1", "G2", "G3", "G53G0", "G38.3", "G81R1", "G28"];
-const COMMANDS: [&str; 20] = [
+const COMMANDS: [&str; 21] = [
     "$H",
     "$X",
     "$C",
@@ -79,6 +79,7 @@ const COMMANDS: [&str; 20] = [
     "$I",
     "$N",
     "$SLP",
+    "$REBOOT",
     "$RST=#",
     "$N0=G20",
     "M0",
