@@ -1,10 +1,11 @@
-//! Limits how often the serial task is called for received bytes that are not urgent: immediately at first, then at
-//! most once per 500 us. A host, or noise on a wire, that sends without pause thus leaves CPU time to the control task,
-//! which prepares the motion for the step task. Commands that stop the machine bypass this limit.
+//! Limits how often the serial task is called for received bytes that are not urgent: at most once per 500 us, and at
+//! once if its last such call is longer ago. So bytes that arrive without pause, from a host or from noise on a wire,
+//! leave CPU time to the control task, which prepares the motion for the step task. Commands that stop the machine
+//! bypass this limit.
 
 /// Minimum time between two calls of the serial task, in samples of the inputs: 500 us. At 1 Mbaud, it takes 2.55 ms to
-/// send the 255 bytes that a host can have in flight. Within that time the first line among them must be delivered,
-/// executed and answered. Otherwise the host has to stop sending.
+/// send the 255 bytes that a host can have in flight. If the first line among them is not delivered, executed and
+/// answered within that time, the host has to pause.
 pub const REST: u8 = 10;
 
 /// Rate limiter for calls of the serial task.

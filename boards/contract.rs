@@ -30,10 +30,10 @@
 //! | `UsbPort` | the USB link to the host, a [`Port`]; [`NoPort`] on a board without one |
 //! | `InputPins` | present levels of limit switches, probe and buttons; which of them exist; their pull resistors |
 //! | `SlowPins` | driver enable, spindle, coolant, outputs for programs |
-//! | `SettingsFlash` | two sectors of flash for the settings; bytes that the host sends while they are written are not lost |
+//! | `SettingsFlash` | two sectors of flash for the settings; bytes that the host sends while a sector is written or erased are not lost |
 //! | `safe_state()` | callable at any time, from any context: ends pulses; switches laser, spindle, coolant and the outputs for programs off |
 //! | `preloaded_job()` | a job that was put into RAM before the reset; only the QEMU board has one |
-//! | `job_done()` | the end of a preloaded job |
+//! | `job_done()` | called by the program when a preloaded job has ended |
 //! | `idle()` | sleeps until the next interrupt |
 //! | `Watchdog` | resets the processor if it has not been fed for some seconds |
 //! | `reset_cause()` | returns and clears the cause of the last reset: call once |
@@ -47,9 +47,9 @@
 //! | the supply falls below the level at which the motor drivers read their inputs reliably | `low_voltage`, the function given to `setup`: highest priority, does not return |
 //! | the clock of the processor fails, with `WATCHES_CLOCK` | the exception handler `NonMaskableInt`: the processor runs on a slower clock; the handler does not return |
 //! | a vector of `vectors!` fires | the task bound to it |
-//! | flash is written and stalls the processor | nothing: see `SettingsFlash` |
+//! | flash is written and stalls the processor | nothing: the board itself keeps the bytes that arrive (`SettingsFlash`) |
 
-/// Levels of the slow outputs as they appear on the pins.
+/// Levels of the slow outputs as they appear on the pins: true is high.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SlowLevels {
     /// The enable input of the motor drivers.
@@ -66,7 +66,8 @@ pub struct SlowLevels {
     pub program: u8,
 }
 
-/// Reasons for a call of the step task. The bits are those of the compare channels of an STM32F4's timer.
+/// Reasons for a call of the step task. The bits are those of the compare channels in the status register of an
+/// STM32F4's timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Due(pub u32);
 
@@ -90,7 +91,7 @@ impl Due {
 /// Number of combinations of stepped axes; bit 0 of a combination is X.
 pub const COMBINATIONS: usize = 1 << crate::AXES;
 
-/// Contiguous free slots for the next events. There are none if the queue is full, and at most one while events are
+/// Contiguous free slots of the queue, for the next events: none if the queue is full, and at most one while events are
 /// output one by one.
 pub struct Free<'a> {
     /// What to write into `words` for each combination of steps. With one GPIO port, this is the port's word, including
@@ -105,11 +106,11 @@ pub struct Free<'a> {
 /// Events that [`StepOutput::halt`] cancelled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Undone<const N: usize> {
-    /// Number of events.
+    /// Number of cancelled events.
     pub events: usize,
-    /// Net steps of these events.
+    /// Net steps of the cancelled events, for each axis.
     pub net: [i32; N],
-    /// The hardware's event counters disagree, so no step count can be trusted.
+    /// The hardware's event counters disagree, so `net` and the position are unreliable.
     pub fault: bool,
 }
 
@@ -126,7 +127,7 @@ pub struct Undone<const N: usize> {
 ///
 /// [`StepOutput::begin`] starts the output. From then on, committed events follow each other without the CPU, as long
 /// as each is committed in time ([`StepOutput::joins_until`]). If an event is committed too late, the output ends
-/// before it; [`StepOutput::halt`] and another `begin` are needed.
+/// before this event; [`StepOutput::halt`] and another `begin` are needed.
 pub trait StepOutput<const N: usize> {
     /// Maximum number of committed events that have not been output. With 1, each event is output by an interrupt of
     /// its own.
@@ -167,8 +168,8 @@ pub trait StepOutput<const N: usize> {
     /// continues with it and need not be started again.
     fn joins_until(&self, next: u32) -> u32;
     /// Starts the output. With `one_by_one`, the step task is called with [`Due::OUT`] after each event and must not
-    /// commit the next event before that. Returns the ticks by which all committed events were delayed: 0, unless it
-    /// was too late for the first event.
+    /// commit the next event before that call. Returns the ticks by which all committed events were delayed: 0, unless
+    /// it was too late for the first event.
     fn begin(&mut self, one_by_one: bool) -> u32;
     /// Returns whether the output has failed: the hardware's event counters disagree, or the hardware reports an error.
     fn fault(&self) -> bool;
@@ -179,15 +180,15 @@ pub trait StepOutput<const N: usize> {
 
     /// Sets which outputs are inverted (one bit for each axis) and the role of the second motor. Call at rest.
     fn set_polarity(&mut self, step_invert: u8, direction_invert: u8, second: SecondMotor);
-    /// Sets the minimum pulse length in tenths of a microsecond. The actual length can exceed it, by less than a tick.
-    /// Call at rest.
+    /// Sets the minimum pulse length in tenths of a microsecond. The actual length can be longer, by less than a tick
+    /// of the pulse timer. Call at rest.
     fn set_pulse(&mut self, tenths: u16);
-    /// Sets the frequency of the spindle's PWM. `power` is the present power; its compare value depends on the
-    /// frequency and is set again.
+    /// Sets the frequency of the spindle's PWM. `power` is the present power, which is set again, because its compare
+    /// value depends on the frequency.
     fn set_pwm(&mut self, hz: u32, power: u16);
     /// Sets the power of spindle or laser at once, 0 to 65535.
     fn set_power(&mut self, power: u16);
-    /// Returns whether the probe's pin is low, unfiltered.
+    /// Returns whether the probe's pin is low at this moment, unfiltered.
     fn probe_low(&self) -> bool;
 }
 
@@ -215,8 +216,8 @@ pub trait Port {
     fn is_urgent(&mut self) -> bool {
         false
     }
-    /// Tells the link that the program has space for `room` more bytes. If `room` is too small, the link makes the
-    /// sender wait, if it can. Called after each round of [`Port::receive`].
+    /// Tells the link that the program has space for `room` more bytes. A link that can do so makes its sender wait
+    /// while `room` is too small. Called whenever the program has finished a series of calls of [`Port::receive`].
     fn allow(&mut self, room: usize);
     /// Queues a byte for sending. Returns false if the queue is full.
     fn send(&mut self, byte: u8) -> bool;
@@ -229,7 +230,7 @@ pub trait Port {
     fn call_when_free(&mut self, wanted: bool);
 }
 
-/// Placeholder for a link that a board does not have: it never receives a byte.
+/// Placeholder for a link that a board does not have: it receives nothing, and drops all bytes sent.
 pub struct NoPort;
 
 impl Port for NoPort {
@@ -255,16 +256,16 @@ impl Port for NoPort {
 /// Result of `Port::receive`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Incoming {
-    /// A byte.
+    /// The next received byte.
     Byte(u8),
-    /// One or more received bytes were lost.
+    /// One or more bytes were lost before the next one.
     Lost,
-    /// Nothing new.
+    /// No byte has arrived.
     Nothing,
 }
 
-/// Bit numbers of the word that `InputPins::read` returns. A bit is set while its pin is low: by default the inputs
-/// have pull-ups, and their switches close to ground. An emergency stop uses the pin of the reset button (`$912`).
+/// Bit numbers of the word that `InputPins::read` returns. A bit is set while its pin is low: by default an input has a
+/// pull-up, and an active switch connects it to ground. An emergency stop uses the pin of the reset button (`$912`).
 pub mod input_bits {
     /// Limit switch of X; the other axes follow in order.
     pub const LIMITS: u32 = 0;
@@ -284,26 +285,26 @@ pub mod input_bits {
     pub const RESET: u32 = 12;
     /// Fault output of the motor drivers.
     pub const DRIVER_FAULT: u32 = 14;
-    /// Output of a spindle drive: at speed.
+    /// At-speed output of a spindle drive: the spindle has reached its speed.
     pub const AT_SPEED: u32 = 15;
     /// Second input for programs (M66 P1).
     pub const SECOND_PROGRAM: u32 = 16;
 }
 
-/// Says whether the fourth motor's pins drive a second motor of an axis, and how.
+/// Use of the fourth motor's pins: for a second motor of an axis, or not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SecondMotor {
     /// The axis that has a second motor, as a bit mask (bit 0 for X); 0 = no second motor.
     pub axis: u8,
     /// The second motor's direction is inverted.
     pub inverted: bool,
-    /// The second motor stands still while its axis moves.
+    /// The second motor gets no steps, while the axis' own motor moves alone (for squaring the axis).
     pub stands: bool,
-    /// The axis' own motor stands still while its axis moves.
+    /// The axis' own motor gets no steps, while the second motor moves alone.
     pub first_stands: bool,
 }
 
-/// Compile-time checks of the chosen board against the tables above.
+/// Makes the compiler check that the chosen board provides the items of the table above, with these types.
 #[cfg(feature = "board")]
 mod held {
     use super::{Port, SlowLevels, StepOutput};

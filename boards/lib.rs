@@ -2,7 +2,7 @@
 //! image; the items of that board are re-exported here.
 //!
 //! Without a board feature (on a host), the crate has only the numeric profiles of all boards ([`profiles`]), for the
-//! simulator, and the parts without registers.
+//! simulator, and the modules that access no registers.
 #![no_std]
 
 use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
@@ -39,7 +39,7 @@ mod qemu_mps2;
 #[cfg(feature = "qemu_mps2")]
 pub use qemu_mps2::*;
 
-/// The image that the feature chooses, for boards with hardware.
+/// Profile of the image that the cargo feature selects, for boards with hardware.
 #[cfg(feature = "blackpill_f401")]
 const IMAGE: profiles::Board = profiles::BLACKPILL_F401;
 #[cfg(feature = "blackpill_f411")]
@@ -87,15 +87,16 @@ mod chosen {
     /// Number of ports that have pins in use, from A on.
     pub const PORTS: usize = IMAGE.ports;
 
-    /// The table without pins.
+    /// A table without pins, used if the one in flash cannot be.
     const NONE: PinTable = PinTable::none(IMAGE.image);
 
     unsafe extern "C" {
-        /// The pin table in flash, from the linker script. The program on the board provides it.
+        /// The pin table in flash. The linker script defines this symbol; the firmware provides the contents.
         static _pin_table: PinTable;
     }
 
-    /// Returns the pin table of this image. If it is damaged, it has no pins.
+    /// Returns the pin table of this image. If the table in flash is damaged, is for another image, or uses ports that
+    /// this image does not support, returns a table without pins.
     pub fn pin_table() -> &'static PinTable {
         // SAFETY: unsafe because the linker takes the name on trust; safe because the linker script reserves as many
         // bytes of flash as a table has, any bytes are a table, and nothing writes there.
@@ -103,7 +104,8 @@ mod chosen {
         if table.is_intact() && table.image() == IMAGE.image && fits(table) { table } else { &NONE }
     }
 
-    /// Returns whether this image has the ports that the table uses. Tools that make tables check this, too.
+    /// Returns whether this image uses all ports of the table, and can serve as many ports with step and direction pins
+    /// as the table has. Tools that make tables check this, too.
     fn fits(table: &PinTable) -> bool {
         use Role::{DirectionFourth, DirectionX, DirectionY, DirectionZ, StepFourth, StepX, StepY, StepZ};
         let ports = |roles: &[Role]| {

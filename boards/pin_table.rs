@@ -1,6 +1,6 @@
-//! The pin table of a board: which pin of the chip has which function, and which crystal the chip has. It lies at a
-//! fixed place in the image, with a checksum, so that a tool can replace it without a compiler. The firmware reads it at
-//! its start.
+//! The pin table of a board: which pin of the chip has which function, and which crystal the chip has. The table lies
+//! in the image as one block with a mark at its beginning and a checksum at its end, so that a tool can find and
+//! replace it without a compiler. The firmware reads it during its start.
 //!
 //! The layout in the image, [`SIZE`] bytes:
 //!
@@ -12,14 +12,14 @@
 //! | 33 | 1 | 1 if an external clock drives the oscillator's input, 0 if a crystal does |
 //! | 34 | 1 | number of the image that the table is for |
 //! | 35 | 1 | 0 |
-//! | 36 | 40 | a pin for each [`Role`], in its order: port * 16 + number, or [`NO_PIN`] |
+//! | 36 | 40 | the pin of each [`Role`], in the order of their numbers: port * 16 + number, or [`NO_PIN`] |
 //! | 76 | 4 | CRC-32 (ISO-HDLC) of the bytes before it, little-endian |
 
 use crate::checksum;
 
 /// First bytes of a table. The last of them is the version of the layout.
 pub const MAGIC: [u8; 8] = *b"OXMPINS\x01";
-/// Bytes of a table.
+/// Size of a table, bytes.
 pub const SIZE: usize = 80;
 /// Maximum length of a board's name, bytes.
 pub const NAME_SIZE: usize = 24;
@@ -32,7 +32,7 @@ const IMAGE_AT: usize = 34;
 const PINS_AT: usize = 36;
 const CRC_AT: usize = 76;
 
-/// Functions of pins. The number of a function is its place in the table.
+/// Functions that a pin can have. The number of a function is the index of its entry in the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 #[allow(missing_docs, reason = "the names say it")]
@@ -74,7 +74,7 @@ pub enum Role {
     /// First input for programs (M66 P0).
     ProgramInput,
     SecondProgramInput,
-    /// Switch of the motors' supply, on when high. It is on from the start.
+    /// Switch of the motors' supply: on when high. The firmware switches it on at its start.
     MotorPower,
 }
 
@@ -127,8 +127,8 @@ pub struct Pin {
 }
 
 impl Pin {
-    /// Returns the channel of TIM3 on this pin, 0 for channel 1 (data sheets, "Alternate function mapping"; the same for
-    /// all chips of `boards/tables/chips.rs`). `None` if there is none.
+    /// Returns the channel of TIM3 on this pin, 0 for channel 1 (data sheets, "Alternate function mapping"; the same
+    /// for all chips of `boards/tables/chips.rs`). `None` if there is none.
     pub const fn channel_of_tim3(self) -> Option<usize> {
         match (self.port, self.number) {
             (0, 6) | (1, 4) | (2, 6) => Some(0),
@@ -140,7 +140,7 @@ impl Pin {
     }
 }
 
-/// A pin table. Which pins a function may have is checked by the tool that makes the table.
+/// A pin table. Its functions do not check which pin a function may have: the tool that makes the table does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(transparent)]
 pub struct PinTable([u8; SIZE]);
@@ -182,18 +182,17 @@ impl PinTable {
         PinTable(bytes)
     }
 
-    /// Makes a table of bytes of an image, without a check. [`PinTable::is_intact`] returns whether the bytes are a
-    /// table.
+    /// Takes bytes of an image as a table, unchecked. [`PinTable::is_intact`] returns whether they are one.
     pub const fn from_bytes(bytes: [u8; SIZE]) -> PinTable {
         PinTable(bytes)
     }
 
-    /// Returns the bytes for the image.
+    /// Returns the table as the bytes that an image contains.
     pub const fn bytes(&self) -> &[u8; SIZE] {
         &self.0
     }
 
-    /// Returns whether the first bytes and the checksum are right.
+    /// Returns whether the table begins with [`MAGIC`] and its checksum is right.
     pub fn is_intact(&self) -> bool {
         let (rest, sum) = self.0.split_at(CRC_AT);
         rest.starts_with(&MAGIC) && checksum(rest).to_le_bytes() == sum
@@ -204,14 +203,14 @@ impl PinTable {
         self.0[IMAGE_AT]
     }
 
-    /// Returns the name of the board.
+    /// Returns the name of the board, up to the first byte that is not printable ASCII.
     #[inline(never)]
     pub fn name(&self) -> &str {
         let name = self.0.get(NAME_AT..OSCILLATOR_AT).unwrap_or_default();
         let length = name.iter().position(|byte| !byte.is_ascii_graphic()).unwrap_or(name.len());
         let name = name.get(..length).unwrap_or_default();
-        // SAFETY: unsafe because a text must be UTF-8; safe because all bytes up to here are ASCII. `from_utf8` would be
-        // half a kilobyte.
+        // SAFETY: unsafe because a text must be UTF-8; safe because all bytes up to here are ASCII. `from_utf8` would
+        // add half a kilobyte of code.
         unsafe { core::str::from_utf8_unchecked(name) }
     }
 
@@ -225,7 +224,7 @@ impl PinTable {
         self.0[OSCILLATOR_AT + 1] == 1
     }
 
-    /// Returns the pin of a function.
+    /// Returns the pin of a function; `None` if the board has none for it.
     #[inline(never)]
     pub fn pin(&self, role: Role) -> Option<Pin> {
         let entry = *self.0.get(PINS_AT + role as usize)?;

@@ -6,7 +6,7 @@
 /// Maximum number of axes of a board; the simulator supports this many.
 pub const AXES: usize = 4;
 /// Number of axes of most boards with hardware. Each axis costs time at each tick and memory in each block, so a fourth
-/// axis would burden machines that have three.
+/// axis would slow down machines that have three.
 const AXES_OF_BOARDS: usize = 3;
 /// Moves that the look-ahead holds.
 pub const BLOCKS: usize = 512;
@@ -18,7 +18,7 @@ pub struct Board {
     pub name: &'static str,
     /// Ticks of the step timer in a second.
     pub step_clock_hz: u32,
-    /// Clock of the processor.
+    /// Clock of the processor, Hz.
     pub core_hz: u32,
     /// Maximum duration, in CPU cycles, of a run of the step task that generates events (a stop takes longer): the
     /// instructions counted by `cargo xtask count`, times 1.1 for the flash's wait states.
@@ -31,7 +31,7 @@ pub struct Board {
     pub held_bytes: usize,
     /// Maximum step rate of one axis that the step task can follow, steps/s.
     pub safe_step_hz: u32,
-    /// Shortest step pulse (`$0`), tenths of a microsecond.
+    /// Shortest step pulse that `$0` can set, tenths of a microsecond.
     pub least_pulse_tenths: u16,
     /// Capacity, in bytes, for received lines that the controller has not read yet.
     pub received_bytes: usize,
@@ -51,14 +51,14 @@ pub struct Board {
     pub ports: usize,
     /// Maximum number of ports that have step pins, and perhaps direction pins.
     pub step_ports: usize,
-    /// Maximum number of further ports that have direction pins.
+    /// Maximum number of further ports that have direction pins, but no step pins.
     pub direction_ports: usize,
     /// Whether the G-code dialect has expressions, parameters, O words, rotations, scaling, splines and rounded
     /// corners, for which a small flash has no space.
     pub has_all_words: bool,
 }
 
-/// No hardware: the simulator's own board. Its step task takes no time, so only the step clock bounds the rate.
+/// No hardware: the simulator's own board. Its step task takes no time, so the processor does not limit the step rate.
 pub const DESK: Board = Board {
     name: "desk",
     step_clock_hz: 100_000_000,
@@ -87,8 +87,8 @@ pub const DESK: Board = Board {
 const HARDWARE: Board =
     Board { axes: AXES_OF_BOARDS, least_pulse_tenths: 10, program_pins: [0, 0], has_at_speed: false, ..DESK };
 
-/// The Nucleos have pins left for programs and the at-speed signal; the outputs for programs are in a corner of the
-/// outer connectors that no shield covers.
+/// The Nucleos have spare pins for program outputs and inputs and for the at-speed signal; the outputs for programs are
+/// in a corner of the outer connectors that no shield covers.
 const NUCLEO: Board = Board { program_pins: [2, 2], has_at_speed: true, ..HARDWARE };
 
 /// The Black Pills have USB. Their UART interrupt has a lower priority than the step task, so one byte must take longer
@@ -97,8 +97,8 @@ const BLACKPILL: Board = Board { most_baud: 115_200, has_usb: true, step_ports: 
 
 /// WeAct Black Pill, STM32F411CE. 96 MHz instead of 100, because USB needs 48 MHz from the same PLL (RM0383, 6.3.2:
 /// PLLQ divides the same oscillator as PLLP). The maximum step rate, tested in emulation, results from the shortest
-/// pulse allowed (1 us) and a pause of 1 us. The queue of events and the processor would allow more (docs/cost.md,
-/// "Step rates").
+/// pulse allowed (1 us) and a pause of 1 us. The queue of events and the processor would allow a higher rate
+/// (docs/cost.md, "Step rates").
 pub const BLACKPILL_F411: Board = Board {
     name: "blackpill_f411",
     step_clock_hz: 96_000_000,
@@ -124,8 +124,8 @@ pub const BLACKPILL_F401: Board = Board {
 };
 
 /// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. It is fast enough for a fourth
-/// axis. This axis costs about 8 cycles per event in a run that generates 32 events. A run that starts a block must
-/// also receive one more message.
+/// axis, for which `run_cycles` is higher than on boards with three axes: the axis costs about 8 cycles per event in a
+/// run of the step task that generates 32 events, and a run that starts a block receives one more message.
 pub const NUCLEO_F446RE: Board = Board {
     name: "nucleo_f446re",
     step_clock_hz: 90_000_000,
@@ -204,7 +204,8 @@ pub const QEMU_MPS2: Board = Board {
     ..HARDWARE
 };
 
-/// The images of the firmware for boards with hardware. Their numbers stand in pin tables, so they never change.
+/// The images of the firmware for boards with hardware. Pin tables contain the numbers of these images (`image`), so
+/// the numbers never change.
 pub const IMAGES: [Board; 7] =
     [BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE, CONTROL_F446, CONTROL_F407];
 

@@ -23,7 +23,7 @@ pub fn paint() {
     let until = cortex_m::register::msp::read() as usize - MARGIN;
     while (at as usize) < until {
         // SAFETY: unsafe because memory is written by its address; safe because it lies between the end of the stack
-        // and the frame of this function, where nothing is alive.
+        // and the frame of this function, where no data is in use.
         unsafe {
             at.write_volatile(PAINT);
             at = at.add(1);

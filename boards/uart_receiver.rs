@@ -1,9 +1,9 @@
 //! Carries received UART bytes to the serial task. DMA or the UART's interrupt writes them into a buffer. The task that
 //! samples the inputs reads the buffer at each sample and forwards the bytes in messages: a command that stops the
 //! machine within 50 us, other bytes within 200 us. It calls the serial task for bytes without such a command at most
-//! once per 500 us (`calls`). Whenever the serial task runs, it takes all messages sent so far. One look (the reading
-//! of the buffer at one sample) reads only a few bytes, to keep the sample short; after an overrun it empties the whole
-//! buffer.
+//! once per 500 us (`calls`). Whenever the serial task runs, it takes all messages sent so far. A "look" is the reading
+//! of the buffer at one sample. It reads only a few bytes, to keep the sample short, except after an overrun, when it
+//! empties the whole buffer.
 //!
 //! ```text
 //!  UART ──▶ DMA or interrupt ──▶ buffer ──look──▶ messages ──▶ serial task
@@ -11,24 +11,25 @@
 //! Bytes keep their order. Where bytes are missing, the next message says so. If some of several bytes are damaged and
 //! it is unknown which ones, no line that contains any of these bytes is executed.
 //!
-//! The buffer has one reader, which sets each slot to `EMPTY` after reading it. So an overrun is detected however long
-//! the buffer has not been read, even after the half second of a flash erase.
+//! The buffer has one reader, which sets each slot to `EMPTY` after reading it. If the writer reaches a slot that is
+//! not `EMPTY`, this is an overrun. It is detected however long the buffer has not been read, even after the half
+//! second of a flash erase.
 //!
 //! Only a [`ByteSource`] accesses registers, so that host tests can run this code.
 
 use crate::calls::{RESET, is_stop};
 use core::sync::atomic::{AtomicU16, Ordering, Ordering::Relaxed, fence};
 
-/// Slots of the buffer: for the 255 bytes that a sender with flow control has in flight, 64 realtime commands beside
-/// them, and one slot that stays free.
+/// Slots of the buffer: 255 for the bytes that a sender with flow control has in flight, 64 for realtime commands sent
+/// besides, and one that stays free.
 pub const SLOTS: usize = 320;
-/// Slots reserved for commands that stop the machine, if an interrupt fills the buffer.
+/// Slots reserved for commands that stop the machine, in a buffer that an interrupt fills instead of DMA.
 const FOR_STOPS: usize = 16;
 /// Maximum number of bytes kept in a circular buffer while no message can be sent. If more bytes wait, each look drops
 /// a few of the oldest, so that DMA does not overtake the reader during a look.
 pub const MOST_WAITING: usize = SLOTS - 64;
-/// The buffer that the UART's bytes are written into. A slot holds nine bits of the data register and the mark of a
-/// loss, or `EMPTY`. Atomic, because DMA writes it.
+/// The buffer that the UART's bytes are written into. A slot holds either `EMPTY`, or nine bits of the data register,
+/// to which an interrupt can add the flag `MISSING`. Slots are atomic, because DMA writes them.
 pub type Buffer = [AtomicU16; SLOTS];
 
 /// Slot value: no byte has arrived, or it has been read.
@@ -38,13 +39,14 @@ const MISSING: u16 = 0x4000;
 
 /// When this many bytes of text have arrived, the serial task is called even if the end of the line has not arrived.
 const GATHERED: u8 = 32;
-/// Number of looks after which a partly filled message is passed on.
+/// Number of looks (samples) after which a message is passed on although it is not full: 200 us.
 const WAITED: u8 = 4;
-/// Maximum number of bytes of text that one look reads from DMA's buffer; other bytes count double. At 1 Mbaud five
-/// bytes arrive between two samples.
+/// Maximum number of bytes of text that one look reads from a buffer filled by DMA; other bytes count double. At 1
+/// Mbaud five bytes arrive between two samples.
 const AT_A_TIME: u8 = 28;
-/// Replaces damaged bytes; one more is inserted after them, as the last damaged byte may have been an end of line. A
-/// line that contains `REFUSED` is not executed.
+/// Replaces damaged bytes (see [`refused`]). A line that contains `REFUSED` is not executed. One more is inserted after
+/// a series of damaged bytes: an end of line among them may be wrong, so the bytes after it may be the rest of a
+/// damaged line.
 const REFUSED: u8 = b'@';
 
 /// The part of a UART that writes bytes into the buffer.
@@ -59,7 +61,7 @@ pub trait ByteSource {
     fn is_damaged(&self) -> bool;
     /// Clears the report of [`ByteSource::is_damaged`]. A byte that arrives at this moment may be lost.
     fn clear_damage(&mut self);
-    /// Waits for as long as the hardware takes to write a byte and count it.
+    /// Waits as long as the hardware takes to write a byte and to count it, so that afterwards both are done.
     fn settle(&self) {}
     /// Restarts a non-circular buffer that has been read completely. Returns whether the next byte will go into the
     /// first slot.
@@ -115,22 +117,24 @@ pub struct Look {
     pub waits: bool,
 }
 
-/// The reader of the buffer. It sends messages through the caller's `send`, which returns whether there was space.
+/// The reader of the buffer. It sends messages through a function `send` of the caller, which returns whether the queue
+/// had space for the message.
 pub struct UartReceiver<S> {
     source: S,
     buffer: &'static Buffer,
     /// The next slot to be read.
     read: usize,
-    /// The message being filled, and the looks since its first byte.
+    /// The message being filled, and (`looks`) the number of looks since its first byte.
     message: ReceivedBytes,
     looks: u8,
-    /// The last byte that was read. 0 if it was text that [`UartReceiver::read_text`] read, or if bytes have been lost
-    /// since.
+    /// The byte read most recently; 0 if that was text that [`UartReceiver::read_text`] read, or if bytes have been
+    /// lost after it.
     before: u8,
     /// Number of bytes of text read since the last call of the serial task; decides whether to call it. An end of line,
     /// a command or a loss raises the number to at least [`GATHERED`].
     text: u8,
-    /// The last byte that was passed on since the last call of the serial task.
+    /// Last byte of the message sent most recently, if the serial task has not been called since. That task may not
+    /// have processed the byte yet.
     unheard: Option<u8>,
     /// Bytes were lost before the next byte to be read.
     is_missing: bool,
@@ -140,8 +144,8 @@ pub struct UartReceiver<S> {
     is_doubtful: bool,
     /// A command that stops the machine has been read, but not yet passed on with a call of the serial task.
     has_stop: bool,
-    /// The last look could not read all bytes of the buffer. None of the first `scanned` remaining bytes stops the
-    /// machine; `has_stop_ahead` says whether the next one does.
+    /// The last look could not read all bytes of the buffer. None of the first `scanned` bytes that remain in it is a
+    /// command that stops the machine; `has_stop_ahead`: the byte after them is one.
     is_stuck: bool,
     scanned: usize,
     has_stop_ahead: bool,
@@ -193,8 +197,8 @@ impl<S: ByteSource> UartReceiver<S> {
     #[inline(always)]
     pub fn look(&mut self, send: impl FnMut(ReceivedBytes) -> bool) -> Look {
         let place = self.source.place();
-        // Read the place before the damage flag: the hardware reports damage before it counts the byte. So if no damage
-        // is reported, no byte before `place` is damaged.
+        // Read the place before the damage flag: the hardware reports the damage of a byte before it counts the byte.
+        // So if no damage is reported, no byte before `place` is damaged.
         fence(Ordering::SeqCst);
         let is_damaged = self.source.is_damaged();
         if self.read != place || is_damaged || self.is_doubtful || self.is_at_end(place) {
@@ -224,8 +228,8 @@ impl<S: ByteSource> UartReceiver<S> {
         let is_bad = is_damaged || self.is_doubtful;
         self.is_doubtful = is_damaged;
         self.is_stuck = false;
-        // Without DMA, a look reads fewer bytes: they arrive slowly, and a long look would delay the interrupt that
-        // fetches the next byte.
+        // Without DMA, a look reads fewer bytes. They arrive slowly, and a long look would delay the interrupt that
+        // fetches the next byte from the UART.
         let (mut read, mut left) = (0, if S::IS_CIRCULAR { AT_A_TIME } else { AT_A_TIME / 4 });
         while self.read != place {
             let Some(slot) = self.buffer.get(self.read) else { break };
@@ -238,7 +242,7 @@ impl<S: ByteSource> UartReceiver<S> {
                     continue;
                 }
             }
-            // An empty slot is not read: DMA may count a byte before it writes it.
+            // An empty slot is not read: DMA may have counted a byte that it has not written yet.
             let is_read = word != EMPTY && left > 0 && self.append(word, is_bad, &mut send);
             if !is_read {
                 if word == EMPTY && self.is_overtaken(place) {
@@ -258,7 +262,7 @@ impl<S: ByteSource> UartReceiver<S> {
             }
             slot.store(EMPTY, Relaxed);
             read += 1;
-            // Other bytes than text count double, because they take longer.
+            // Bytes other than text count double, because it takes longer to process them.
             left = left.saturating_sub(if is_line_byte(word) { 1 } else { 2 });
             self.read = Self::after(self.read);
         }
@@ -269,7 +273,7 @@ impl<S: ByteSource> UartReceiver<S> {
     }
 
     /// Reads up to `most` bytes of text and ends of lines into the free space of the message. Stops at the last slot
-    /// instead of wrapping around. Returns their number.
+    /// instead of wrapping around. Returns how many bytes it has read.
     #[inline(always)]
     fn read_text(&mut self, place: usize, most: u8) -> u8 {
         let end = if self.read <= place { place } else { SLOTS };
@@ -295,7 +299,8 @@ impl<S: ByteSource> UartReceiver<S> {
         count
     }
 
-    /// Appends a byte to the message, after marking a loss or damage before it. Returns false if there was no space.
+    /// Appends a byte to the message, preceded by the mark of a loss or damage before the byte. Returns false if a full
+    /// message could not be sent to make space.
     #[inline(always)]
     fn append(&mut self, word: u16, is_bad: bool, send: &mut impl FnMut(ReceivedBytes) -> bool) -> bool {
         let byte = if is_bad { refused(word as u8) } else { word as u8 };
@@ -321,8 +326,8 @@ impl<S: ByteSource> UartReceiver<S> {
         true
     }
 
-    /// Appends a byte that is not text. A `?`, hold, reset or stop is dropped if it repeats the last byte and the
-    /// serial task has not processed that one yet. Other repeated bytes are kept, as they may be parts of one UTF-8
+    /// Appends a byte that is not text. A `?`, hold, reset or stop is dropped if the byte before it is the same and may
+    /// still be unprocessed by the serial task. Other repeated bytes are kept, as they may be parts of one UTF-8
     /// character.
     #[inline(always)]
     fn append_command(&mut self, byte: u8) {
@@ -346,7 +351,8 @@ impl<S: ByteSource> UartReceiver<S> {
     }
 
     /// Searches for the first command that stops the machine among the bytes that could not be read; checks a few of
-    /// them at each look. If it finds such a command, the serial task will be called and make space for it.
+    /// them at each look. If there is such a command, the serial task is called. It then takes messages from the queue,
+    /// which makes space for the command.
     #[cold]
     #[inline(never)]
     fn scan(&mut self, place: usize) {
@@ -368,8 +374,8 @@ impl<S: ByteSource> UartReceiver<S> {
         }
     }
 
-    /// Called when no message can be sent. If too many bytes wait, drops some of the oldest, none of which stops the
-    /// machine.
+    /// Called when no message can be sent. If more than [`MOST_WAITING`] bytes wait in a circular buffer, drops a few
+    /// of the oldest, but no command that stops the machine.
     #[cold]
     #[inline(never)]
     fn lose_oldest(&mut self, place: usize) {
@@ -399,7 +405,7 @@ impl<S: ByteSource> UartReceiver<S> {
     }
 
     /// Returns whether DMA has overtaken the reader. DMA can count its newest byte before it writes the byte, so the
-    /// last slot that is counted as unread may be empty. If an earlier slot is empty, DMA has wrapped around during a
+    /// newest slot that is counted as unread may be empty. If an older slot is empty, DMA has wrapped around during a
     /// look, and that look has read the newest byte as if it were the oldest.
     #[cold]
     #[inline(never)]
@@ -411,8 +417,8 @@ impl<S: ByteSource> UartReceiver<S> {
         self.buffer.get(self.read).is_some_and(|slot| slot.load(Relaxed) == EMPTY)
     }
 
-    /// Returns whether all slots are used. Waits first, because the buffer also seems full while its last byte is
-    /// written but not counted yet.
+    /// Returns whether all slots hold unread bytes. Waits first: while the newest byte is written but not counted yet,
+    /// the buffer also seems full.
     #[cold]
     #[inline(never)]
     fn is_full(&self, place: usize) -> bool {
@@ -427,16 +433,16 @@ impl<S: ByteSource> UartReceiver<S> {
         }
     }
 
-    /// Handles an overrun: it is unknown which bytes were overwritten, so all are dropped except the stop command with
-    /// the highest `weight`.
+    /// Handles an overrun. It is unknown which bytes were overwritten, so all bytes are dropped, except the one with
+    /// the highest `weight` among the commands that stop the machine.
     #[cold]
     #[inline(never)]
     fn lose_all(&mut self) {
         let mut stop =
             self.message.from(0).iter().copied().max_by_key(|byte| weight(*byte)).filter(|byte| is_stop(*byte));
         let (mut at, mut emptied) = (self.source.place(), 0);
-        // Goes once around the buffer, oldest byte first, and on to the bytes that arrived meanwhile, so that every
-        // written slot is emptied.
+        // Goes once around the buffer, oldest byte first, and then through the bytes that arrived meanwhile, so that
+        // every written slot is emptied.
         while let Some(slot) = self.buffer.get(at).filter(|_| emptied < SLOTS || at != self.source.place()) {
             let word = slot.load(Relaxed);
             if word != EMPTY && weight(word as u8) > stop.map_or(0, weight) {
@@ -460,7 +466,7 @@ impl<S: ByteSource> UartReceiver<S> {
         self.before = 0;
     }
 
-    /// Sends the message being filled. With `calls`, the caller calls the serial task right after it.
+    /// Sends the message being filled. With `calls`, the caller calls the serial task right afterwards.
     #[inline(never)]
     pub fn pass_on(&mut self, calls: bool, mut send: impl FnMut(ReceivedBytes) -> bool) {
         if self.message.len > 0 && !self.send_message(&mut send) {
@@ -499,13 +505,13 @@ fn weight(byte: u8) -> u8 {
     }
 }
 
-/// Replacement of a byte that may be damaged: commands that stop the machine and ends of lines stay, anything else
-/// becomes [`REFUSED`]. So a line of such bytes is executed only if it is empty.
+/// Replacement of a byte that may be damaged: commands that stop the machine and ends of lines stay as they are; any
+/// other byte becomes [`REFUSED`], so that its line is not executed.
 fn refused(byte: u8) -> u8 {
     if is_stop(byte) || matches!(byte, b'\n' | b'\r') { byte } else { REFUSED }
 }
 
-/// Returns whether a slot holds text or an end of line, without flags.
+/// Returns whether the value of a slot is a byte of text or an end of line, without any flag.
 #[inline(always)]
 fn is_line_byte(word: u16) -> bool {
     word <= 0xFF && (is_text(word as u8) || word as u8 == b'\n')

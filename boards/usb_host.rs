@@ -11,10 +11,11 @@ pub const LATE_BYTES_US: u32 = 200_000;
 /// State of the host, as far as the port can detect it.
 #[derive(Clone, Debug)]
 pub struct UsbHost {
-    /// The host has sent something since it configured the device or closed its port. Some hosts never raise DTR.
+    /// Bytes have been received since the last host left. They show that a host is connected even if it never raises
+    /// DTR, as some hosts do not.
     spoken: bool,
-    /// Time at which DTR fell. Kept while received bytes can still be from the departed host, because a host closes its
-    /// port before it cancels its unsent bytes.
+    /// Time at which DTR fell. Kept as long as received bytes can still come from the departed host, because a host
+    /// closes its port before it cancels its unsent bytes.
     closing: Option<u32>,
     /// `dtr` and `configured` at the last [`UsbHost::look`].
     dtr: bool,
@@ -59,7 +60,8 @@ impl UsbHost {
         } else if opened || unplugged {
             self.closing = None;
         }
-        // When one host takes the place of another, this look reports no host, and the next look reports the new host.
+        // When one host takes the place of another, this call reports that no host is there. The next call reports the
+        // new host, because only then does DTR seem to rise.
         self.dtr = dtr && !changes_hands;
         self.configured = configured;
         Look { gone, there: configured && self.is_listening() }

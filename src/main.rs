@@ -1,4 +1,4 @@
-//! The program `oxmill`: calls [`oxmill_simulator::main`], the controller on a desk.
+//! The program `oxmill`: calls [`oxmill_simulator::main`], which runs the controller on a desktop computer.
 fn main() -> std::process::ExitCode {
     oxmill_simulator::main()
 }

@@ -13,9 +13,9 @@ fn board_file(name: &str) -> String {
     fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// The file of each board is parsed without faults, and has the name of its board. The parser
-/// (`boards/tables/check.rs`) finds pins with two functions, pins that the chip does not have, and functions on pins of
-/// the debug port, the oscillator or the links to the host.
+/// Each board's file parses without faults and contains the board's name. The parser (`boards/tables/check.rs`)
+/// reports, among others, pins with two functions, pins that the chip does not have, and functions on pins of the debug
+/// port, the oscillator or the links to the host.
 #[test]
 fn the_file_of_each_board_is_without_faults() {
     for (name, text) in oxmill_tables::BOARDS {
@@ -61,7 +61,7 @@ fn no_stream_has_two_uses() {
         [("chain.rs", "MOMENTS"), ("chain.rs", "BEAM"), ("usart_dma.rs", "RECEIVER"), ("usart_dma.rs", "SENDER")];
     let streams = dma1.map(|(file, name)| number(file, name));
     assert_eq!(streams, [2, 0, 5, 6]);
-    // If all step pins are on one port, S1 and S4 of DMA2 make the edges and the ends of the pulses.
+    // If all step pins are on one port, streams 1 and 4 of DMA2 start and end the pulses.
     assert!(board_file("stm32f4/chain.rs").contains("(0, 1) => Streams { on: 1, off: Some(4),"));
     assert_eq!(number("usart_interrupt.rs", "STREAM"), 5);
 }
@@ -91,10 +91,10 @@ fn every_board_has_its_name_in_the_readme_and_a_probe_profile() {
     }
 }
 
-/// The rule of docs/cost.md, "Step rates". The step task generates events in batches and queues them in a ring. A full
-/// ring lasts at least as long as two of the longest runs of the step task and half a batch. Batches for three axes
-/// take at most half of the processor's time. After the shortest pulse, the pause is long enough for the pulse timer to
-/// stop.
+/// Each board's safe step rate follows docs/cost.md, "Step rates". The step task generates events in batches and queues
+/// them in a ring. At this rate, a full ring lasts at least as long as two of the longest runs of the step task, plus
+/// the time of half a batch. Batches for three axes take at most half of the processor's time. After the shortest
+/// pulse, the pause is long enough for the pulse timer to stop.
 #[test]
 fn step_rates_follow_the_rule() {
     const DEPTH: u64 = 96;
@@ -108,8 +108,8 @@ fn step_rates_follow_the_rule() {
         let rates = StepRates { safe_hz: u32::MAX, least_pulse_tenths: board.least_pulse_tenths };
         assert!(rates.greatest_hz(board.least_pulse_tenths) >= hz as f32, "{board:?}");
         // The pause must have room for 7 ticks: 4 from the trigger to the first count, 1 to the edge, 1 after the
-        // pulse, 1 to the stop. If there are ports with directions alone, the edge comes later. A tick of the pulse timer
-        // is not longer than a tick of the step clock.
+        // pulse, 1 to the stop. If a port has direction pins and no step pins, the edge comes `DIRECTION_LEAD` ticks
+        // later. A tick of the pulse timer is not longer than a tick of the step clock.
         let timing = StepTiming::new(board.step_clock_hz / 1_000_000, board.least_pulse_tenths, 0);
         let lead = if board.direction_ports > 0 { number("chain.rs", "DIRECTION_LEAD") } else { 0 };
         assert!(timing.gap > timing.pulse + 7 + lead, "{board:?}");
@@ -141,8 +141,8 @@ fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
     }
 }
 
-/// The UART of a board with USB has an interrupt for each byte, which has to wait while the step task runs. At rates above the
-/// one in the board's table, bytes would be lost; the fast link of this board is USB.
+/// The UART of a board with USB has an interrupt for each byte, which has to wait while the step task runs. At rates
+/// above the board's `most_baud`, bytes would be lost; the fast link of this board is USB.
 #[test]
 fn a_uart_beside_usb_takes_no_rate_of_its_uart_that_it_cannot_keep() {
     for board in oxmill_boards::profiles::ALL {

@@ -12,7 +12,8 @@ const PATIENCE: Duration = Duration::from_secs(20);
 const WELCOME: &str = "Grbl 1.1h ['$' for help]";
 const BUSY: &str = "[MSG:Another host has the machine]\r\n";
 
-/// Requests the page of `--web` by hand, as a browser does and as other sites would.
+/// Requests the page of `serve --web` with handwritten HTTP: as a browser does that shows this page, and as pages of
+/// other sites would.
 #[test]
 fn a_page_is_served_to_this_computer_only() {
     let page = Path::new(env!("CARGO_TARGET_TMPDIR")).join("page.html");
@@ -58,7 +59,7 @@ fn a_page_is_served_to_this_computer_only() {
         ask("/machine", address, &more)
     };
     assert!(socket(&format!("Origin: http://{address}\r\n")).starts_with("HTTP/1.1 101 "));
-    // A handshake with the same cookie.
+    // A WebSocket handshake with the same cookie.
     let key = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==";
     let head =
         format!("GET /machine HTTP/1.1\r\nHost: {address}\r\nOrigin: http://{address}\r\n{key}\r\nCookie: name=Andr");
@@ -81,7 +82,7 @@ fn answer_to(address: &str, request: &[u8]) -> String {
     stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
     stream.write_all(request).expect("it reads");
     let mut answer = [0; 4096];
-    // A connection closed with unread bytes in it is reset.
+    // If the server closes a connection before it has read all bytes, the system resets the connection.
     let length = match stream.read(&mut answer) {
         Err(error) if error.kind() == ErrorKind::ConnectionReset => 0,
         read => read.expect("an answer, or an end, in time"),
@@ -89,8 +90,8 @@ fn answer_to(address: &str, request: &[u8]) -> String {
     String::from_utf8_lossy(&answer[..length]).into_owned()
 }
 
-/// A request that any web page can make a browser send to a port of this computer. Its body contains lines for the
-/// machine.
+/// Head of a request that any web page can make a browser send to a port of this computer. The tests append lines for
+/// the machine as the body.
 const REQUEST: &str = "POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: text/plain\r\n\r\n";
 
 #[test]
@@ -175,7 +176,7 @@ fn timers(client: &Client) -> Vec<String> {
         .filter(|words| words.len() > 5 && words[1].ends_with(&port(here)) && words[2].ends_with(&port(there)))
         .map(|words| words[5].split(':').next().unwrap_or_default().to_owned())
         .collect();
-    // A table that changes while it is read can contain a line twice.
+    // If `/proc/net/tcp` changes while it is read, it can contain a line twice.
     timers.dedup();
     timers
 }
@@ -190,7 +191,7 @@ fn a_client_that_is_cut_off_is_asked_for_signs_of_life() {
     let (_server, pins) = Server::with_pins();
     let mut client = Client::of(&pins);
     assert_eq!(client.ask("door 1"), "ok");
-    // The acknowledgement of the answer can still be in transit.
+    // Until the acknowledgement of the answer has arrived, the connection can have another timer.
     let end = Instant::now() + PATIENCE;
     while timers(&client) != ["02"] {
         assert!(Instant::now() < end, "{:?}", timers(&client));
@@ -206,7 +207,7 @@ fn thousands_of_connections_leave_nothing_behind() {
     let web = ["serve", "--web", "0", "--page", page.to_str().expect("a path")];
     let (tcp, page, (pinned, pins)) = (Server::new(&[]), Server::started(&web, "web http://"), Server::with_pins());
     let (tcp_address, page_address) = (tcp.address.clone(), page.address.trim_end_matches('/').to_owned());
-    // The last two ports have a thread per connection, which takes 10 ms, so they get fewer connections.
+    // The last two ports start a thread for each connection. That takes 10 ms, so these ports get fewer connections.
     let ports = [(tcp, tcp_address, "", 3000), (page, page_address, "", 1000), (pinned, pins, "steps\n", 1000)];
     for (server, address, line, many) in ports {
         let address = address.as_str();
@@ -336,7 +337,8 @@ fn no_client_makes_the_server_grow() {
     server.served();
 }
 
-/// Immediate effects of a pin, such as an alarm or the end of motion, follow the pin in the recording.
+/// A recording lists the pin before its immediate effects, such as an alarm or the end of motion, so a replay has the
+/// same steps.
 #[test]
 fn a_recording_with_alarms_of_pins_is_played_again() {
     let folder = std::env::temp_dir().join(format!("oxmill-pins-{}", std::process::id()));
@@ -358,7 +360,7 @@ fn a_recording_with_alarms_of_pins_is_played_again() {
         drop(server);
         let replay = Command::new(env!("CARGO_BIN_EXE_oxmill")).args(["replay", path]).output().expect("it runs");
         let said = String::from_utf8_lossy(&replay.stderr).into_owned();
-        // The replay has the same steps; it may end with an alarm.
+        // 0 or 1: the replay has the same steps. 1 if it ends with an alarm.
         assert!(
             matches!(replay.status.code(), Some(0 | 1)),
             "{pin}: {said}{}",
@@ -368,8 +370,8 @@ fn a_recording_with_alarms_of_pins_is_played_again() {
     std::fs::remove_dir_all(&folder).expect("it is there");
 }
 
-/// A port given without an address is opened on the loopback only, even the one for the pins. A connection beyond the
-/// number that is served gets a message.
+/// A port given without an address is opened on the loopback only, even the one for the pins. With 64 connections open,
+/// the next one gets a message and is closed.
 #[test]
 fn a_port_alone_is_of_the_loopback() {
     for port in ["0", ":0"] {
@@ -388,15 +390,15 @@ fn a_port_alone_is_of_the_loopback() {
     drop((places, server));
 }
 
-/// A running device; it is killed on drop.
+/// A running `oxmill`; it is killed on drop.
 struct Server {
     program: Child,
     address: String,
 }
 
 impl Server {
-    /// Starts a device at fifty times real time: a move of a minute takes about a second, and a client can disconnect
-    /// during it.
+    /// Starts `serve --tcp` at 50 times real time. A move of a minute then takes about a second, long enough for a
+    /// client to disconnect during it.
     fn new(options: &[&str]) -> Server {
         Server::started(&[&["serve", "--tcp", "127.0.0.1:0", "--speed", "50"], options].concat(), "tcp ")
     }
@@ -498,7 +500,7 @@ impl Client {
         self.line()
     }
 
-    /// Waits for a state; only reports may arrive meanwhile.
+    /// Polls until a report starts with `state`, and returns that report. Until then, only reports may arrive.
     fn wait_for(&mut self, state: &str) -> String {
         let end = Instant::now() + PATIENCE;
         loop {

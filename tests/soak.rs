@@ -18,11 +18,11 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_secs(600);
 /// Tolerated growth of the process, KiB: memory that the allocator keeps.
 const GROWTH: u64 = 4_096;
-/// Host timeouts during a job and a jog, and hard limits.
+/// Settings that enable the host timeouts of jobs (`$922`) and jogs (`$923`), and hard limits.
 const WATCHES: [&str; 3] = ["$922=0.3", "$923=0.2", "$21=1"];
 /// Reactions (values of `$924` to `$928`) that keep the position and, after a host timeout, the job.
 const CONTROLLED: [&str; 4] = ["1", "2", "4", "5"];
-/// Inputs that stop the machine with one of these reactions, with their settings and alarms.
+/// Inputs that stop the machine: the name in the pin protocol, the setting that selects the reaction, and the alarm.
 const FAULTS: [(&str, &str, &str); 3] =
     [("limit x", "$924", "ALARM:1"), ("estop", "$925", "ALARM:101"), ("fault", "$926", "ALARM:102")];
 
@@ -89,7 +89,7 @@ impl Soak {
         }
     }
 
-    /// Returns the received lines.
+    /// Returns the complete lines received since the last call, and counts the `ok` among them.
     fn hear(&mut self) -> Vec<String> {
         self.half.push_str(&self.mill.take_output());
         let mut heard = Vec::new();
@@ -125,7 +125,8 @@ impl Soak {
         self.mill.machine().position().map(i64::from)
     }
 
-    /// Runs everything to its end, and compares the motors with the program.
+    /// Sends the remaining lines, waits until all are answered and the machine is idle, and compares the motors'
+    /// position with the program's.
     fn finish(&mut self) {
         let begun = self.mill.clock().now();
         let patience = PATIENCE.as_secs() * u64::from(self.mill.board().step_clock_hz);
@@ -159,7 +160,7 @@ impl Soak {
         }
     }
 
-    /// A random event during a job.
+    /// Triggers a random event during a job: a report, hold, door, jog cancel or override.
     fn disturb(&mut self) {
         match self.random.below(12) {
             0 | 1 => {
@@ -190,7 +191,8 @@ impl Soak {
         }
     }
 
-    /// Interrupts the motion, and continues from where it ended.
+    /// Interrupts the job by a reset (0x18) or a stop (0x19). The program continues from the position at which the
+    /// machine comes to rest.
     fn interrupt(&mut self, byte: u8) {
         let moving = self.mill.is_stepping();
         self.mill.send([byte]);
@@ -230,7 +232,7 @@ impl Soak {
         let (pin, _, alarm) = FAULTS[self.random.below(3) as usize];
         self.hear();
         assert_eq!(self.mill.pin_line(&format!("{pin} 1")), "ok");
-        // The longest braking time is that from 100 mm/s at 500 mm/s².
+        // Braking takes at most 0.2 s: from 100 mm/s at 500 mm/s².
         self.mill.run_for(Duration::from_millis(400));
         let heard = self.mill.take_output();
         assert!(heard.lines().any(|line| line == alarm), "{heard} {}", self.told());

@@ -1,7 +1,7 @@
-//! Tests the reader of a UART's received bytes, on memory: bytes keep their order, lost bytes are marked at their
-//! position, and no line with a damaged byte is carried out, whatever happens between any two memory accesses. The
-//! receive buffer is a ring of slots, one per byte. A pass is one run of the reader over the received bytes. A lap is
-//! an overrun: DMA has overtaken the reader by one round of the ring.
+//! Tests the reader of a UART's received bytes, in memory and without hardware: bytes keep their order, lost bytes are
+//! marked at their position, and no line with a damaged byte is carried out, whatever happens between any two memory
+//! accesses. The receive buffer is a ring of slots, one per byte. A pass is one run of the reader over the received
+//! bytes. A lap is an overrun: DMA has overtaken the reader by one round of the ring.
 
 use oxmill_boards::calls::{Calls, REST, is_stop};
 use oxmill_boards::uart_receiver::{Buffer, ByteSource, Look, MOST_WAITING, ReceivedBytes, SLOTS, UartReceiver};
@@ -18,7 +18,7 @@ struct Wire {
     damaged: Cell<bool>,
     /// Bytes that arrive right after each of the next calls of `place`.
     at_place: RefCell<VecDeque<Vec<u8>>>,
-    /// Bytes that arrive when the damage is next cleared.
+    /// Bytes that arrive when the reader next clears the damage flag.
     at_clear: RefCell<Vec<u8>>,
     /// Bytes that arrive while the reader waits for a byte to settle.
     at_settle: RefCell<Vec<u8>>,
@@ -160,7 +160,7 @@ impl Out {
     }
 }
 
-/// Maximum number of text bytes per pass; half as many of other bytes.
+/// Maximum number of bytes of text that one pass reads; of other bytes it reads at most half as many.
 const AT_A_TIME: usize = 28;
 
 #[derive(Clone, Debug)]
@@ -329,8 +329,8 @@ fn nothing_is_dropped_behind_damaged_bytes() {
     }
 }
 
-/// A byte that is counted but not yet written does not count as arrived: the next pass reads it. Until then, a damage
-/// that has been signalled still applies to it.
+/// A byte that DMA has counted but not yet written does not count as arrived: the next pass reads it. Until then,
+/// damage that has been signalled still applies to this byte.
 #[test]
 fn a_byte_that_is_counted_and_not_written() {
     let (wire, mut receiver) = by_dma();
@@ -422,8 +422,8 @@ fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     }
     let look = out.look(&mut receiver);
     assert!(look.stop, "the stop has waited for room");
-    // The output begins with the bytes of the message that could not be sent. After the mark of the loss it has all of
-    // the last bytes.
+    // The output begins with the bytes of the message that could not be sent. After the mark of the loss come the
+    // newest bytes, without a gap.
     let (first, behind) = out.0.split_at(ReceivedBytes::MOST);
     assert_eq!(first, last[..ReceivedBytes::MOST].iter().copied().map(Some).collect::<Vec<_>>());
     assert_eq!(behind[0], None, "the loss is told");
@@ -431,8 +431,8 @@ fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     assert!(last.ends_with(&behind) && behind[0] == b'!' && behind.len() == 301, "{} behind the loss", behind.len());
 }
 
-/// A stop is seen at once or within a few passes, even if more text precedes it than there is room for. The task is
-/// called for the stop until the stop has been passed on.
+/// A stop is seen at once or within a few passes, even if more text precedes it than there is room for. Until the stop
+/// has been passed on, each pass requests an immediate call of the serial task.
 #[test]
 fn a_stop_is_seen_behind_text_that_has_no_room() {
     for stop in [b'!', 0x18, 0x19, 0x84, 0x85] {
@@ -509,8 +509,8 @@ fn characters_come_whole() {
     assert_eq!(out.0, text.iter().copied().map(Some).collect::<Vec<_>>());
 }
 
-/// DMA laps the reader after the reader's check for a lap, and the reader takes the newest byte for the oldest: it must
-/// recover its position.
+/// DMA laps the reader after the reader's check for a lap, and the reader takes the newest byte for the oldest. The
+/// reader must recover its position.
 #[test]
 fn a_lap_within_a_look_leaves_no_reader_waiting() {
     for late in 1..6 {
@@ -544,8 +544,8 @@ fn bytes_that_come_while_the_slots_are_emptied() {
         let (wire, mut receiver) = by_dma();
         let mut out = Out::default();
         wire.come_all(&vec![b'x'; SLOTS + 5]);
-        // `place` is called during the pass, twice after the last byte has settled, and then when the first and the
-        // last slot are emptied.
+        // `place` is called at the start of the pass, twice after the last byte has settled, before the first slot is
+        // emptied, and after the last one has been.
         wire.at_place.replace([b"", b"", b"", first, last].map(Vec::from).into());
         out.look(&mut receiver);
         wire.come_all(b"end\n");
@@ -554,7 +554,8 @@ fn bytes_that_come_while_the_slots_are_emptied() {
     }
 }
 
-/// The last byte has been written but not yet counted: no slot is free at this time, and still nothing is lost.
+/// The newest byte has been written but not yet counted. Its slot is in use, as after an overrun, and still nothing is
+/// lost.
 #[test]
 fn a_byte_that_is_about_to_be_counted() {
     let (wire, mut receiver) = by_dma();
@@ -594,8 +595,8 @@ fn what_is_to_be_called_for() {
         assert_eq!(out.look(&mut receiver), look, "{bytes:?}");
         assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
     }
-    // Bytes for which there is no room stay in the buffer, and the task is called again for them: at once if a stop is
-    // among them.
+    // Bytes for which there is no room stay in the buffer, and the serial task is called again for them: at once if a
+    // stop is among them.
     out.0.clear();
     wire.come_all(b"?G1X1\n!\n");
     out.glance(&mut receiver, &mut 0);
@@ -603,7 +604,7 @@ fn what_is_to_be_called_for() {
     assert_eq!(out.glance(&mut receiver, &mut 0), Look { news: true, stop: true, waits: true });
     out.pass_on(&mut receiver, &mut room, true);
     assert_eq!((out.glance(&mut receiver, &mut room), out.text().as_str()), (Look::default(), "?G1X1\n!\n"));
-    // Many equal commands are passed on once per call of the task, however often `pass_on` runs.
+    // Equal commands are passed on once per call of the serial task, however often `pass_on` runs.
     out.0.clear();
     for calls in [false, false, true, false, true] {
         wire.come_all(&[b'?'; AT_A_TIME / 2]);
@@ -611,7 +612,7 @@ fn what_is_to_be_called_for() {
         out.pass_on(&mut receiver, &mut room, calls);
     }
     assert_eq!(out.text(), "??");
-    // A pass reads few bytes. The task is called again for the remaining ones.
+    // A pass reads few bytes. The serial task is called again for the remaining ones.
     out.0.clear();
     wire.come_all(&[b'x'; 100]);
     out.glance(&mut receiver, &mut room);
@@ -620,7 +621,7 @@ fn what_is_to_be_called_for() {
     assert!(out.glance(&mut receiver, &mut room).news);
 }
 
-/// A UART without DMA: its interrupt puts bytes into the slots while there are any.
+/// A UART without DMA: its interrupt writes received bytes into the slots, as long as slots are free.
 struct Interrupt(Cell<usize>);
 
 impl ByteSource for Interrupt {
@@ -665,7 +666,7 @@ fn an_interrupt_fills_the_slots() {
     let kept = (0..2 * SLOTS).filter(|_| put(&mut receiver, b'x')).count();
     assert!(put(&mut receiver, b'!'));
     assert!(!put(&mut receiver, b'y') && kept < SLOTS);
-    // A pass reads fewer bytes than with DMA.
+    // A pass reads fewer bytes than with DMA, so emptying the slots takes several passes.
     let looks = (0..SLOTS).filter(|_| out.look(&mut receiver).stop).count();
     assert!(looks > 0);
     assert_eq!(out.text(), format!("{}#!", "x".repeat(kept)));

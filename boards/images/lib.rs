@@ -1,13 +1,13 @@
-//! Facts about the boards' images, for build scripts and `xtask`: the list of images, each one's linker script and
-//! cargo profile.
+//! Facts about the boards' images, for build scripts and `xtask`: the list of images, and the linker script and cargo
+//! profile of each.
 //!
 //! Linker arguments are set here and not by `rustflags` in cargo's configuration, because a variable `RUSTFLAGS` in the
-//! environment would silently replace `rustflags`, and the image would be empty.
+//! environment would silently replace `rustflags`. Without the linker script, the image would be empty.
 
 use std::{env, fs, path::PathBuf};
 
-/// All images. Each is also a feature of the packages that link one. Boards that differ only in their pins share an image
-/// (`boards/tables`).
+/// All images. Each is also the name of a cargo feature of the packages that link an image. Boards that differ only in
+/// their pins share an image (`boards/tables`).
 pub const IMAGES: [&str; 8] = [
     "blackpill_f411",
     "blackpill_f401",

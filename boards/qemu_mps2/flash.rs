@@ -1,5 +1,6 @@
 //! Emulates the settings flash, which this machine lacks: RAM at `_settings_start`, which the linker script reserves.
-//! It behaves like flash: a word can be written only once after an erase. It survives a reset, but not the end of QEMU.
+//! It behaves like flash: after an erase, each word can be written once. Its contents survive a reset of the machine,
+//! but not the end of QEMU.
 
 use oxmill_store::{Flash, Sector};
 

@@ -40,7 +40,7 @@ pub use mps2_pac as pac;
 use crate::uart_receiver::Look;
 use crate::{Due, Free, Incoming, NoPort, Port, SecondMotor, SlowLevels, StepOutput, Undone, profiles, stack};
 
-/// None: the machine has no USB.
+/// No USB link: the machine has no USB.
 pub type UsbPort = NoPort;
 
 mod flash;
@@ -54,9 +54,10 @@ pub fn profile() -> Profile {
     PROFILE
 }
 
-/// The step output of `cargo xtask count`, which works on memory, has one port.
+/// Number of GPIO ports. The machine has none. The number is for `cargo xtask count`, which runs the step output of the
+/// STM32 boards on plain memory; its step and direction pins are on one port.
 pub const PORTS: usize = 3;
-/// Axes whose steps are counted.
+/// Number of axes.
 pub const AXES: usize = profiles::QEMU_MPS2.axes;
 /// Depth of the look-ahead, in blocks.
 pub const BLOCKS: usize = profiles::QEMU_MPS2.blocks;
@@ -68,15 +69,15 @@ pub const RECORDING_PAGES: usize = profiles::QEMU_MPS2.recording_pages;
 pub const RUN_CYCLES: u32 = profiles::QEMU_MPS2.run_cycles;
 /// Ticks of [`clock_ticks`] in a microsecond. The clock is the step clock.
 pub const CLOCK_TICKS_PER_US: u32 = 25;
-/// Clock of SysTick.
+/// Clock of SysTick, Hz.
 pub const CORE_HZ: u32 = 25_000_000;
-/// Samples per second. There are no inputs: the samples only drive the alarm clock of `control`. The rate is low,
-/// because each sample takes time on the host.
+/// Samples per second. There are no inputs: the samples serve only the alarm clock of `control` and the watchdog. The
+/// rate is low, because each sample takes time on the host.
 pub const SAMPLE_HZ: u32 = 2_000;
 /// The non-maskable interrupt belongs to the watchdog.
 pub const WATCHES_CLOCK: bool = false;
 
-/// What `setup` returns, one part for each task.
+/// The parts of the board that `setup` returns, each for the task that its comment names.
 pub struct Parts {
     /// For `step`.
     pub step_pins: StepPins,
@@ -94,9 +95,9 @@ pub struct Parts {
     pub settings_flash: SettingsFlash,
     /// For `inputs`.
     pub watchdog: Watchdog,
-    /// 0: the emulator has no oscillator.
+    /// Always 0: the emulator has no oscillator.
     pub oscillator_mhz: u8,
-    /// None: nothing of this board can be missing.
+    /// Always `None`: nothing of this board can be missing.
     pub fault: Option<&'static str>,
 }
 
@@ -114,7 +115,7 @@ pub fn call_serial() {
     NVIC::pend(Interrupt::UART0_RX);
 }
 
-/// The UART's receiver for the task of the inputs. It has no function, as the serial task reads the UART itself.
+/// The UART's receiver for the task `inputs`. It does nothing, because the serial task reads the UART itself.
 pub struct UartInput;
 
 impl UartInput {
@@ -165,8 +166,8 @@ pub fn setup(mut device: pac::Peripherals, _low_voltage: fn() -> !) -> Parts {
     }
 }
 
-/// Interrupt handler: the UART's sender has become free. It calls the serial task, which is bound to the vector of the
-/// UART's receiver.
+/// Interrupt handler: the UART can send another byte. Calls the serial task, which is bound to the vector of the UART's
+/// receiver.
 #[allow(non_snake_case, reason = "the name of the vector")]
 #[unsafe(no_mangle)]
 // unsafe because the linker takes the name on trust; safe because it is the vector's, and the signature fits.
@@ -193,7 +194,7 @@ pub fn call_step() {
 /// Steps so far, for the report to the test stand.
 struct Record {
     digest: Digest,
-    /// Step-clock ticks for which the step task has been busy.
+    /// Sum of the times between the stepper's ticks: how long the machine has been in motion, in step-clock ticks.
     busy: u64,
     net: [i32; AXES],
 }
@@ -224,7 +225,7 @@ pub struct StepPins {
     moment: [u32; 1],
 }
 
-/// The word of an event is the combination of its steps.
+/// The table for [`Free`]: the word of an event is simply the combination of its steps.
 const STEPS: [u32; crate::COMBINATIONS] = [0, 1, 2, 3, 4, 5, 6, 7];
 
 impl StepPins {
@@ -467,7 +468,7 @@ const JOB: usize = 0x2100_0000;
 const JOB_MARK: u32 = u32::from_le_bytes(*b"JOB!");
 const SCRIPT_MARK: u32 = u32::from_le_bytes(*b"HOST");
 const BUSY_MARK: u32 = u32::from_le_bytes(*b"BUSY");
-/// Maximum length: the rest of PSRAM after mark and length.
+/// Maximum length of the text, bytes: the rest of PSRAM after mark and length.
 const JOB_MAXIMUM: usize = 16 * 1024 * 1024 - 8;
 
 /// Returns the job in PSRAM, if there is one.
@@ -475,7 +476,7 @@ pub fn preloaded_job() -> Option<&'static [u8]> {
     preloaded(JOB_MARK)
 }
 
-/// Returns the data in PSRAM if they have this mark.
+/// Returns the text in PSRAM if it follows this mark; `None` otherwise.
 fn preloaded(mark: u32) -> Option<&'static [u8]> {
     if !is_marked(mark) {
         return None;
@@ -520,7 +521,7 @@ fn send_record() {
     send(format_args!("time={time:016x} order={order:016x} steps={x},{y},{z} busy={busy}\n"));
 }
 
-/// Sends text to the test stand.
+/// Sends text to the test stand; sends nothing before the set-up.
 fn send(text: core::fmt::Arguments<'_>) {
     let Some(uart) = critical_section::with(|cs| REPORTER.borrow_ref_mut(cs).take()) else { return };
     let mut reporter = Reporter(uart);
@@ -529,7 +530,7 @@ fn send(text: core::fmt::Arguments<'_>) {
     critical_section::with(|cs| REPORTER.borrow(cs).replace(Some(reporter.0)));
 }
 
-/// The preloaded job has ended.
+/// Whether the preloaded job has ended.
 static DONE: AtomicBool = AtomicBool::new(false);
 
 /// Call at the end of the preloaded job: `idle` then sends the report and exits QEMU.
@@ -648,7 +649,7 @@ fn reset() -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// The test stand has requested a failure.
+/// Whether the test stand has requested a failure, so that [`restart`] resets instead of ending QEMU.
 static WANTED: AtomicBool = AtomicBool::new(false);
 
 /// Ends the program after a failure: prints `why` and exits QEMU with status 101. Resets instead if the test stand
@@ -668,7 +669,7 @@ fn fail(way: u8) {
         b'P' => panic!("wanted by the [test stand]"),
         b'F' => cortex_m::asm::udf(),
         b'C' => {
-            // Masks the tasks of the lowest priority, among them `control`; the others continue.
+            // Masks the interrupts of the lowest priority, that of `control`; the other tasks continue.
             // SAFETY: unsafe because a write to BASEPRI can break critical sections; safe because the program ends
             // here.
             unsafe { cortex_m::register::basepri::write(hardware_priority(1)) };

@@ -2,8 +2,8 @@
 //! virtual time for answers, for a delay to pass, or for an Idle status report.
 //!
 //! With a host outside the machine, which runs in real time, the machine's state when a byte arrives would vary between
-//! runs. This host sends its bytes at the same instruction in every run. It checks its conditions whenever the
-//! processor is idle, at least at every SysTick.
+//! runs. This host sends its bytes at the same instruction in every run. It checks whether its wait is over whenever
+//! the processor is idle, at least at every SysTick.
 //!
 //! | code | operands (little-endian) | |
 //! |---|---|---|
@@ -11,11 +11,11 @@
 //! | `A` | count `u32` | waits for `count` answers (`ok`, `error:`) since the last `R` or `N`, at most two minutes |
 //! | `W` | milliseconds `u32` | waits |
 //! | `I` | milliseconds `u32` | sends `?`, with pauses of this length, until the answer is `<Idle`; at most 4000 `?` |
-//! | `R` | | ends a record: reports to the test stand how many bytes the firmware has sent so far |
-//! | `N` | | ends a record: reports the same number, the machine time, the motors' steps and the stack use |
+//! | `R` | | ends a record (section of the script); the test stand gets the number of bytes sent by the firmware |
+//! | `N` | | like `R`, but also reports the machine time, the motors' steps and the stack use |
 //! | `E` | milliseconds `u32` | ends the script if the machine has run for at least this time |
 //!
-//! At the end of the script, the test stand's report is sent and QEMU exits.
+//! At the end of the script, the report of the steps is sent to the test stand, and QEMU exits.
 
 use super::clock_ticks;
 use core::cell::{Cell, RefCell};
@@ -25,9 +25,9 @@ use mps2_pac::Interrupt;
 
 /// Ticks of the step clock in a millisecond.
 const TICKS_PER_MS: u32 = 25_000;
-/// Timeout of a wait for answers.
+/// Timeout of a wait for answers (`A`), in ticks of the step clock.
 const PATIENCE: u32 = 120_000 * TICKS_PER_MS;
-/// Maximum number of `?` in a wait for Idle.
+/// Maximum number of `?` in a record while waiting for Idle.
 const MOST_QUESTIONS: u32 = 4_000;
 /// Number of bytes kept from the beginning of a line, enough to identify its kind.
 const HEAD: usize = 6;
@@ -35,7 +35,7 @@ const HEAD: usize = 6;
 /// Bytes of the script that the firmware has not received yet.
 static WAITING: Mutex<Cell<&'static [u8]>> = Mutex::new(Cell::new(&[]));
 
-/// Takes the next byte from the script.
+/// Takes the next byte that the script has sent and the firmware has not received; `None` if there is none.
 pub fn receive() -> Option<u8> {
     critical_section::with(|cs| {
         let waiting = WAITING.borrow(cs);
@@ -50,14 +50,14 @@ fn send(bytes: &'static [u8]) {
     NVIC::pend(Interrupt::UART0_RX);
 }
 
-/// What the firmware has sent.
+/// Counts of what the firmware has sent.
 struct Said {
     bytes: u32,
-    /// Beginning of the present line.
+    /// First bytes of the present line.
     head: [u8; HEAD],
     /// Length of the present line.
     length: usize,
-    /// Number of `ok` and `error:`.
+    /// Number of answers: lines that are `ok` or begin with `error:`.
     answers: u32,
     /// Number of status reports.
     reports: u32,
@@ -96,7 +96,7 @@ pub fn hear(byte: u8) {
     });
 }
 
-/// What the script waits for.
+/// What the script waits for before its next step; times are in ticks of the step clock.
 #[derive(Clone, Copy)]
 enum Wait {
     Nothing,
@@ -110,7 +110,7 @@ pub struct Script {
     text: &'static [u8],
     next: usize,
     wait: Wait,
-    /// Number of answers at the end of the last record.
+    /// Value of `Said::answers` at the end of the last record.
     answers_before: u32,
     /// Number of `?` sent since the record began.
     questions: u32,
@@ -122,7 +122,7 @@ pub struct Script {
 
 /// What the caller of [`Script::go_on`] must do for the script.
 pub enum Wanted {
-    /// Nothing at present.
+    /// Nothing: the script is waiting.
     Nothing,
     /// Report the number of bytes that the firmware has sent.
     Mark(u32),

@@ -12,27 +12,29 @@
 //!   CC2, CC3: calls at a set time   CC4: calls by software
 //!        CC3 ─▶ DMA1 S0 ─▶ TIM3_CCRx: the laser's power, at the step that begins its segment
 //! ```
-//! Event times are absolute, so errors do not accumulate. The ring entry after the last committed event holds a time
-//! that has just passed, which the counter reaches only after 2^32 ticks. So if the program commits no more events, for
-//! whatever reason, the output stops after the last committed event.
+//! In the diagram, the channels in parentheses serve the port named at the end of their line. Event times are absolute,
+//! so errors do not accumulate. The ring entry after the last committed event holds a time that has just passed, which
+//! the counter reaches only after 2^32 ticks. So if the program commits no more events, for whatever reason, the output
+//! stops after the last committed event.
 //!
-//! A port with directions and no steps has no pulse to end, so it needs one stream and not two. TIM8 requests its words,
-//! because all streams that serve TIM1 are taken. It does so `DIRECTION_LEAD` ticks before TIM1 requests the others, so
-//! that edge and end of a pulse never wait behind a direction.
+//! A port with directions and no steps has no pulse to end, so it needs one stream and not two. TIM8 requests its
+//! words, because all streams that serve TIM1 are in use. It requests them `DIRECTION_LEAD` ticks before TIM1 requests
+//! the words with steps, so that neither edge of a pulse has to wait until DMA2 has written a direction.
 //!
 //! While a probe is watched, events must not be queued. They are output one by one: the CPU instead of DMA1 writes each
-//! event's time to CCR1, and CC1 interrupts after each event. All else is the same.
+//! event's time to CCR1, and CC1 interrupts after each event. Everything else works as for queued events.
 //!
 //! Hardware constraints, all checked by the models of `tests/virtual_board`:
 //!
 //! * ES0287 2.2.11 (F411): DMA2 must write GPIO through its memory port and must not serve APB2 meanwhile. The rings
 //!   are therefore configured as an incrementing "peripheral".
 //! * DMA1 fetches one word ahead, so the time of event n must be in the ring before event n - 2 is output.
-//! * TIM1 and TIM8 must be clocked while the processor sleeps, or they ignore their trigger; `step_pins` enables those
-//!   clocks.
+//! * TIM1 and TIM8 must be clocked while the processor sleeps, or they ignore their trigger; `step_pins` enables these
+//!   clocks for sleep.
 //! * TIM1 and TIM8 ignore a trigger while they count. In that case DMA2 lags TIM5 by one event, which the counts of the
 //!   streams reveal.
-//! * DMA2 would serve a stale request as soon as its stream is on, so `begin` resets TIM1 and TIM8 first.
+//! * DMA2 would serve a request left from earlier output as soon as its stream is on, so `begin` first resets TIM1 and
+//!   TIM8, which clears such requests.
 //! * A stream to a peripheral fetches its word when it is enabled. The laser's stream is therefore re-enabled for each
 //!   power, and only one change of power is armed at a time. A power takes effect as soon as DMA writes it to TIM3.
 //!
@@ -52,26 +54,27 @@ const RING: usize = 128;
 /// Maximum number of committed events that have not been output ([`crate::StepOutput::DEPTH`]). A stop has to count up
 /// to this many cancelled events, which takes less time than two bytes on the UART.
 pub(super) const DEPTH: usize = 96;
-/// Ticks of TIM1 from its start to the leading edge of the pulse; the trailing edge follows after the pulse length. Also
-/// ticks of TIM8 from its start to the directions, if there are ports with directions alone.
+/// Ticks from the start of TIM1 to the leading edge of the pulse; the trailing edge follows after the pulse length.
+/// Also the ticks from the start of TIM8 to the output of directions, on ports with directions alone.
 const EDGE_COUNT: u32 = 1;
-/// Ticks by which ports with directions alone are written before the ports with steps. DMA2 needs less time for two
-/// such ports: about 12 cycles for the first and 8 for the second.
+/// Ticks by which the words of ports with directions alone are written before those of ports with steps. For two ports
+/// with directions alone, DMA2 needs less time than this: about 12 cycles for the first and 8 for the second.
 const DIRECTION_LEAD: u32 = 20;
 /// Minimum ticks from the last reading of TIM5 to the first event, so that TIM1 listens for its trigger in time.
 const LISTENS_TICKS: u32 = 48;
-/// Maximum duration, in ticks, of a further attempt in `begin`. Before it, all times of the ring are delayed.
+/// Maximum duration, in ticks, of a repeated attempt in `begin` to start the output. Before such an attempt, all event
+/// times in the ring are delayed, so that the first event is this far ahead.
 const AGAIN_TICKS: u32 = 2_200;
-/// Ticks before and after a scheduled time within which its DMA request can be under way. Even at the maximum rate,
-/// events are about 90 ticks apart.
+/// Within this many ticks before or after a scheduled time, its DMA request can be imminent or under way. Even at the
+/// maximum step rate, events are about 90 ticks apart.
 const NEAR_TICKS: u32 = 48;
 /// If an event is late by more than this many ticks, the output counts as stuck.
 const STANDS_TICKS: i32 = 500;
-/// The DMA streams' counts of events are compared again this many times if they differ. The output has failed only if
+/// If the DMA streams' counts of events differ, they are compared again this many times. The output has failed only if
 /// they differ each time.
 const MORE_LOOKS: u32 = 8;
 
-/// Error flags of streams 0 to 3. In the second flag register, the same bits are those of streams 4 to 7.
+/// Error flags of streams 0 to 3 in LISR. In HISR, the same bits are those of streams 4 to 7.
 const ERRORS: u32 = dma::errors(&[0, 1, 2, 3]);
 /// Error flags of the stream [`MOMENTS`].
 const MOMENT_ERRORS: u32 = dma::errors(&[MOMENTS]);
@@ -92,12 +95,12 @@ struct Streams {
     on: usize,
     /// Ends the pulse; `None` for a port with directions alone.
     off: Option<usize>,
-    /// DIER of TIM1; for a port with directions alone, DIER of TIM8.
+    /// Bits for DIER of TIM1, or of TIM8 for a port with directions alone.
     requests: u32,
 }
 
-/// Returns the streams of a port; the first `step_ports` ports have steps (reference manuals, "DMA2 request mapping").
-/// Stream 5 stays free: it receives from `USART1` while flash is written.
+/// Returns the streams of a port, of which the first `step_ports` have steps (reference manuals, "DMA2 request
+/// mapping"). Stream 5 stays free: it receives from `USART1` while flash is written.
 const fn streams(port: usize, step_ports: usize) -> Streams {
     match (port, step_ports) {
         (0, 1) => Streams { on: 1, off: Some(4), requests: 1 << 9 | 1 << 12 },
@@ -124,9 +127,9 @@ const ONE_PULSE: u32 = 1 << 3;
 /// CR2 of TIM5: the compare event of channel 1 is the trigger output (MMS = 011).
 #[cfg(feature = "stm32f4")]
 pub(super) const COMPARE_PULSE: u32 = 0b011 << 4;
-/// DIER of TIM5: DMA request of channel 1.
+/// DIER of TIM5: DMA request of channel 1, for the next event time.
 const ASKS_FOR_MOMENT: u32 = 1 << 9;
-/// DIER of TIM5: DMA request of channel 3.
+/// DIER of TIM5: DMA request of channel 3, for the laser's power.
 const ASKS_FOR_POWER: u32 = 1 << 11;
 /// DIER of TIM5: the interrupts that are always enabled.
 pub(super) const CALLS: u32 = Due::MORE.0 | Due::MARK.0 | Due::CALLED.0;
@@ -135,21 +138,21 @@ const APB2RSTR: usize = 0x24;
 const TIM1_RESET: u32 = 1;
 const TIM8_RESET: u32 = 1 << 1;
 
-/// Memory that DMA reads; it must stay at its address.
+/// Memory that DMA reads. It must not move while DMA is on.
 #[repr(C, align(4))]
 pub struct Rings<const P: usize> {
     /// The words of the events, for each port.
     words: [[u32; RING]; P],
     /// The times of the events.
     moments: [u32; RING],
-    /// For each port: the word that ends all pulses.
+    /// For each port, the word that ends all of its pulses.
     off: [u32; P],
-    /// The next compare value of the PWM.
+    /// The compare value of the PWM that DMA1 writes at the next mark.
     power: u32,
 }
 
 impl<const P: usize> Rings<P> {
-    /// Empty.
+    /// Initial contents: no events, power 0.
     pub const EMPTY: Self = Rings { words: [[0; RING]; P], moments: [0; RING], off: [0; P], power: 0 };
 }
 
@@ -200,8 +203,8 @@ pub(super) fn cut<M: Map, const S: usize, const P: usize>() {
 
 impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
     /// Number of slots that stay free. One is the slot after the last event. With several ports, the slot before the
-    /// tail also stays free: the tail is that of the first port, and the other ports may not have output their words of
-    /// the slot before it yet.
+    /// tail (the next slot to be output at the first port) stays free, too: the other ports may not have output their
+    /// words in it yet.
     const SPARE: usize = if P > 1 { 2 } else { 1 };
 
     /// Creates the output. `power` is the offset of the register of TIM3 that holds the power.
@@ -235,12 +238,12 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
     pub(super) fn take(&mut self) -> Due {
         let mut due = Due(read(M::TIM5 + SR));
         if !self.one_by_one {
-            // Queued events set the flag `OUT`, too, but do not call the task. The flag must not be cleared here,
-            // because DMA1 may be about to serve its request.
+            // Queued events also set the flag `OUT`, but do not call the task. The flag must not be cleared here,
+            // because DMA1 may be about to serve the request that the same event has raised.
             due = Due(due.0 & !Due::OUT.0);
         }
         if due.has(Due::MARK) {
-            // The DMA request for a power must be served before its flag `MARK` is cleared.
+            // A pending DMA request for a power must be served before the flag `MARK`, which raises it, is cleared.
             self.keep_power();
         }
         // Writing 0 clears a flag, writing 1 leaves it unchanged.
@@ -264,8 +267,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
     /// Schedules the call `MARK`; with `power`, the same compare event makes DMA1 write the power.
     ///
     /// Each mark must raise exactly one compare event, and so exactly one DMA request. The flag is therefore cleared
-    /// while CCR3 holds a time that has just passed, so that no event can occur. If `moment` passes before it is in
-    /// CCR3, the flag stays clear, and software generates the event, which raises the same request.
+    /// while CCR3 holds a time that has just passed, at which no compare event can occur. If `moment` passes before it
+    /// is in CCR3, the flag stays clear. Software then generates the compare event, which raises the same request.
     pub(super) fn mark_at(&mut self, moment: u32, power: Option<u32>) {
         self.keep_power();
         write(M::TIM5 + CCR3, read(M::TIM5 + CNT).wrapping_sub(1));
@@ -287,7 +290,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
     }
 
     /// Disarms the power stream: DMA writes no power after this. Waits for an imminent request to be served, because a
-    /// request that is withdrawn half-way, or that no stream serves, would stay pending and output the next power too
+    /// request that is disabled half-way, or that no stream serves, would stay pending and output the next power too
     /// early.
     #[inline(never)]
     pub(super) fn keep_power(&mut self) {
@@ -328,7 +331,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         let room = if self.one_by_one {
             1 - usize::from(self.pending)
         } else {
-            // At least one, so that a first event can be made if `DEPTH` is 1.
+            // `max`: at least one slot, so that a first event can be generated even if `DEPTH` is 1.
             (DEPTH.max(Self::SPARE) + 1 - Self::SPARE).saturating_sub(self.ahead())
         };
         let end = (self.head + room).min(RING);
@@ -394,16 +397,16 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         self.moment_at(self.head.wrapping_sub(left).wrapping_sub(1))
     }
 
-    /// DMA1 fetches the time of event n when event n - 2 is output, so event n must be committed before that, even if
-    /// output has not started yet.
+    /// DMA1 fetches the time of event n when event n - 2 is output, so event n must be committed before event n - 2 is
+    /// due. This also applies before the output has started.
     #[inline(always)]
     pub(super) fn joins_until(&self, next: u32) -> u32 {
         let is_alone = self.one_by_one || !self.begun && self.head < 2;
         if is_alone { next } else { self.moment_before(1) }
     }
 
-    /// Disables the DMA request for event times, and sets CCR1 to a time that has just passed, so that no compare event
-    /// occurs before the next time is loaded.
+    /// Disables the DMA request for event times, and sets CCR1 to a time that has just passed, so that CC1 raises no
+    /// compare event before the next time is loaded.
     fn expect_no_moment(&mut self) {
         write(M::TIM5 + DIER, CALLS);
         write(M::TIM5 + CCR1, read(M::TIM5 + CNT).wrapping_sub(1));
@@ -415,7 +418,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
     /// this wait takes.
     fn await_served(&self, channel: usize) {
         let moment = read(M::TIM5 + channel);
-        // Bounds the wait, because one iteration takes at least a tick.
+        // This number of iterations bounds the wait: an iteration takes at least a tick.
         for _ in 0..3 * NEAR_TICKS {
             if (read(M::TIM5 + CNT).wrapping_sub(moment).wrapping_add(NEAR_TICKS)) >= 2 * NEAR_TICKS {
                 return;
@@ -423,7 +426,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         }
     }
 
-    /// Starts the output of the committed events. Returns the ticks by which all of them had to be delayed, because it
+    /// Starts the output of the committed events. Returns the ticks by which all of these events were delayed, if it
     /// was too late for the first one; otherwise 0.
     pub(super) fn begin(&mut self, one_by_one: bool) -> u32 {
         self.begun = true;
@@ -469,13 +472,13 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         loop {
             switch_on(M::DMA1, MOMENTS, M::TIM5 + CCR1, self.rings.moments.as_ptr() as usize, RING, how);
             cortex_m::asm::delay(SERVED_CYCLES);
-            // Generate a compare event by software, so that DMA1 loads the first event time as it loads all others.
-            // This compare event starts no pulse, because TIM1 is not listening yet.
+            // Generate a compare event by software, which makes DMA1 load the first event time, as later events do for
+            // the other times. This compare event starts no pulse, because TIM1 is not listening yet.
             write(M::TIM5 + DIER, CALLS | ASKS_FOR_MOMENT);
             write(M::TIM5 + EGR, Due::OUT.0);
             cortex_m::asm::delay(SERVED_CYCLES);
-            // This measurement is valid only before the time of the first event. If the first event is too late, the
-            // loop measures again.
+            // This measurement is valid only if the time of the first event has not come yet. Otherwise the loop
+            // measures again.
             let counted = self.moments_counted();
             let is_fetched_ahead = counted == 2 && read(M::TIM5 + CCR1) == self.moment_at(0);
             self.first_moments = if is_fetched_ahead { 2 } else { 1 };
@@ -485,8 +488,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
                 self.obey_triggers();
                 return put_off;
             }
-            // The time of the first event has passed, or would pass before TIM1 listens. As no event has been output,
-            // delay all events and try again.
+            // The time of the first event has passed, or would pass before TIM1 listens for its trigger. No event has
+            // been output yet, so delay all events and try again.
             self.await_served(CCR1);
             write(stream(M::DMA1, MOMENTS) + CR, 0);
             self.expect_no_moment();
@@ -501,7 +504,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
     }
 
     /// Makes TIM1 and TIM8 ignore their trigger. TIM1 comes first: if an event occurs between the two stores, its
-    /// directions are output and its steps are not, and not the other way round.
+    /// directions are output without its steps. Steps without their directions would be wrong.
     #[inline(always)]
     fn ignore_triggers(&self) {
         write(M::TIM1 + SMCR, IGNORED);
@@ -518,7 +521,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         write(M::TIM1 + SMCR, IGNORED | STARTS);
     }
 
-    /// Enables DMA requests, those of TIM1 and of TIM8.
+    /// Enables the DMA requests `pulse` of TIM1 and `directions` of TIM8.
     fn enable_requests(&self, (pulse, directions): (u32, u32)) {
         write(M::TIM1 + DIER, pulse);
         if P > S {
@@ -546,7 +549,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         !self.counts_agree() && self.still_disagree()
     }
 
-    /// Returns whether DMA2 has not output the word of every committed event.
+    /// Returns whether DMA2 still has to output the word of a committed event, at any port.
     #[inline(always)]
     fn lags(&self) -> bool {
         (0..P).any(|port| self.output_by(port) != self.head)
@@ -574,9 +577,9 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         RING.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize) % RING
     }
 
-    /// Returns whether the counts are those of a pause between two events: DMA1 has counted `first_moments` more event
-    /// times than there were edges, all ports have output the same number of edges, and at most one end of a pulse is
-    /// outstanding.
+    /// Returns whether the counts are those between two events: DMA1 has counted `first_moments` more event times than
+    /// there were edges, all ports have output the same number of edges, and at most one end of a pulse has not been
+    /// output yet.
     #[inline(always)]
     fn counts_agree(&self) -> bool {
         let left = |number| read(stream(M::DMA2, number) + NDTR) as usize;
@@ -590,8 +593,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         agree
     }
 
-    /// Call after [`Chain::silence`], with its `tail`. Calls `each` with the words of each event that was not output,
-    /// and returns the number of these events.
+    /// Call after [`Chain::silence`], with the slot that it returned. Calls `each` with the words of each event that
+    /// was not output, empties the ring, and returns the number of these events.
     pub(super) fn undone(&mut self, tail: usize, mut each: impl FnMut(&[u32; P])) -> usize {
         let mut events = 0;
         let mut at = tail;
@@ -609,16 +612,17 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         events
     }
 
-    /// Ends the output, and with `dark` the power. Returns the slot of the first event that was not output, and whether
-    /// the counts disagree.
+    /// Ends the output, and with `dark` sets the power to 0. Returns the slot of the first event that was not output,
+    /// and whether the output has failed.
     #[inline(always)]
     pub(super) fn silence(&mut self, dark: bool) -> (usize, bool) {
         if !self.begun {
             return (0, false);
         }
         self.ignore_triggers();
-        // Wait for requests of TIM5 that are imminent, because a request that is withdrawn half-way would stay pending.
-        // First disable the request for event times: while `keep_power` waits, more than one of them could arise.
+        // Wait until imminent DMA requests of TIM5 have been served, because a request that is disabled half-way would
+        // stay pending. Disable the requests for event times first: while `keep_power` waits, more than one of these
+        // could arise.
         self.await_served(CCR1);
         write(M::TIM5 + DIER, read(M::TIM5 + DIER) & ASKS_FOR_POWER | CALLS);
         self.keep_power();
@@ -631,13 +635,13 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         for port in 1..P {
             let left = read(stream(M::DMA2, streams(port, S).on) + NDTR) as usize;
             let ahead = (RING - tail).wrapping_sub(left) % RING;
-            // An event between the two stores of `ignore_triggers` has been output by TIM8 alone.
+            // If an event occurred between the two stores of `ignore_triggers`, only the ports of TIM8 have output it.
             fault |= ahead > usize::from(port >= S);
         }
         fault |= (read(M::DMA2 + LISR) | read(M::DMA2 + HISR)) & ERRORS != 0;
         if !self.one_by_one {
-            // DMA1 has counted as many event times ahead of the edges as at `begin`, or one more if another compare
-            // event came after TIM1 had stopped listening.
+            // DMA1 must have counted `first_moments` more event times than there were edges, as at `begin`, or one more
+            // if another compare event came after TIM1 had stopped listening.
             let more = self.moments_counted().wrapping_sub(tail).wrapping_sub(self.first_moments) % RING;
             fault |= more > 1 || read(M::DMA1 + LISR) & MOMENT_ERRORS != 0;
         }

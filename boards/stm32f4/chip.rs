@@ -60,7 +60,7 @@ const FORCED_LOW: u32 = 0b100 << 4 | 0b100 << 12;
 
 /// Step and direction outputs, with the timers that they need.
 pub type StepPins = step::StepPins<Chip, STEP_PORTS, MOTOR_PORTS, Timers>;
-/// Memory of the step output.
+/// The rings of events, in RAM, that DMA reads.
 pub type Rings = step::Rings<MOTOR_PORTS>;
 
 /// The timers of the step output: pulse, step clock, PWM.
@@ -133,24 +133,24 @@ pub fn step_pins(
 
 /// Ticks of [`clock_ticks`] in a microsecond.
 pub const CLOCK_TICKS_PER_US: u32 = 1;
-/// Samples of the inputs in a second, by SysTick.
+/// Rate, in Hz, at which SysTick samples the inputs.
 pub const SAMPLE_HZ: u32 = 20_000;
 /// The clock security system watches the oscillator.
 pub const WATCHES_CLOCK: bool = true;
 
 /// Starts TIM2 as the clock: 1 MHz, free-running.
 pub fn start_clock(timer: pac::TIM2, rcc: &mut Rcc) {
-    // Releases the timer from the HAL, whose counters wrap at a limit. TIM2 counts through all 32 bits, as after a
-    // reset.
+    // The HAL only sets the prescaler, and releases the timer: a counter of the HAL would wrap at a limit. So TIM2
+    // counts through all 32 bits, as after a reset.
     let timer = FTimerUs::new(timer, rcc).release();
     // An update event loads the prescaler.
     timer.egr().write(|w| w.ug().set_bit());
     timer.cr1().write(|w| w.cen().set_bit());
 }
 
-/// Resets the chip if its boot loader jumped into the program, as hosts can order (`:leave` of dfu-util). After such a
-/// jump, system memory with its vector table is at address 0, and clocks and peripherals are as the loader left them.
-/// Call first in the set-up.
+/// Resets the chip if its boot loader has jumped into the program, which a host can request (`:leave` of dfu-util).
+/// After such a jump, system memory with its vector table is at address 0, and clocks and peripherals are as the loader
+/// left them. Call first in the set-up.
 pub fn begin_with_reset(rcc: &pac::RCC, syscfg: &pac::SYSCFG) {
     rcc.apb2enr().modify(|_, w| w.syscfgen().set_bit());
     // An enabled clock takes some cycles to arrive; reading back waits for them.
@@ -180,7 +180,7 @@ pub fn clock_ticks() -> u32 {
 /// Default baud rate of the link: the one that Grbl's senders expect.
 pub const USUAL_BAUD: u32 = 115_200;
 
-/// The functions of inputs.
+/// The functions that are inputs.
 const INPUTS: [Role; 13] = [
     Role::LimitX,
     Role::LimitY,
@@ -196,7 +196,7 @@ const INPUTS: [Role; 13] = [
     Role::ProgramInput,
     Role::SecondProgramInput,
 ];
-/// The bit of each of [`INPUTS`] in the word of [`InputPins::read`].
+/// For each of [`INPUTS`], the number of its bit in the word of [`InputPins::read`].
 const BITS: [u8; INPUTS.len()] = {
     use crate::input_bits::*;
     let bits = [
@@ -297,18 +297,18 @@ fn is_low(place: Place, high: &[u16]) -> bool {
     high.get(place.port()).copied().unwrap_or(u16::MAX) >> place.pin() & 1 == 0
 }
 
-/// Returns the `input_bits` of a pin with this bit: the limit switch of the fourth motor is also that of axis A, and
-/// settings choose which of the two is used.
+/// Returns the mask for an input with this bit number. The limit switch of the fourth motor has two bits, because it is
+/// that of a second motor or of axis A, as settings choose.
 fn bits_of(bit: u8) -> u32 {
     use crate::input_bits::{LIMITS, SECOND_LIMIT};
     let is_of_fourth_axis = crate::AXES > 3 && u32::from(bit) == SECOND_LIMIT;
     1 << bit | if is_of_fourth_axis { 1 << (LIMITS + 3) } else { 0 }
 }
 
-/// Number of enable outputs, which come first in [`SLOW_OUTPUTS`]. At the start these are high, and the other slow
-/// outputs are low: nothing is switched on.
+/// Number of enable outputs, which come first in [`SLOW_OUTPUTS`]. At the start the enable outputs are high and the
+/// other slow outputs low, which switches everything off.
 const ENABLES: usize = 4;
-/// Slow outputs.
+/// The functions that are slow outputs, in the order of the bits that [`SlowPins::write`] composes.
 const SLOW_OUTPUTS: [Role; 10] = [
     Role::Enable,
     Role::SecondEnable,
@@ -322,11 +322,12 @@ const SLOW_OUTPUTS: [Role; 10] = [
     Role::SecondProgramOutput,
 ];
 
-/// Outputs that change slowly.
+/// Outputs that change slowly: driver enables, spindle, coolant, outputs for programs.
 pub struct SlowPins([Option<Place>; SLOW_OUTPUTS.len()]);
 
 impl SlowPins {
-    /// Makes the pins of the table outputs: the drivers are off, because their enable inputs are active low.
+    /// Makes the pins of the slow outputs output pins, at levels that switch off everything except the motors' supply.
+    /// The drivers are off at a high level.
     pub fn new(table: &PinTable) -> Self {
         let places = pins::places(table, &SLOW_OUTPUTS);
         let (enables, others) = places.split_at(ENABLES);
@@ -344,7 +345,7 @@ impl SlowPins {
         SlowPins(places)
     }
 
-    /// Writes all levels.
+    /// Writes the levels of all slow outputs.
     pub fn write(&mut self, levels: SlowLevels) {
         let SlowLevels { drivers, spindle, spindle_reversed, flood, mist, program } = levels;
         let enables = if drivers { (1 << ENABLES) - 1 } else { 0 };
@@ -364,7 +365,7 @@ fn write_level(place: Option<Place>, high: bool) {
     }
 }
 
-/// What `setup` returns, one part for each task.
+/// The parts of the board that `setup` returns, each for the task that its comment names.
 pub struct Parts<I, S: Port, L: Port> {
     /// For `step`.
     pub step_pins: StepPins,
@@ -384,7 +385,7 @@ pub struct Parts<I, S: Port, L: Port> {
     pub watchdog: Watchdog,
     /// Frequency of the external oscillator, MHz; 0 if the chip runs on its internal one.
     pub oscillator_mhz: u8,
-    /// The reason, found at the start, why the machine must stay locked. `None` if there is none.
+    /// Why the machine must stay locked, if the set-up has found a reason.
     pub fault: Option<&'static str>,
 }
 

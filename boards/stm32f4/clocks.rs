@@ -5,8 +5,9 @@
 //!  HSE ──▶ / 31 (RTCPRE) ──▶ input of TIM11, channel 1: captures every eighth edge
 //!  HSI, 16 MHz ───────────▶ counts of TIM11
 //! ```
-//! Without an external oscillator, or with an unknown one, the chip runs on its internal oscillator, which is exact to a
-//! few percent: enough for a UART, but not for motion. The machine then stays locked, and the welcome line says why.
+//! Without an external oscillator, or with an unknown frequency, the chip runs on its internal oscillator, which is
+//! exact to a few percent: enough for a UART, but not for motion. The machine then stays locked, and the welcome line
+//! says why.
 
 use super::registers::{read, timer::*, write};
 use crate::pin_table::PinTable;
@@ -20,7 +21,7 @@ const HSI_MHZ: u32 = 16;
 const DIVIDER: u32 = 31;
 /// Edges of the divided clock from one capture to the next (TIM11_CCMR1, IC1PSC).
 const EDGES: u32 = 8;
-/// Captures that the measurement takes.
+/// Number of intervals between captures that the measurement takes.
 const CAPTURES: u32 = 16;
 /// Number of readings of the ready flag after which the oscillator counts as missing: a tenth of a second at least. A
 /// crystal starts within a few milliseconds.
@@ -28,8 +29,8 @@ const MOST_LOOKS: u32 = 400_000;
 /// Number of readings of the capture flag after which the oscillator counts as not measurable: a millisecond at least.
 const MOST_LOOKS_AT_CAPTURE: u32 = 4_000;
 
-/// Registers of TIM11, which only this measurement uses (RM0383, "TIM10/11 registers"; RM0368 and RM0390 have the same).
-/// Raw, because the HAL does not capture the divided oscillator.
+/// Registers of TIM11, which only this measurement uses (RM0383, "TIM10/11 registers"; RM0368 and RM0390 have the
+/// same). Raw, because the HAL does not capture the divided oscillator.
 const TIM11: usize = 0x4001_4800;
 const CCMR1: usize = 0x18;
 const CCER: usize = 0x20;
@@ -41,12 +42,12 @@ const IS_OSCILLATOR: u32 = 0b10;
 /// SR: a capture has come.
 const CAPTURED: u32 = 1 << 1;
 
-/// Switches the external oscillator on and measures it. Returns its frequency in MHz: if the table gives a frequency,
-/// that one; otherwise the one of `KNOWN_MHZ` that fits the measurement. Returns `None` if the oscillator does not
-/// start, or if no frequency fits. The chip must run on its internal oscillator, as after a reset.
+/// Switches the external oscillator on and measures it. Returns its frequency in MHz: the one that the table gives, or
+/// else the one of `KNOWN_MHZ` that fits the measurement. Returns `None` if the oscillator does not start, or if the
+/// measurement fits neither the table nor `KNOWN_MHZ`. The chip must run on its internal oscillator, as after a reset.
 #[inline(never)]
 pub fn find_oscillator(rcc: &pac::RCC, table: &PinTable) -> Option<u32> {
-    // The two bits must not be set together (reference manual, RCC_CR, HSEBYP).
+    // Two writes, because HSEBYP can only be written while the oscillator is off (reference manual, RCC_CR, HSEBYP).
     rcc.cr().modify(|_, w| w.hsebyp().bit(table.is_external()));
     rcc.cr().modify(|_, w| w.hseon().set_bit());
     if !(0..MOST_LOOKS).any(|_| rcc.cr().read().hserdy().bit_is_set()) {
@@ -60,9 +61,9 @@ pub fn find_oscillator(rcc: &pac::RCC, table: &PinTable) -> Option<u32> {
     }
 }
 
-/// Makes the external oscillator the source of the PLL, in place of the internal one, with the same output. The HAL has
-/// set up everything for the internal oscillator, because the compiler knows its frequency. For a frequency that is
-/// known only at run time, the HAL would need 3 KB of code that searches for dividers.
+/// Makes the external oscillator the source of the PLL, in place of the internal one, with the same output frequency.
+/// The HAL has set up everything for the internal oscillator, because the compiler knows its frequency. For a frequency
+/// that is known only at run time, the HAL would need 3 KB of code that searches for dividers.
 #[inline(never)]
 pub fn change_source(rcc: &pac::rcc::RegisterBlock, mhz: u32) {
     rcc.cfgr().modify(|_, w| w.sw().hsi());
@@ -72,13 +73,13 @@ pub fn change_source(rcc: &pac::rcc::RegisterBlock, mhz: u32) {
     rcc.cr().modify(|_, w| w.pllon().clear_bit());
     while rcc.cr().read().pllrdy().bit_is_set() {}
     rcc.pllcfgr().modify(|r, w| {
-        // The frequency of the PLL's own oscillator, which is a whole and even number of MHz at all our clocks.
+        // The frequency of the PLL's own oscillator (VCO): a whole and even number of MHz at all clocks of our boards.
         let vco_mhz = HSI_MHZ * u32::from(r.plln().bits()) / u32::from(r.pllm().bits());
-        // The input of the PLL is 2 MHz, as the reference manuals recommend (RCC_PLLCFGR, PLLM), or 1 MHz.
-        // RM0368 asks for a PLLN of 192 or more, so an F401, whose PLL oscillates at 336 MHz, always takes 1 MHz.
+        // The input of the PLL is 2 MHz, as the reference manuals recommend (RCC_PLLCFGR, PLLM), or 1 MHz. RM0368 asks
+        // for a PLLN of 192 or more, so an F401, whose VCO runs at 336 MHz, always takes 1 MHz.
         let input_mhz = if mhz.is_multiple_of(2) && cfg!(not(feature = "stm32f401")) { 2 } else { 1 };
-        // SAFETY: unsafe because the device crate cannot know which dividers are valid; safe because they are: PLLM is 2
-        // to 26, and PLLN 168 to 400.
+        // SAFETY: unsafe because the device crate cannot know which dividers are valid; safe because they are: PLLM is
+        // 2 to 26, and PLLN 168 to 400.
         unsafe { w.pllm().bits((mhz / input_mhz) as u8).plln().bits((vco_mhz / input_mhz) as u16).pllsrc().hse() }
     });
     rcc.cr().modify(|_, w| w.pllon().set_bit());
@@ -91,8 +92,8 @@ pub fn change_source(rcc: &pac::rcc::RegisterBlock, mhz: u32) {
     while !rcc.cfgr().read().sws().is_pll() {}
 }
 
-/// Measures the external oscillator. Returns the ticks of the internal oscillator from the first to the last capture, or
-/// `None` if no capture comes.
+/// Measures the external oscillator. Returns the ticks of the internal oscillator from the first to the last capture,
+/// or `None` if no capture comes.
 fn measure(rcc: &pac::RCC) -> Option<u32> {
     rcc.cfgr().modify(|_, w| w.rtcpre().set(DIVIDER as u8));
     rcc.apb2enr().modify(|_, w| w.tim11en().set_bit());
@@ -101,7 +102,7 @@ fn measure(rcc: &pac::RCC) -> Option<u32> {
     for (register, value) in [(OR, IS_OSCILLATOR), (CCMR1, CAPTURES_EIGHTH), (CCER, 1), (ARR, 0xFFFF), (CR1, 1)] {
         write(TIM11 + register, value);
     }
-    // The first capture may be from before the counter ran.
+    // Ignore the first capture, which may be from before the counter ran.
     capture()?;
     let first = capture()?;
     let mut last = first;
@@ -112,7 +113,7 @@ fn measure(rcc: &pac::RCC) -> Option<u32> {
     Some(last.wrapping_sub(first) & 0xFFFF)
 }
 
-/// Waits for the next capture of TIM11 and returns its time.
+/// Waits for the next capture of TIM11. Returns its time in ticks of the internal oscillator, or `None` if none comes.
 #[inline(never)]
 fn capture() -> Option<u32> {
     let has_come = (0..MOST_LOOKS_AT_CAPTURE).any(|_| read(TIM11 + SR) & CAPTURED != 0);
@@ -120,16 +121,16 @@ fn capture() -> Option<u32> {
     has_come.then(|| read(TIM11 + CCR1))
 }
 
-/// Returns whether a frequency in MHz fits the measured ticks, within some thousandths. The internal oscillator is within
-/// 1 % at 25 degrees, and within -8 to 4.5 % from -40 to 105 (data sheets, "HSI oscillator characteristics").
+/// Returns whether a frequency in MHz fits the measured ticks to within `thousandths`. The internal oscillator is
+/// within 1 % at 25 degrees, and within -8 to 4.5 % from -40 to 105 (data sheets, "HSI oscillator characteristics").
 #[inline(never)]
 fn is_near(mhz: u32, ticks: u32, thousandths: u32) -> bool {
     let expected = HSI_MHZ * DIVIDER * EDGES * CAPTURES / mhz;
     expected.abs_diff(ticks) * 1000 <= expected * thousandths
 }
 
-/// Returns the known frequency that fits the measured ticks. The tolerance is closer at 25 MHz, because there are
-/// oscillators of 24 and 26 MHz. Even so, the measurement cannot tell these two from 25 MHz.
+/// Returns the frequency of `KNOWN_MHZ` that fits the measured ticks. The tolerance is smaller at 25 MHz, because there
+/// are also oscillators of 24 and 26 MHz. But even so, the measurement can take those two for 25 MHz.
 fn known(ticks: u32) -> Option<u32> {
     KNOWN_MHZ.into_iter().find(|mhz| is_near(*mhz, ticks, if *mhz == 25 { 50 } else { 80 }))
 }

@@ -7,14 +7,15 @@
 
 use super::registers::{read, write};
 
-/// Registers of a controller: flags of streams 0 to 3 and 4 to 7, the registers that clear them, and the first stream.
+/// Offsets of a controller's registers: flags of streams 0 to 3 and 4 to 7, the registers that clear these flags, and
+/// the registers of the first stream.
 pub(super) const LISR: usize = 0x00;
 pub(super) const HISR: usize = 0x04;
 const LIFCR: usize = 0x08;
 const HIFCR: usize = 0x0C;
 const STREAMS: usize = 0x10;
 const STREAM_SIZE: usize = 0x18;
-/// Registers of a stream.
+/// Offsets of a stream's registers.
 pub(super) const CR: usize = 0x00;
 pub(super) const NDTR: usize = 0x04;
 const PAR: usize = 0x08;
@@ -28,16 +29,16 @@ pub(super) const PERIPHERAL_COUNTS: u32 = 1 << 9;
 pub(super) const MEMORY_COUNTS: u32 = 1 << 10;
 pub(super) const WORDS: u32 = 2 << 11 | 2 << 13;
 pub(super) const VERY_HIGH: u32 = 3 << 16;
-/// All flags of a stream (six bits wide), and its transfer error and direct mode error.
+/// All flags of a stream, and two of them: transfer error and direct mode error.
 const FLAGS: u32 = 0x3D;
 const ERROR_FLAGS: u32 = 0b1100;
 
-/// Bit position of a stream's flags.
+/// Returns the bit position of a stream's flags in its flag register.
 const fn flags_at(stream: usize) -> u32 {
     [0, 6, 16, 22][stream % 4]
 }
 
-/// Returns the error flags of some streams that share a register.
+/// Returns the error flags of some streams that share a flag register.
 pub(super) const fn errors(streams: &[usize]) -> u32 {
     let (mut flags, mut at) = (0, 0);
     while at < streams.len() {
@@ -47,9 +48,9 @@ pub(super) const fn errors(streams: &[usize]) -> u32 {
     flags
 }
 
-/// Maximum time, in cycles, from a DMA request to the last word that it transfers.
+/// Maximum time, in CPU cycles, from a DMA request to the last word that it transfers.
 pub(super) const SERVED_CYCLES: u32 = 80;
-/// Minimum number of cycles between switching on two streams.
+/// Minimum number of CPU cycles between switching on two streams.
 const APART_CYCLES: u32 = 12;
 
 /// Returns the address of a stream's registers.

@@ -1,8 +1,8 @@
 //! The `SettingsFlash` of an STM32F4: two of its 16 KiB sectors, written in words at parallelism 32 (2.7 V and more).
 //!
 //! Only these two sectors are ever written or erased. While a word is written or a sector erased, every fetch from
-//! flash stalls, and with it the whole program: for 16 us per word (at most 100 us), for 250 ms per erase (at most 500
-//! ms; data sheet of the STM32F411, table "Flash memory programming"). The caller decides when to start an operation.
+//! flash stalls, and with it the whole program. A word takes 16 us (at most 100 us), an erase 250 ms (at most 500 ms;
+//! data sheet of the STM32F411, table "Flash memory programming"). The caller decides when to start an operation.
 
 use oxmill_store::{Flash, Sector};
 use stm32f4xx_hal::pac;
@@ -32,9 +32,9 @@ const DATA_CACHE_RESET: u32 = 1 << 12;
 /// Writes a whole register as a number.
 macro_rules! raw {
     ($register:expr, $bits:expr) => {{
-        // SAFETY: unsafe because the device crate cannot know which values are valid for the register; safe because each
-        // value consists of the constants above, of a sector number that `erase` has checked, or of bits read from the
-        // same register. Only sectors 1 and 2 are ever erased, and they hold no part of the program.
+        // SAFETY: unsafe because the device crate cannot know which values are valid for the register; safe because
+        // each value consists of the constants above, of a sector number that `erase` has checked, or of bits read from
+        // the same register. Only sectors 1 and 2 are ever erased, and they hold no part of the program.
         unsafe { $register.bits($bits) }
     }};
 }
@@ -42,7 +42,7 @@ macro_rules! raw {
 /// Why a write or an erase failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlashError {
-    /// The error bits of SR.
+    /// The error bits of SR; 0 if the sector to be erased is not one of the settings sectors.
     Refused(u32),
     /// The value read back differs from the value written.
     Unlike,
@@ -62,8 +62,8 @@ unsafe extern "C" {
 
 impl SettingsFlash {
     /// Takes the sectors that the linker script reserves. `before_stall` and `after_stall` are called, with interrupts
-    /// off, before and after each operation that stalls the processor. The first one must prepare whatever cannot wait
-    /// for the end of the operation.
+    /// off, before and after each operation that stalls the processor. `before_stall` must prepare everything that
+    /// cannot wait until the operation has ended, such as receiving.
     pub fn new(flash: pac::FLASH, before_stall: fn(), after_stall: fn()) -> SettingsFlash {
         SettingsFlash { flash, before_stall, after_stall }
     }
@@ -76,7 +76,7 @@ impl SettingsFlash {
         }
     }
 
-    /// Unlocks the memory, starts `operation`, waits for its end, and locks the memory again.
+    /// Unlocks the memory, sets CR to `control`, starts `operation`, waits for its end, and locks the memory again.
     fn operate(&mut self, control: u32, operation: impl FnOnce(&pac::FLASH)) -> Result<(), FlashError> {
         let flash = &self.flash;
         let errors = critical_section::with(|_| {

@@ -1,7 +1,7 @@
 //! Pins by their numbers: sets up the pins that the pin table of the image names.
 //!
 //! Uses raw registers, because the HAL makes the number of a pin part of its type, so it cannot take pins from a table
-//! that is read at the start. The registers of a port are those of reference manual RM0383, "GPIO registers"; all
+//! that is read at run time. The registers of a port are those of reference manual RM0383, "GPIO registers"; all
 //! STM32F4 have the same.
 
 use super::registers::{Chip, Map, read, write, write_bsrr};
@@ -30,7 +30,7 @@ const MEDIUM: u32 = 1;
 const TIM3: u32 = 2;
 
 impl Place {
-    /// Returns the place of a pin, or `None` if this image does not use the port.
+    /// Converts a pin of the table. Returns `None` if this image does not use the pin's port.
     fn of(pin: Pin) -> Option<Place> {
         (usize::from(pin.port) < PORTS).then(|| Place::new(usize::from(pin.port), u32::from(pin.number)))
     }
@@ -42,14 +42,14 @@ pub(super) fn place(table: &PinTable, role: Role) -> Option<Place> {
     table.pin(role).and_then(Place::of)
 }
 
-/// Returns the pins of some functions.
+/// Returns the pin of each function in `roles`, in the same order.
 pub(super) fn places<const N: usize>(table: &PinTable, roles: &[Role; N]) -> [Option<Place>; N] {
     let mut places = [None; N];
     find(table, roles, &mut places);
     places
 }
 
-/// Takes slices, so that the compiler keeps the loop.
+/// The loop of [`places`]. Takes slices, so that the compiler cannot unroll it.
 #[inline(never)]
 fn find(table: &PinTable, roles: &[Role], places: &mut [Option<Place>]) {
     for (place, role) in places.iter_mut().zip(roles) {
@@ -57,7 +57,7 @@ fn find(table: &PinTable, roles: &[Role], places: &mut [Option<Place>]) {
     }
 }
 
-// Not inlined, and neither are the functions below, because they are called for some thirty pins.
+// This function and those below are not inlined, because they are called for some thirty pins.
 /// Sets the `width` bits that belong to a pin in a register of its port.
 #[inline(never)]
 fn set(place: Place, register: usize, width: u32, value: u32) {
@@ -66,7 +66,7 @@ fn set(place: Place, register: usize, width: u32, value: u32) {
     write(address, read(address) & !(((1 << width) - 1) << at) | value << at);
 }
 
-/// Makes a pin a push-pull output, with its level from the first moment on.
+/// Makes a pin a push-pull output. Sets the level first, so that the output has it from the beginning.
 #[inline(never)]
 pub(super) fn output(place: Place, high: bool) {
     write_bsrr::<Chip>(place.port(), bsrr(place.pin(), high));
@@ -75,7 +75,7 @@ pub(super) fn output(place: Place, high: bool) {
     set(place, MODER, 2, OUTPUT);
 }
 
-/// Makes a pin a step output, whose edges are steep.
+/// Makes a pin an output with steep edges, for steps; low at first.
 pub(super) fn step_output(place: Place) {
     output(place, false);
     set(place, OSPEEDR, 2, MEDIUM);
@@ -113,8 +113,8 @@ pub(super) fn set_pull(place: Place, pull: u32) {
     set(place, PUPDR, 2, pull);
 }
 
-/// Starts the clocks of all ports that this image uses. A port without a used pin has its clock, too, because
-/// `InputPins::read` and `safe_state` reach all of them.
+/// Starts the clocks of all ports that this image uses. Ports without a used pin get their clock, too, because
+/// `InputPins::read` and `safe_state` access all ports.
 pub(super) fn clock_ports(rcc: &mut Rcc) {
     rcc.ahb1enr().modify(|r, w| {
         // SAFETY: unsafe because the device crate cannot know which numbers the register takes; safe because bit 0 is

@@ -17,7 +17,7 @@ pub unsafe trait Map {
     const TIM5: usize;
     /// PWM of the spindle or laser.
     const TIM3: usize;
-    /// Pulse timer.
+    /// Timer of the step pulses.
     const TIM1: usize;
     /// Timer of the ports with directions alone; used only on chips that have it.
     const TIM8: usize;
@@ -25,7 +25,7 @@ pub unsafe trait Map {
     const DMA1: usize;
     /// DMA controller that writes the edges.
     const DMA2: usize;
-    /// Reset and clocks.
+    /// Reset and clock control.
     const RCC: usize;
 }
 
@@ -45,12 +45,12 @@ unsafe impl Map for Chip {
     const RCC: usize = 0x4002_3800;
 }
 
-/// Registers of a port, and the distance from one port's address to the next.
+/// Offsets of a port's registers, and from one port's registers to those of the next.
 const IDR: usize = 0x10;
 const BSRR: usize = 0x18;
 const PORT_SIZE: usize = 0x400;
 
-/// Registers of a timer.
+/// Offsets of a timer's registers.
 pub mod timer {
     #![allow(missing_docs, reason = "the manual's names")]
     pub const CR1: usize = 0x00;

@@ -1,5 +1,5 @@
-//! Set-up of a board with an STM32F4: clocks, pins by the pin table, timers, and the links to the hosts. An image has one
-//! of two sets of links:
+//! Set-up of a board with an STM32F4: clocks, the pins of the pin table, timers, and the links to the hosts. An image
+//! has one of two sets of links:
 //!
 //! | image | first link | second link |
 //! |---|---|---|
@@ -36,7 +36,7 @@ macro_rules! vectors {
     };
 }
 
-/// Vector of the serial task: that of an unused peripheral, or that of the DMA stream that sends.
+/// Vector of the serial task: with USB, that of an unused peripheral; otherwise that of the DMA stream that sends.
 #[cfg(feature = "usb")]
 const SERIAL: pac::Interrupt = pac::Interrupt::SPI2;
 #[cfg(not(feature = "usb"))]
@@ -64,7 +64,7 @@ pub type UsbPort = stm32f4::usb::UsbPort;
 pub type UsbPort = crate::NoPort;
 /// The step and direction outputs.
 pub type StepPins = stm32f4::StepPins;
-/// What [`setup`] returns, one part for each task.
+/// The parts of the board that [`setup`] returns, each for one task.
 pub type Parts = stm32f4::Parts<UartInput, SerialPort, UsbPort>;
 
 /// Sets up clocks, pins and timers; all outputs are off.
@@ -97,8 +97,8 @@ pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {
     let (tx, mut rx, usart) = (a.pa9, a.pa10.into_alternate::<7>(), device.USART1);
     #[cfg(not(feature = "usb"))]
     let (tx, mut rx, usart) = (a.pa2, a.pa3.into_alternate::<7>(), device.USART2);
-    // If no host drives the input (no cable, an ST-LINK with open solder bridges or without power), the pull-up keeps it
-    // high. Otherwise noise would be received as commands.
+    // If no host drives the input (no cable, an ST-LINK with open solder bridges or without power), the pull-up keeps
+    // it high. Otherwise noise would be received as commands.
     rx.set_internal_resistor(Pull::Up);
     let Ok(usart) = serial::Serial::new(usart, (tx, rx), link, &mut rcc) else {
         // The set-up cannot fail: the clocks of the USARTs, 42 to 96 MHz, give 115200 baud to within 0.2 %.

@@ -70,9 +70,10 @@ const ALL: u8 = (COMBINATIONS - 1) as u8;
 /// The bit of axis A, whose motor is the fourth; 0 on a board with three axes.
 const FOURTH_AXIS: u8 = ALL & 8;
 
-/// Computes the words of each port for all combinations. `driven`: for each pin, the bits of a combination that make it
-/// active. `invert`: a bit for each pin that is active low. If none of a pin's bits is set: with `both`, the word makes
-/// the pin inactive; otherwise it leaves the pin unchanged. A motor without a pin has no part in any word.
+/// Computes the words of each port for all combinations. `driven`: for each pin, the bits of a combination that make
+/// the pin active. `invert`: a bit for each pin that is active low. For a combination that has none of a pin's bits,
+/// the word makes the pin inactive with `both`, and otherwise leaves it unchanged. A motor without a pin changes no
+/// word.
 fn fill<const P: usize>(
     ports: [usize; P],
     places: [Option<Place>; 4],
@@ -86,7 +87,8 @@ fn fill<const P: usize>(
         let active_low = invert >> i & 1 != 0;
         let set = bsrr(place.pin(), !active_low);
         let unset = if both { bsrr(place.pin(), active_low) } else { 0 };
-        // The first entry: if there are fewer ports than `P`, the other entries repeat the first, and their words stay 0.
+        // Only the first match: if there are fewer ports than `P`, the spare entries repeat the first port, and their
+        // words must stay 0.
         if let Some((_, words)) = ports.iter().zip(&mut tables).find(|(port, _)| **port == place.port()) {
             for (bits, word) in words.iter_mut().enumerate() {
                 *word |= if bits as u8 & driven != 0 { set } else { unset };
@@ -102,7 +104,8 @@ fn ports_of<const P: usize>(places: impl Iterator<Item = Place> + Clone) -> [usi
     let mut used = 1;
     for place in places {
         if !ports[..used].contains(&place.port()) {
-            // Not reached: a table with more ports does not fit this image (`pin_table`).
+            // The index is valid: a table with more ports is not used, because it does not fit this image
+            // (`pin_table`).
             ports[used] = place.port();
             used += 1;
         }
@@ -119,7 +122,8 @@ pub struct Clocks {
     pub pwm_hz: u32,
 }
 
-/// Step and direction outputs on `P` ports, of which the first `S` have steps, and the spindle's PWM (a channel of TIM3).
+/// Step and direction outputs on `P` ports, of which the first `S` have step pins, and the spindle's PWM (a channel of
+/// TIM3).
 pub struct StepPins<M, const S: usize, const P: usize, O> {
     chain: Chain<M, S, P>,
     ports: [usize; P],
@@ -146,8 +150,8 @@ pub struct StepPins<M, const S: usize, const P: usize, O> {
 }
 
 impl<M: Map, const S: usize, const P: usize, O> StepPins<M, S, P, O> {
-    /// Creates the outputs. The pins X, Y, Z and those of a second motor must be outputs already, the timers must run,
-    /// and the pulse timers and both DMA controllers must have their clocks. `pwm_channel` is that of TIM3, 0 to 3.
+    /// Creates the outputs. The step and direction pins must be outputs already, the timers must run, and the pulse
+    /// timers and both DMA controllers must have their clocks. `pwm_channel` is that of TIM3, 0 to 3.
     pub fn at(
         step: [Option<Place>; 4],
         direction: [Option<Place>; 4],
@@ -199,7 +203,7 @@ impl<M: Map, const S: usize, const P: usize, O> StepPins<M, S, P, O> {
 
 impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M, S, P, O> {
     const DEPTH: usize = super::chain::DEPTH;
-    // Longer than the interrupt takes, so that at any step rate much of the CPU time is left for other tasks.
+    // Longer than the interrupt takes, so that at any step rate other tasks get much of the CPU time.
     const SOON: u32 = 800;
 
     #[inline(always)]
@@ -282,8 +286,8 @@ impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M,
         let (tail, fault) = self.chain.silence(dark);
         let mut net = [0; AXES];
         // For each axis and port, finds the bits of a word that mean a step, and those that mean a negative direction.
-        // A step is meant by all bits of the word for this step alone. A negative direction is meant by the bits that
-        // are set in the word for this direction alone, but not in the word without negative directions.
+        // A step: all bits of the word for this step alone. A negative direction: the bits that are set in the word for
+        // this direction alone, but not in the word without negative directions.
         let of = |table: &[u32; COMBINATIONS], axis: usize| table.get(1 << axis).copied().unwrap_or(0);
         let mut masks = [[(0, 0); P]; AXES];
         for (axis, masks) in masks.iter_mut().enumerate() {
@@ -341,9 +345,9 @@ impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M,
         self.pwm_period = (counts / (prescaler + 1)).clamp(2, 0xFFFF);
         write(M::TIM3 + PSC, prescaler);
         write(M::TIM3 + ARR, self.pwm_period - 1);
-        // DMA does not overwrite this value, because it writes no power at rest.
+        // DMA does not overwrite this value: it writes no power while the machine is at rest.
         write(M::TIM3 + self.pwm_compare, self.compare(power));
-        // Restarts the counter, which loads the prescaler and ensures that the counter is not beyond its new end.
+        // Restarts the counter. This loads the prescaler, and the counter cannot be beyond the end of the new period.
         write(M::TIM3 + EGR, 1);
     }
 

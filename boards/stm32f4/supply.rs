@@ -33,8 +33,8 @@ fn clock_supply() {
     let _ = enable.read();
 }
 
-/// Ends over-drive before the PLL is switched off (RM0390, "Exiting from Over-drive mode"). Returns whether over-drive
-/// was on. The core must run on the internal oscillator.
+/// Switches over-drive off. Call before the PLL is switched off (RM0390, "Exiting from Over-drive mode"). Returns
+/// whether over-drive was on. The core must run on the internal oscillator.
 #[cfg(feature = "stm32f446")]
 pub fn leave_over_drive() -> bool {
     // SAFETY: unsafe because the owner is by-passed; safe because no task runs yet.
@@ -44,7 +44,7 @@ pub fn leave_over_drive() -> bool {
     was_on
 }
 
-/// Begins over-drive, while the PLL starts (RM0390, "Entering Over-drive mode").
+/// Switches over-drive on. Call while the PLL starts (RM0390, "Entering Over-drive mode").
 #[cfg(feature = "stm32f446")]
 pub fn enter_over_drive() {
     // SAFETY: unsafe because the owner is by-passed; safe because no task runs yet.
@@ -64,7 +64,7 @@ const VOLTAGE_VECTOR: pac::Interrupt = pac::Interrupt::EXTI16_PVD;
 /// EXTI line of the voltage detector.
 const VOLTAGE_LINE: u32 = 1 << 16;
 
-/// Called when the supply fails.
+/// The function to call when the supply falls too low, set by [`watch_voltage`].
 static LOW_VOLTAGE: Mutex<Cell<fn() -> !>> = Mutex::new(Cell::new(unwatched));
 
 /// Initial value of `LOW_VOLTAGE`. Never called: the vector is masked until [`watch_voltage`] has set a function.
@@ -88,7 +88,7 @@ pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
         cortex_m::Peripherals::steal().NVIC.set_priority(VOLTAGE_VECTOR, 0);
         pac::NVIC::unmask(VOLTAGE_VECTOR);
     }
-    // If the supply fell before edge detection was enabled, there is no edge. So check the level, too.
+    // If the supply had already fallen before edge detection was enabled, no edge follows. So check the level, too.
     if voltage_is_low() {
         pac::NVIC::pend(VOLTAGE_VECTOR);
     }
@@ -96,8 +96,8 @@ pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
 
 /// Waits until the supply has risen to 3 V (the detector's rising threshold: 2.95 to 3.09 V). Call before setting the
 /// clocks: the chip already starts at 1.7 V, but above the 16 MHz of a reset the flash wait states in use require 2.7 V
-/// or more (reference manual, "Relation between CPU clock frequency and flash memory read time"). A small supply
-/// takes a tenth of a second to charge capacitors of a few millifarads.
+/// or more (reference manual, "Relation between CPU clock frequency and flash memory read time"). A small supply takes
+/// a tenth of a second to charge capacitors of a few millifarads.
 pub fn await_voltage(pwr: &pac::PWR) {
     detect_voltage(pwr);
     if voltage_is_low() {

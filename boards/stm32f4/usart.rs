@@ -1,16 +1,16 @@
-//! The UART to the host: [`Usart`] for the serial task, and [`UartInput`] for the task `inputs`, or for `inputs` and
-//! `uart`, which have the same priority. The board chooses how bytes are transferred: by DMA (`usart_dma`) or by an
-//! interrupt (`usart_interrupt`).
+//! The UART to the host: [`Usart`] for the serial task, and [`UartInput`] for the task `inputs` (without DMA also for
+//! the task `uart`, which has the same priority). The board chooses how bytes are transferred: by DMA (`usart_dma`) or
+//! by an interrupt (`usart_interrupt`).
 //!
 //! ```text
 //!  UART ──▶ UartInput ──messages──▶ Usart ──▶ serial task
 //!  UART ◀── UartOutput ◀─────────── Usart ◀── serial task
 //! ```
-//! Received bytes do not interrupt the step task, and none is lost during its longest run, at any baud rate that a
-//! board allows (`$931`). Writing a word of flash can stall the processor for 100 us, an erase for half a second.
-//! Guarantee: a host that respects the flow control loses nothing. (It has at most the 255 bytes in flight that `Bf:`
-//! counts, and up to 64 realtime commands beside them: `REALTIME_DEPTH`.) If a host exceeds these limits, any loss is
-//! reported.
+//! Received bytes do not interrupt the step task, and no byte is lost during the longest run of that task, at any baud
+//! rate that a board allows (`$931`). Writing a word of flash can stall the processor for 100 us, an erase for half a
+//! second. Guarantee: a host that respects the flow control loses nothing. (Such a host has at most 255 bytes of lines
+//! in flight, as `Bf:` in the status report allows, and 64 realtime commands, `REALTIME_DEPTH`.) If a host exceeds
+//! these limits, any loss is reported.
 
 use super::registers::{read, write};
 use crate::uart_receiver::{ByteSource, Look, ReceivedBytes, UartReceiver};
@@ -19,8 +19,8 @@ use rtic_sync::channel::{Channel, Receiver, Sender};
 use rtic_sync::signal::{Signal, SignalReader, SignalWriter};
 
 /// Registers of a USART. The HAL sets up the USART; the registers are raw here because DMA reads and writes the data
-/// register without the HAL. Besides, at an overrun the HAL drops the byte that was received before it, and that byte
-/// may be a command that stops the machine.
+/// register without the HAL. Besides, at an overrun the HAL drops the byte in the data register, which was received
+/// before the overrun and may be a command that stops the machine.
 pub(super) const SR: usize = 0x00;
 pub(super) const DATA: usize = 0x04;
 const BRR: usize = 0x08;
@@ -48,7 +48,8 @@ pub struct UartInput<S, const N: usize> {
     messages: Sender<'static, ReceivedBytes, N>,
     /// Number of messages sent (wrapping).
     sent: u32,
-    /// Signal to the serial task: a stop command may be waiting in a message up to this one, counted as in `sent`.
+    /// Signal to the serial task: number (counted as in `sent`) of the newest message that may contain a command that
+    /// stops the machine.
     hurry: SignalWriter<'static, u32>,
 }
 
@@ -63,7 +64,7 @@ impl<S: ByteSource, const N: usize> UartInput<S, N> {
     /// Sends the bytes read so far to the serial task. With `calls`, the caller calls the serial task afterwards.
     pub fn pass_on(&mut self, calls: bool) {
         if calls && self.receiver.has_stop() {
-            // The stop command is in the message being filled or in an earlier one.
+            // The command that stops the machine is in the message being filled or in an earlier one.
             self.hurry.write(self.sent.wrapping_add(1));
         }
         let (messages, sent) = (&mut self.messages, &mut self.sent);
@@ -89,13 +90,13 @@ pub trait UartOutput {
     fn begin(&mut self);
 }
 
-/// A UART, for the serial task.
+/// The UART as the serial task uses it: takes the messages with received bytes, and sends bytes by `T`.
 pub struct Usart<T, const N: usize> {
     messages: Receiver<'static, ReceivedBytes, N>,
     /// Number of messages taken (wrapping).
     taken: u32,
     hurry: SignalReader<'static, u32>,
-    /// A command that stops the machine may be in a message up to this one, counted as in `taken`.
+    /// Number (counted as in `taken`) of the newest message that may contain a command that stops the machine.
     hurries_to: u32,
     /// The message being read.
     message: ReceivedBytes,
@@ -104,7 +105,8 @@ pub struct Usart<T, const N: usize> {
     output: T,
 }
 
-/// Creates the ends for both tasks and connects them. Call once.
+/// Creates the [`UartInput`] of the task `inputs` and the [`Usart`] of the serial task, connected by `messages` and
+/// `hurry`. Call once.
 pub(super) fn join<S: ByteSource, T, const N: usize>(
     receiver: UartReceiver<S>,
     output: T,
@@ -160,8 +162,8 @@ impl<T: UartOutput, const N: usize> Port for Usart<T, N> {
         self.hurries_to = self.hurry.try_read().unwrap_or(self.hurries_to);
         let left = self.hurries_to.wrapping_sub(self.taken) as i32;
         if left < 0 {
-            // Move `hurries_to` along, one behind `taken`. An old value would otherwise seem to lie ahead after `taken`
-            // has wrapped.
+            // Keep `hurries_to` one below `taken`. Otherwise, when `taken` has wrapped, an old value would seem to be
+            // ahead of it.
             self.hurries_to = self.taken.wrapping_sub(1);
             return false;
         }

@@ -26,7 +26,7 @@ use stm32f4xx_hal::{
 /// Capacity of the queue of messages to the serial task. At 1 Mbaud four messages are filled between two calls of the
 /// serial task; a line that arrives slowly takes one message per 200 us.
 const MESSAGES: usize = 12;
-/// Bytes of a half of the send buffer.
+/// Size of each half of the send buffer, bytes.
 const HALF: usize = 64;
 
 /// SR: the data register holds a received byte.
@@ -37,7 +37,7 @@ const BY_DMA: u32 = 1 | 1 << 6 | 1 << 7;
 const CHANNEL: u32 = 4 << 25;
 /// CR of the receiving stream: half-words, circular, with a higher priority than sending.
 const RECEIVES: u32 = CHANNEL | CIRCULAR | MEMORY_COUNTS | 1 << 11 | 1 << 13 | 1 << 16;
-/// CR of the sending stream: bytes, with an interrupt at the end.
+/// CR of the sending stream: bytes, with an interrupt at the end of the transfer.
 const SENDS: u32 = CHANNEL | TO_PERIPHERAL | MEMORY_COUNTS | 1 << 4;
 
 /// The streams of USART2, which nothing else uses (reference manuals, "DMA1 request mapping"). The serial task uses the
@@ -52,7 +52,7 @@ const USART: usize = 0x4000_4400;
 /// The vector whose pending bit reports damaged bytes; it stays masked.
 const VECTOR: pac::Interrupt = pac::Interrupt::USART2;
 
-/// The receiving part of the UART.
+/// The receiving part of the UART: DMA writes all received bytes into the buffer.
 pub struct ByDma {
     _rx: Rx<pac::USART2>,
     buffer: &'static Buffer,
@@ -65,7 +65,7 @@ pub type Input = UartInput<ByDma, MESSAGES>;
 /// The UART, for the serial task.
 pub type DmaPort = Usart<Halves, MESSAGES>;
 
-/// Takes the USART over from the HAL. It receives after [`Input::start`]. Not inlined into the set-up, because its
+/// Takes the USART over from the HAL. Receiving starts with [`Input::start`]. Not inlined into the set-up, because its
 /// stack frame would then include the initial values of the buffers created here.
 #[inline(never)]
 pub fn start((tx, rx): (Tx<pac::USART2>, Rx<pac::USART2>), rcc: &mut Rcc) -> (Input, DmaPort) {
@@ -157,7 +157,7 @@ impl UartOutput for Halves {
 
     /// Sends the half being filled, if the other one has been sent.
     fn begin(&mut self) {
-        // Checks the flag, not NDTR, which may reach 0 before the last byte is transferred.
+        // Checks the flag instead of NDTR, because NDTR may reach 0 before the last byte is transferred.
         if read(DMA + HISR) & SENT != 0 {
             self.sends = false;
             clear_flags(DMA, SENDER);

@@ -1,5 +1,5 @@
 //! UART with an interrupt for each byte, at the priority of the inputs. For boards on which only DMA2 could serve this
-//! USART: there, DMA2 outputs the step edges, so it must not serve the USART's bus, APB2, at the same time (`chain`).
+//! USART: DMA2 outputs the step edges, and must not serve APB2, the bus of the USART, at the same time (`chain`).
 //!
 //! ```text
 //!  USART ──▶ interrupt ──▶ buffer
@@ -24,8 +24,8 @@ use stm32f4xx_hal::{
     serial::{Rx, Tx},
 };
 
-/// Capacity of the queue of messages to the serial task. A line that arrives slowly takes one message per 200 us; bytes
-/// for which there is no message wait in the buffer.
+/// Capacity of the queue of messages to the serial task. A line that arrives slowly takes one message per 200 us; while
+/// the queue is full, bytes wait in the receive buffer.
 const MESSAGES: usize = 6;
 /// Capacity of the queue of bytes to be sent.
 const SENT: usize = 16;
@@ -44,8 +44,8 @@ const CALL_WHEN_FREE: u32 = 1 << 7;
 const CALL_AT_ERROR: u32 = 1 << 0;
 const DMA_RECEIVES: u32 = 1 << 6;
 
-/// The receiving stream (reference manuals, "DMA2 request mapping"): channel 4, half-words, not circular. The steps never
-/// use this stream.
+/// The receiving stream (reference manuals, "DMA2 request mapping"): channel 4, half-words, not circular. The step
+/// output never uses this stream.
 const DMA: usize = 0x4002_6400;
 const STREAM: usize = 5;
 const RECEIVES: u32 = 4 << 25 | MEMORY_COUNTS | 1 << 11 | 1 << 13;
@@ -58,11 +58,11 @@ pub struct ByInterrupt {
     buffer: &'static Buffer,
     /// Clock of the USART's bus, Hz.
     clock: u32,
-    /// The slot of the next byte.
+    /// Index of the slot for the next received byte.
     place: usize,
     /// Bytes were lost before the next byte that will be put into the buffer.
     is_behind_loss: bool,
-    /// DMA may have fetched a damaged byte.
+    /// One of the bytes that DMA has fetched may be damaged.
     is_damaged: bool,
     /// Bytes queued for sending.
     sent: Receiver<'static, u8, SENT>,
@@ -73,7 +73,7 @@ pub type Input = UartInput<ByInterrupt, MESSAGES>;
 /// The UART, for the serial task.
 pub type InterruptPort = Usart<Queue, MESSAGES>;
 
-/// Takes the USART over from the HAL. It receives after [`Input::start`]. Not inlined into the set-up, because its
+/// Takes the USART over from the HAL. Receiving starts with [`Input::start`]. Not inlined into the set-up, because its
 /// stack frame would then include the initial values of the buffers created here.
 #[inline(never)]
 pub fn start((tx, rx): (Tx<pac::USART1>, Rx<pac::USART1>), rcc: &mut Rcc) -> (Input, InterruptPort) {
@@ -156,7 +156,8 @@ impl Input {
 }
 
 impl ByInterrupt {
-    /// Prepares the DMA stream, so that it writes to the slot of the next byte if it has to take over.
+    /// Programs the DMA stream, so that it continues at the slot for the next byte when a flash operation makes DMA
+    /// receive.
     fn prepare(&self) {
         let memory = self.buffer.get(self.place..).unwrap_or_default();
         program(DMA, STREAM, USART + DATA, memory.as_ptr() as usize, memory.len());
@@ -168,7 +169,7 @@ impl ByInterrupt {
         write(USART + CR_1, read(USART + CR_1) | CALL_WHEN_COME | CALL_WHEN_FREE);
         let at = stream(DMA, STREAM);
         write(at + CR, RECEIVES);
-        // DMA finishes the byte in progress.
+        // Wait until DMA has written a byte that is in progress.
         await_off(at);
         let before = self.place;
         self.place = SLOTS - (read(at + NDTR) as usize).min(SLOTS);
@@ -231,8 +232,9 @@ impl ByteSource for ByInterrupt {
 }
 
 /// Lets DMA receive during a flash operation, which stalls the processor. Until [`after_stall`], only a damaged byte
-/// makes the UART's interrupt pending, because its flags can be gone when the processor goes on: the manuals do not say
-/// whether a read by DMA clears them. Interrupts must be off and the machine at rest.
+/// makes the UART's interrupt pending. The pending bit records the damage, because the byte's error flags can be gone
+/// when the processor continues: the manuals do not say whether a read by DMA clears them. Interrupts must be off and
+/// the machine at rest.
 pub fn before_stall() {
     write(USART + CR_1, read(USART + CR_1) & !(CALL_WHEN_COME | CALL_WHEN_FREE));
     let in_doubt = read(USART + CR_3) & CALL_AT_ERROR != 0;
@@ -248,7 +250,7 @@ pub fn before_stall() {
     write(USART + CR_3, DMA_RECEIVES | CALL_AT_ERROR);
 }
 
-/// Notes whether a byte was damaged while the processor was stalled. If so, the interrupt at errors stays enabled.
+/// Records whether a byte was damaged while the processor was stalled: if so, the interrupt at errors stays enabled.
 /// Pends the UART's interrupt, which ends receiving by DMA.
 pub fn after_stall() {
     if !NVIC::is_pending(VECTOR) {
@@ -257,7 +259,7 @@ pub fn after_stall() {
     NVIC::pend(VECTOR);
 }
 
-/// The serial task's end of the send queue.
+/// The sending side of the queue of bytes to be sent, for the serial task.
 pub struct Queue {
     _tx: Tx<pac::USART1>,
     bytes: Sender<'static, u8, SENT>,

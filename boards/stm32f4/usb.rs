@@ -6,11 +6,10 @@
 //!  host ◀──IN packet─── transmit FIFO ◀── outgoing ◀──send── serial task
 //! ```
 //! Flow control (back-pressure): after each packet the hardware answers NAK until software enables the endpoint again.
-//! The driver alone would enable it at once. In that case a packet for which there is no space would stay in the FIFO,
-//! raise the interrupt forever and block later entries of the control endpoint. Therefore this file, and not the
-//! driver, takes the entry that ends a packet out of the FIFO, and enables the endpoint only when a whole packet fits.
-//! So every packet in the FIFO can be fetched at once, and DTR, suspend and reset are processed while the host is held
-//! back.
+//! The driver would enable it at once. Then a packet for which there is no space would stay in the FIFO, raise the
+//! interrupt forever and block later entries of the control endpoint. Therefore this file takes the entry that ends a
+//! packet out of the FIFO before the driver finds it, and enables the endpoint only when a whole packet fits. So every
+//! packet in the FIFO can be fetched at once, and DTR, suspend and reset are processed while the host is held back.
 //!
 //! While flash is written, the processor is stalled; the FIFO holds one packet, and the hardware answers further ones
 //! with NAK.
@@ -36,8 +35,8 @@ use crate::{Incoming, Port};
 
 /// Largest packet of a bulk endpoint at full speed (USB 2.0, 5.8.3).
 const PACKET: usize = 64;
-/// Maximum bytes per sent packet. No sent packet is full. A packet that is not full ends a transfer, so each packet is
-/// a complete transfer.
+/// Maximum bytes per sent packet: one less than a full packet. A packet that is not full ends a USB transfer, so each
+/// sent packet is a complete transfer.
 const SENT: usize = PACKET - 1;
 /// Words of the driver's receive buffers: 64 bytes each for the control endpoint and the data endpoint.
 const BUFFERS: usize = 2 * PACKET / 4;
@@ -53,7 +52,7 @@ const GRXSTSP: usize = 0x020;
 /// Device status; its bit `SUSPENDED`: the bus is suspended.
 const DSTS: usize = 0x808;
 const SUSPENDED: u32 = 1;
-/// Interrupt mask of the endpoints; IN endpoints (to the host) are its lowest bits.
+/// Interrupt mask of the endpoints; the lowest bits are those of the IN endpoints (to the host).
 const DAINTMSK: usize = 0x81C;
 const DIEPCTL: usize = 0x900;
 const DOEPCTL: usize = 0xB00;
@@ -77,7 +76,8 @@ const OUT_COMPLETED: u32 = 3;
 const ENABLED: u32 = 1 << 31;
 const CNAK: u32 = 1 << 26;
 const ENABLED_AGAIN: u32 = CNAK | ENABLED;
-/// DIEPCTL: set NAK, disable. DIEPINT (at this offset from DIEPCTL) reports when either has taken effect.
+/// DIEPCTL: set NAK, disable. DIEPINT (at this offset from DIEPCTL) reports when each of them has taken effect
+/// (`NAK_IN_FORCE`, `IS_DISABLED`).
 const SNAK: u32 = 1 << 27;
 const DISABLED: u32 = 1 << 30;
 const DIEPINT: usize = 0x08;
@@ -99,7 +99,7 @@ const DATA_INTERFACE: u16 = 1;
 
 /// Address of the part's unique 96-bit number (RM0383, 24.1; RM0368, 24.1).
 const UNIQUE_ID: usize = 0x1FFF_7A10;
-/// Hexadecimal digits of that number.
+/// Number of hexadecimal digits of the unique number.
 const SERIAL_NUMBER: usize = 24;
 
 fn read(offset: usize) -> u32 {
@@ -119,7 +119,7 @@ fn write(offset: usize, word: u32) {
     unsafe { address.write_volatile(word) }
 }
 
-/// Waits until the bits have this value, for at most [`FLAG_TICKS`]. Returns whether they have.
+/// Waits until these bits of a register have this value, for at most [`FLAG_TICKS`]. Returns whether they have it.
 fn await_bits(offset: usize, bits: u32, value: u32) -> bool {
     let began = clock_ticks();
     while read(offset) & bits != value {
@@ -139,17 +139,17 @@ fn begin_with_data0(base: usize, endpoint: EndpointAddress) {
 /// [`LATE_BYTES_US`] in ticks.
 const LATE_BYTES_TICKS: u32 = LATE_BYTES_US * crate::CLOCK_TICKS_PER_US;
 
-/// The serial port's class for the driver. It also records which data endpoints must restart with DATA0, as the host
-/// does after certain requests (USB 2.0, 9.1.1.5 and 9.4.5). The driver alone does not reset their toggles, so the next
-/// packet would be taken for a repetition and be lost.
+/// The serial port's class for the driver. It also records which data endpoints must restart with DATA0, because after
+/// certain requests the host does (USB 2.0, 9.1.1.5 and 9.4.5). The driver does not reset their data toggles, so the
+/// next packet would be taken for a repetition and be lost.
 struct SerialClass {
     port: CdcAcmClass<'static, UsbBusType>,
     begin_out: bool,
     begin_in: bool,
 }
 
-// Wraps the class of the serial port. A second class beside it would need a kilobyte more, because the compiler can
-// resolve the driver's calls of a class only if there is a single one.
+// Wraps the class of the serial port. A second class in addition would need a kilobyte more code, because the compiler
+// can resolve the driver's calls to a class only if there is just one class.
 impl UsbClass<UsbBusType> for SerialClass {
     fn get_configuration_descriptors(&self, writer: &mut DescriptorWriter<'_>) -> usb_device::Result<()> {
         self.port.get_configuration_descriptors(writer)
@@ -166,7 +166,7 @@ impl UsbClass<UsbBusType> for SerialClass {
     fn control_out(&mut self, transfer: ControlOut<'_, '_, '_, UsbBusType>) {
         let Request { request_type, recipient, request, value, index, .. } = *transfer.request();
         if request_type == RequestType::Standard {
-            // The driver refuses other requests, which therefore change nothing.
+            // The driver refuses these requests if they have other values; a refused request changes nothing.
             let both = (recipient, request) == (Recipient::Device, Request::SET_CONFIGURATION) && value <= 1
                 || (recipient, request, index) == (Recipient::Interface, Request::SET_INTERFACE, DATA_INTERFACE)
                     && value == 0;
@@ -179,15 +179,15 @@ impl UsbClass<UsbBusType> for SerialClass {
     }
 }
 
-/// The receiving half: the last packet that was fetched.
+/// The receiving part of the port: the packet fetched most recently.
 struct Received {
     packet: [u8; PACKET],
     length: usize,
     next: usize,
     /// The end of the packet has been taken out of the FIFO; the endpoint must be enabled again.
     ended: bool,
-    /// The driver may hold a packet: it has handled events since the last time that it had no packet. Without this flag
-    /// the serial task would query the driver at each byte of the UART, and each query takes 4 us.
+    /// The driver may hold a packet: it has handled events since it was last queried and had none. Without this flag
+    /// the serial task would also query the driver whenever it runs for a byte of the UART, and each query takes 4 us.
     may_wait: bool,
 }
 
@@ -265,9 +265,9 @@ impl UsbPort {
         }
     }
 
-    /// Makes the endpoint answer NAK, until [`UsbPort::enable_endpoint`]. On this chip the driver enables the endpoint
-    /// as soon as it has fetched a packet. A packet that arrives before this function disables the endpoint again stays
-    /// in the FIFO (see [`UsbPort::mask`]).
+    /// Makes the endpoint answer NAK, until [`UsbPort::enable_endpoint`]. For chips with `IS_ENABLED_WITH_DATA`, on
+    /// which the driver enables the endpoint as soon as it has fetched a packet. A packet that arrives before this
+    /// function disables the endpoint again stays in the FIFO (see [`UsbPort::mask`]).
     fn refuse_packets(&mut self) {
         let control = DOEPCTL + self.class.port.read_ep().address().index() * NEXT_ENDPOINT;
         write(control, read(control) & !ENABLED | SNAK);
@@ -280,7 +280,7 @@ impl UsbPort {
         let at = self.class.port.read_ep().address().index() * NEXT_ENDPOINT;
         let control = DOEPCTL + at;
         let before = read(control);
-        // If the driver has enabled the endpoint already, its size must not be changed.
+        // If the driver has already enabled the endpoint, the size of the transfer must not be changed.
         if before & ENABLED == 0 {
             write(DOEPTSIZ + at, ONE_PACKET);
         }
@@ -288,7 +288,7 @@ impl UsbPort {
         self.received.ended = false;
     }
 
-    /// Resets to DATA0 those data toggles that the host has reset.
+    /// Resets the data toggles of those endpoints that the host has reset to DATA0.
     fn begin_toggles(&mut self) {
         let SerialClass { port, begin_out, begin_in } = &mut self.class;
         if core::mem::take(begin_out) {
@@ -311,7 +311,7 @@ impl UsbPort {
     }
 
     /// Returns whether a host has configured the device. The driver's state alone is not reliable: after the bus has
-    /// gone idle, the driver takes earlier data for a sign of a host.
+    /// gone idle, the driver can take data from before that for a sign of a host.
     fn is_configured(&self) -> bool {
         self.device.state() == UsbDeviceState::Configured && !self.resetting && read(DSTS) & SUSPENDED == 0
     }
@@ -348,7 +348,8 @@ impl UsbPort {
             write(GRSTCTL, (endpoint as u32) << TXFNUM_SHIFT | TXFFLSH);
             await_bits(GRSTCTL, TXFFLSH, 0);
         } else {
-            // The packet stays and goes to the next host, which is better than an endpoint that answers NAK forever.
+            // The packet cannot be removed. It goes to the next host, which is better than an endpoint that answers NAK
+            // forever.
             write(control, read(control) & !ENABLED | CNAK);
         }
     }
@@ -382,8 +383,8 @@ impl Port for UsbPort {
             }
             self.begin_toggles();
             self.received.may_wait = true;
-            // In the FIFO, the packet that the driver has just fetched is usually followed by the entry that ends it.
-            // Take this entry, too, without waiting for another interrupt.
+            // The driver may just have fetched a packet from the FIFO. The entry that ends the packet usually follows
+            // it there. Take this entry, too, without waiting for another interrupt.
             self.hold_endpoint();
         }
         if self.device.state() == UsbDeviceState::Default {
@@ -440,8 +441,8 @@ impl Port for UsbPort {
     }
 
     fn allow(&mut self, room: usize) {
-        // Without space, no packet is fetched. In this case one packet can be here, one in the driver and one in the
-        // FIFO. The one in the FIFO would interrupt forever.
+        // Without space, no packet is fetched. One packet can then be in `received`, one in the driver and one in the
+        // FIFO. The one in the FIFO would raise its interrupt forever.
         self.mask(room == 0 && self.entry() == Some(OUT_DATA));
         let fetched = self.received.next >= self.received.length;
         if self.received.ended && fetched && room >= PACKET && self.is_configured() {
@@ -476,7 +477,8 @@ impl Port for UsbPort {
     fn call_when_free(&mut self, wanted: bool) {
         if self.is_configured() {
             self.flush();
-            // The end of a sent packet calls the serial task only if more is waiting to be sent.
+            // The interrupt at the end of a sent packet, which calls the serial task, is enabled only if more waits to
+            // be sent.
             let endpoint = 1 << self.class.port.write_ep().address().index();
             let mask = read(DAINTMSK);
             let calls = if self.outgoing.is_empty() && !wanted { mask & !endpoint } else { mask | endpoint };
@@ -487,7 +489,7 @@ impl Port for UsbPort {
     }
 }
 
-/// Returns the part's unique number in hexadecimal digits. It distinguishes two boards on one host.
+/// Returns the chip's unique number in hexadecimal digits, by which a host distinguishes two boards.
 fn serial_number() -> [u8; SERIAL_NUMBER] {
     let mut digits = [0; SERIAL_NUMBER];
     for (word, digits) in digits.chunks_exact_mut(8).enumerate() {

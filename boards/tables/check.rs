@@ -1,5 +1,5 @@
-//! Reads a board's file and checks it: which function may have which pin. Each rule has its own sentence, which names
-//! the line and says what to write.
+//! Reads a board's file (`NAME.toml`) and checks it, above all which pin each function may have. Each rule has an error
+//! message of its own, a [`Fault`] with the number of the line.
 
 use super::{Board, CHIPS, Chip, Fault, Use, name_of, text_of};
 use oxmill_boards::pin_table::{NAME_SIZE, Pin, Role};
@@ -7,11 +7,11 @@ use oxmill_boards::profiles::{self, IMAGES};
 use std::collections::BTreeMap;
 use toml::{Table, Value};
 
-/// Frequencies of oscillators from which the clocks can be made, MHz.
+/// Oscillator frequencies that a board's file may name, MHz.
 const OSCILLATORS: [u8; 9] = [4, 8, 10, 12, 16, 20, 24, 25, 26];
-/// Entries of a file beside `pins`.
+/// Names of the entries that a file may have at its top level.
 const KEYS: [&str; 7] = ["name", "title", "image", "chip", "oscillator", "remarks", "pins"];
-/// Functions whose pin must not be pulled up while the chip is reset, because a device would be on.
+/// Functions that switch a device on with a high level. They must not have a pin that the chip pulls up during a reset.
 const ON_WHEN_HIGH: [Role; 7] = [
     Role::SpindleOn,
     Role::SpindlePwm,
@@ -21,7 +21,7 @@ const ON_WHEN_HIGH: [Role; 7] = [
     Role::SecondProgramOutput,
     Role::MotorPower,
 ];
-/// Pairs of a function and another one that it needs.
+/// Pairs of functions: a board that has a pin for the first must also have one for the second.
 const NEEDS: [(Role, Role); 14] = [
     (Role::StepX, Role::DirectionX),
     (Role::StepY, Role::DirectionY),
@@ -50,8 +50,8 @@ impl Checked<'_> {
         self.faults.push(Fault { line, text });
     }
 
-    /// Returns the number of the line with an entry: after the heading `[pins]` with `in_pins`, otherwise before it. 0
-    /// if there is no such line.
+    /// Returns the number of the line that sets the entry `key`, counted from 1; 0 if there is no such line. Looks
+    /// below the heading `[pins]` with `in_pins`, otherwise above it.
     fn line_of(&self, key: &str, in_pins: bool) -> usize {
         let mut is_behind = false;
         for (at, line) in self.text.lines().enumerate() {
@@ -65,7 +65,8 @@ impl Checked<'_> {
         0
     }
 
-    /// Returns a text of the file. If there is none, adds a fault.
+    /// Returns the text of the entry `key`. If the entry is missing or not a text, adds a fault that shows `example`,
+    /// and returns `None`.
     fn required<'t>(&mut self, table: &'t Table, key: &str, example: &str) -> Option<&'t str> {
         match table.get(key) {
             Some(Value::String(text)) => return Some(text),
@@ -79,7 +80,7 @@ impl Checked<'_> {
     }
 }
 
-/// Reads and checks a file.
+/// Reads and checks a board's file. If it has faults, returns them in the order of their lines.
 pub fn parse(text: &str) -> Result<Board, Vec<Fault>> {
     let mut checked = Checked { text, faults: Vec::new() };
     let table = match text.parse::<Table>() {
@@ -168,7 +169,8 @@ fn chip_named(checked: &mut Checked<'_>, name: &str) -> Option<&'static Chip> {
     found
 }
 
-/// Returns the frequency (`None` to measure it), and whether an external clock drives the input.
+/// Reads the entry `oscillator`: its frequency in MHz (`None` to measure it), and whether an external clock drives the
+/// oscillator's input. Adds a fault and returns `None` for any other text.
 fn read_oscillator(checked: &mut Checked<'_>, text: &str) -> Option<(Option<u8>, bool)> {
     let (frequency, is_external) = match text.strip_suffix(", external") {
         Some(frequency) => (frequency, true),
@@ -210,7 +212,7 @@ fn read_pins(checked: &mut Checked<'_>, table: &Table) -> BTreeMap<&'static str,
     pins
 }
 
-/// Reads `A1` or `PA1`.
+/// Reads the name of a pin, such as `A1` or `PA1`. Returns `None` for any other text.
 fn pin_named(text: &str) -> Option<Pin> {
     let text = match text.as_bytes() {
         [b'P', b'A'..=b'H', ..] => &text[1..],
@@ -258,7 +260,7 @@ fn check_pins(checked: &mut Checked<'_>, image: &profiles::Board, chip: &Chip, p
     check_ports(checked, image, pins);
 }
 
-/// Returns why this image cannot use a pin.
+/// Returns why a board with this image and chip cannot use a pin, as the end of an error message; `None` if it can.
 fn why_not(image: &profiles::Board, chip: &Chip, pin: Pin) -> Option<String> {
     let text = text_of(pin);
     let is = |pins: &[&str]| pins.contains(&text.as_str());

@@ -1,4 +1,4 @@
-//! The chips: which family they belong to, and which pins their packages have. Sources: the data sheets' tables "Pin and
+//! The chips that a board's file may name, and the pins of their packages. Sources: the data sheets' tables "Pin and
 //! ball definitions" of STM32F401xB/C, F401xD/E, F405xx and F407xx, F411xC/E and F446xC/E.
 
 use oxmill_boards::pin_table::Pin;
@@ -6,17 +6,17 @@ use oxmill_boards::pin_table::Pin;
 /// A chip.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Chip {
-    /// As ST writes it, without package and temperature.
+    /// ST's part number without the letters for package and temperature range.
     pub name: &'static str,
-    /// As probe-rs writes it.
+    /// Name of the chip in probe-rs, for flashing over a debug probe.
     pub probe_name: &'static str,
-    /// For each port from A on, a bit for each pin of the package.
+    /// For each port from A on, a mask of the pins that the package has.
     pins: [u16; 8],
 }
 
 const NONE: u16 = 0;
 const ALL: u16 = 0xFFFF;
-/// Without pin 11, where these packages have VCAP.
+/// All pins of port B except B11, in whose place these packages have VCAP.
 const NO_11: u16 = !(1 << 11);
 const C13_TO_15: u16 = 0xE000;
 const H0_1: u16 = 0b11;
@@ -41,7 +41,7 @@ pub const CHIPS: [Chip; 10] = [
 ];
 
 impl Chip {
-    /// Returns whether the package has a pin.
+    /// Returns whether the chip's package has this pin.
     pub fn has(&self, pin: Pin) -> bool {
         self.pins.get(usize::from(pin.port)).is_some_and(|port| port >> pin.number & 1 != 0)
     }

@@ -1,5 +1,5 @@
-//! Writes a pin table into an image of the firmware: an ELF file, a `.hex`, a `.dfu` or a `.bin`. Only the bytes of the
-//! table change, and the checksums of the file.
+//! Writes a pin table into an image of the firmware: an ELF file, a `.hex`, a `.dfu` or a `.bin`. Nothing changes in
+//! the file except the bytes of the table and the file's own checksums.
 
 use crc::{CRC_32_JAMCRC, Crc};
 use ihex::{Reader, Record};
@@ -13,7 +13,7 @@ const DFU_SUM: Crc<u32> = Crc::<u32>::new(&CRC_32_JAMCRC);
 ///
 /// # Errors
 ///
-/// If the file has no intact table, is damaged itself, or belongs to another image than the table.
+/// If the file has no intact table or more than one, is damaged, or is another image than the one that `table` is for.
 pub fn write(image: &[u8], table: &PinTable) -> Result<Vec<u8>, String> {
     if image.first() == Some(&b':') {
         return write_hex(image, table);
@@ -32,7 +32,8 @@ pub fn write(image: &[u8], table: &PinTable) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// Replaces the table in the bytes. Fails unless they have exactly one table, and it is for the same image as `table`.
+/// Replaces the pin table in `bytes` by `table`. Fails unless `bytes` have exactly one intact pin table, and that one
+/// is for the same image as `table`.
 fn put(bytes: &mut [u8], table: &PinTable) -> Result<(), String> {
     let Some((at, own)) = find(bytes) else {
         return Err("the file has no intact pin table: is it an undamaged image of Oxmill?".into());
@@ -49,14 +50,15 @@ fn put(bytes: &mut [u8], table: &PinTable) -> Result<(), String> {
     Ok(())
 }
 
-/// Returns the table in the bytes, and its place. The program also has the first bytes of a table elsewhere, so that it
-/// can recognize one; only a whole table has the right checksum.
+/// Returns the index of the first intact table in the bytes, and the table. Checks the checksum at each index, because
+/// the first bytes of a table also occur in the program's code, which compares them.
 fn find(bytes: &[u8]) -> Option<(usize, PinTable)> {
     let whole = |bytes: &[u8]| bytes.try_into().map(PinTable::from_bytes).ok().filter(PinTable::is_intact);
     bytes.windows(SIZE).enumerate().find_map(|(at, window)| Some((at, whole(window)?)))
 }
 
-/// Intel HEX: the data are put together, changed, and written back into the same records.
+/// Like [`write`], for an Intel HEX file: joins the data of all records, replaces the table in them, and writes the
+/// data back into the same records.
 fn write_hex(image: &[u8], table: &PinTable) -> Result<Vec<u8>, String> {
     let text = std::str::from_utf8(image).map_err(|_| "the .hex file is damaged: it is no text")?;
     let records: Result<Vec<Record>, _> = Reader::new(text).collect();

@@ -1,6 +1,6 @@
 //! The pin tables of the boards. A board is one file here, `NAME.toml`: chip, crystal, and the pin of each function.
-//! [`Board::parse`] reads such a file, also that of a user, and checks it; [`image_file`] writes the table into an image
-//! of the firmware. So a board needs no code, and its pins can be changed without a compiler.
+//! [`Board::parse`] reads and checks such a file, which may also come from a user; [`image_file`] writes the table into
+//! an image of the firmware. So a new board needs no code, and its pins can be changed without a compiler.
 //!
 //! ```toml
 //! name = "my_board"                # in `$I` and on USB; at most 24 of a to z, 0 to 9 and _
@@ -25,7 +25,7 @@ pub use oxmill_boards::pin_table::{Pin, PinTable, Role};
 use oxmill_boards::profiles;
 use std::collections::BTreeMap;
 
-/// The boards of this project: name and file.
+/// The boards of this project: name, and contents of the file.
 pub const BOARDS: [(&str, &str); 13] = [
     ("blackpill_f411", include_str!("blackpill_f411.toml")),
     ("blackpill_f401", include_str!("blackpill_f401.toml")),
@@ -42,23 +42,23 @@ pub const BOARDS: [(&str, &str); 13] = [
     ("blackpill_f411_grblhal", include_str!("blackpill_f411_grblhal.toml")),
 ];
 
-/// A fault of a table, for the user.
+/// A fault in a board's file, as reported to the user.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Fault {
-    /// Line of the file, from 1; 0 if no line is at fault.
+    /// Line of the file, from 1; 0 if the fault is in no single line, as when an entry is missing.
     pub line: usize,
     /// What is wrong, and what to write.
     pub text: String,
 }
 
-/// The pin of a function.
+/// An entry of `[pins]`: the pin of a function.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Use {
     /// The pin of the chip.
     pub pin: Pin,
-    /// Its label on the board; empty if it has none.
+    /// Label of the pin on the board; empty if the file gives none.
     pub label: String,
-    /// The line of the file.
+    /// Line of the entry in the file, from 1.
     line: usize,
 }
 
@@ -69,22 +69,22 @@ pub struct Board {
     pub name: String,
     /// Name for people.
     pub title: String,
-    /// The image that takes this table.
+    /// The firmware image that the board uses.
     pub image: profiles::Board,
-    /// The chip.
+    /// The chip on the board. Its package determines which pins the file may use.
     pub chip: &'static Chip,
     /// Frequency of the oscillator in MHz; `None` if it is measured at the start.
     pub oscillator_mhz: Option<u8>,
-    /// A clock drives the oscillator's input.
+    /// An external clock drives the oscillator's input, in place of a crystal.
     pub is_external: bool,
-    /// Sentences for whoever wires the board.
+    /// Hints for the person who wires the board.
     pub remarks: Vec<String>,
-    /// The pins, by function.
+    /// The pins that have a function, by the function's name ([`name_of`]).
     pub pins: BTreeMap<&'static str, Use>,
 }
 
 impl Board {
-    /// Returns the board of this project with this name.
+    /// Returns the board of this project with this name; `None` if there is none.
     pub fn named(name: &str) -> Option<Board> {
         let (_, text) = BOARDS.iter().find(|(own, _)| *own == name)?;
         Board::parse(text).ok()
@@ -100,7 +100,7 @@ impl Board {
         check::parse(text)
     }
 
-    /// Returns the table for the image.
+    /// Returns the pin table to be written into the image.
     pub fn table(&self) -> PinTable {
         let number = self.image.image;
         let pin = |role| self.pins.get(name_of(role)).map(|found| found.pin);
@@ -108,7 +108,7 @@ impl Board {
     }
 }
 
-/// Returns the name of a function in a file.
+/// Returns the name that a function has in a board's file.
 pub fn name_of(role: Role) -> &'static str {
     match role {
         Role::StepX => "step_x",

@@ -1,10 +1,11 @@
-//! Each fault of a table has its own sentence, which names the line; tables are written into images of all kinds.
+//! Tests that each fault in a board's file gives its own message and line number, and that tables are written into
+//! image files of all formats.
 
 use super::*;
 use crate::image_file::write;
 use oxmill_boards::pin_table::SIZE;
 
-/// A table without faults.
+/// A board's file without faults.
 const GOOD: &str = r#"name = "mine"
 image = "blackpill_f411"
 chip = "STM32F411CE"
@@ -21,7 +22,7 @@ spindle_pwm = "A7"
 probe = "B15"
 "#;
 
-/// Returns the faults of [`GOOD`] with a text replaced, as `line: text`.
+/// Returns the faults of [`GOOD`] with `before` replaced by `after`, each as `line: text`.
 fn faults(before: &str, after: &str) -> Vec<String> {
     assert!(GOOD.contains(before), "{before}");
     let parsed = Board::parse(&GOOD.replacen(before, after, 1));
@@ -88,7 +89,8 @@ fn each_fault_has_its_sentence() {
     }
 }
 
-/// A chip can have ports that the image does not use. Here the chip has more ports than the image of a Nucleo.
+/// A chip can have ports that the image does not use. Here the image of a Nucleo uses the ports A to C of a chip that
+/// has A to H.
 #[test]
 fn a_port_that_the_image_does_not_use_is_refused() {
     let text = GOOD.replace("blackpill_f411", "nucleo_f446re").replace("STM32F411CE", "STM32F446ZE");
@@ -97,7 +99,8 @@ fn a_port_that_the_image_does_not_use_is_refused() {
     assert_eq!(found[0].text, "probe: F1 is on a port that the image nucleo_f446re does not use: it uses A to C");
 }
 
-/// A control board has streams for two ports with steps and for two more with directions alone.
+/// The image of a control board has DMA streams for two ports with step pins, and for two more ports with direction
+/// pins alone.
 #[test]
 fn directions_of_a_control_board_may_be_on_ports_of_their_own() {
     let robin = include_str!("robin_nano_v3.toml");
@@ -145,7 +148,7 @@ fn the_number_of_a_function_is_its_place_in_the_list() {
     assert_eq!(names.len(), Role::ALL.len());
 }
 
-/// Returns bytes of an image, with a table.
+/// Returns the bytes of an invented image: a table between 1000 other bytes before it and after it.
 fn image(table: &PinTable) -> Vec<u8> {
     let before = (0..1000_u32).map(|n| (n * 7) as u8);
     before.clone().chain(*table.bytes()).chain(before).collect()

@@ -1,12 +1,12 @@
-//! The axes of the machine: their letters, sets of them, and [`PerAxis`], which holds one value for each. Also how the
-//! motors move the axes: Cartesian or CoreXY.
+//! The axes of the machine: their letters, sets of axes ([`AxisMask`]), and [`PerAxis`], which holds one value for each
+//! axis. Also how the motors move the axes: Cartesian or CoreXY.
 //!
-//! The number of axes `N` (3 to 6) is a constant of the board and a const generic here, so a three-axis board pays for
-//! three. X, Y and Z always exist. A, B and C exist if `N` includes them and the machine has them (`$930`); other axes
-//! never move and appear in no report. X, Y and Z are lengths in millimetres; A, B and C are angles in degrees: for
-//! them, read degrees wherever a comment says millimetres.
+//! The number of axes `N` (3 to 6) is a constant of the board and a const generic here, so a three-axis board spends
+//! memory and time on three axes only. X, Y and Z always exist. A, B and C exist if `N` includes them and `$930` puts
+//! them in use; an axis that is not in use never moves and appears in no report. X, Y and Z are lengths in millimetres;
+//! A, B and C are angles in degrees: for them, read degrees wherever a comment says millimetres.
 
-/// One axis of the machine, in the order of its letter.
+/// An axis of the machine. Axes are ordered as in [`Axis::ALL`]: X, Y, Z, A, B, C.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Axis {
     /// First linear axis.
@@ -15,11 +15,11 @@ pub enum Axis {
     Y,
     /// Third linear axis, along the spindle.
     Z,
-    /// Fourth axis.
+    /// Fourth axis: rotary, in degrees.
     A,
-    /// Fifth axis.
+    /// Fifth axis: rotary, in degrees.
     B,
-    /// Sixth axis.
+    /// Sixth axis: rotary, in degrees.
     C,
 }
 
@@ -82,7 +82,7 @@ pub enum Arrangement {
     /// Each motor moves one axis.
     #[default]
     Cartesian,
-    /// The motors of X and Y move the tool by the sum and the difference of X and Y.
+    /// The motor of X turns by the sum of the X and Y displacements of the tool, the motor of Y by X minus Y.
     CoreXy,
 }
 
@@ -146,7 +146,7 @@ impl<T: Copy + Default, const N: usize> Default for PerAxis<T, N> {
 pub struct AxisMask(pub u8);
 
 impl AxisMask {
-    /// No axis.
+    /// The empty set.
     pub const NONE: AxisMask = AxisMask(0);
 
     /// Returns the set with `axis` added.

@@ -1,6 +1,7 @@
 //! Hashes (FNV-1a) of a step stream: one over its step events with their times, one over the events in their order,
-//! without times. Two machines with the same steps at the same times have the same hashes. The simulator computes them
-//! from its trace; a target without pins computes them from the words that it would have written to the pins.
+//! without times. Two machines with the same steps at the same times have the same hashes. The simulator computes the
+//! hashes from its trace; an emulated board without step pins computes them from the words that it would have written
+//! to the pins.
 
 /// Running digest over (time, step bits, direction bits) of each step event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,13 +21,13 @@ impl Default for Digest {
 }
 
 impl Digest {
-    /// The digest of no step at all.
+    /// The digest before the first step event.
     pub const fn new() -> Self {
         Self { time: BASIS, order: BASIS }
     }
 
-    /// Adds a step event. `ticks`: how long the step task has been busy since the first step, in ticks of the step
-    /// clock. `steps` and `directions` have bit 0 for X.
+    /// Adds a step event. `ticks`: for how long the step task has been busy so far, in ticks of the step clock; pauses
+    /// between motions do not count. `steps` and `directions` have bit 0 for X.
     pub fn add(&mut self, ticks: u64, steps: u8, directions: u8) {
         let bits = u64::from(steps) | u64::from(directions) << 8;
         self.time = (self.time ^ ticks).wrapping_mul(PRIME);

@@ -3,8 +3,9 @@
 //! [`Controller::next_wakeup`] returns when the controller must be called again.
 //!
 //! Every call returns after a bounded piece of work: at most one line, one chord or one segment. Work that has to wait
-//! (for room in the look-ahead, the end of a motion, a dwell, a stored record) is kept as data and continued in a later
-//! call, so `?`, `!` and a reset are never late. The current time is an argument of these calls.
+//! (for room in the look-ahead, for the end of a motion or a dwell, for a record to be stored) is kept as data and
+//! continued in a later call, so it never delays `?`, `!` or a reset. [`Controller::event`] and [`Controller::output`]
+//! get the current time as an argument.
 
 use crate::image::FULL_IMAGE;
 use crate::memory::Memory;
@@ -43,7 +44,7 @@ pub struct Profile {
     pub has_at_speed: bool,
     /// Maximum rate of the UART (`$931`), baud.
     pub most_baud: u32,
-    /// Frequency of the board's oscillator as found at the start, MHz; 0 if the board has none.
+    /// Frequency of the board's oscillator in MHz, as found at start-up; 0 if the board has none.
     pub oscillator_mhz: u8,
     /// Whether settings survive power-off. If not, the controller requests no store operations.
     pub has_store: bool,
@@ -69,8 +70,8 @@ impl<const N: usize> Controller<N> {
         Self { state: State::Normal, task: Task::None, line: LineInWork::NONE, m: Machine::new(profile, memory) }
     }
 
-    /// Reports how the previous run ended; call before [`Controller::start`]. After a failure the machine is locked,
-    /// because a host that has not noticed the restart may still be sending its job.
+    /// Takes the report of how the previous run of the firmware ended; call before [`Controller::start`]. After a
+    /// failure the machine is locked, because a host that has not noticed the restart may still be sending its job.
     pub fn restarted(&mut self, restart: Restart) {
         if restart.crash.as_ref().is_some_and(|crash| crash.kind == CrashKind::Board) {
             self.m.settings_lock.board_failed();
@@ -98,9 +99,9 @@ impl<const N: usize> Controller<N> {
         self.initialise();
     }
 
-    /// Takes the counters of the step task and of received lines. Must be called before [`Controller::output`], and
-    /// before each event that separates earlier bytes from later bytes: a realtime command, a change of signals, a
-    /// disconnect.
+    /// Takes the counters of the step task and of the received line bytes. Must be called before
+    /// [`Controller::output`], and before each event that separates earlier bytes from later bytes: a realtime command,
+    /// a change of signals, a disconnect.
     pub fn observe(&mut self, observed: Observed) {
         self.m.step_supply.observe(observed);
         self.m.lines.observe(observed.received, observed.heard);
@@ -134,8 +135,8 @@ impl<const N: usize> Controller<N> {
         self.m.lines.take_plain(byte)
     }
 
-    /// Takes `bytes` from the front, as long as they only extend the current line. All are of one `epoch`: see
-    /// [`LineByte`]. Returns how many were taken.
+    /// Takes `bytes` from the front, as long as they only extend the current line. All of them must be of this one
+    /// `epoch`: see [`LineByte`]. Returns how many were taken.
     pub fn take_text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         self.m.lines.take_text(epoch, bytes)
     }
@@ -178,9 +179,8 @@ impl<const N: usize> Controller<N> {
             && self.m.replies.has_room()
     }
 
-    /// Whether received lines wait: for an operator, or for the end of homing or braking. As long as they wait, not
-    /// even the bytes that a later reset has made invalid are taken from the queue, unless [`Controller::drop_old`]
-    /// drops them.
+    /// Whether received lines stay in the queue, because the machine waits for the operator, homes or brakes. Bytes
+    /// that a later reset has made invalid stay there too, until [`Controller::drop_old`] drops them.
     pub fn lets_lines_wait(&self) -> bool {
         !self.state.takes_lines()
     }
@@ -236,7 +236,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Reports that no more bytes will come, so that queued motion starts without waiting for further moves.
+    /// Call this when no more bytes will come: queued motion then starts without waiting for further moves.
     pub fn input_ended(&mut self) {
         self.m.step_supply.end_input();
     }
@@ -244,11 +244,12 @@ impl<const N: usize> Controller<N> {
     /// Does a bounded piece of work at `now` and returns the next output for which the pump has `room`. Call until it
     /// returns `None`.
     ///
-    /// Everything that takes longer than an event happens here, in order of urgency: handle ended motions and delays;
-    /// output stops, pins and records; fill the step queue if it is short; send replies; do one bounded piece of the
-    /// current task; hand further segments to the step task. After a piece of a task the result is [`Output::Worked`]
-    /// or [`Output::Answer`], and there may be more to do. So a line passes through here at least three times: its task
-    /// is executed and answered, its motion is started, and its segments are handed to the step task one at a time.
+    /// Everything that takes longer than handling an event happens here, in order of urgency: handle ended motions and
+    /// delays; output stops, pins and records; fill the step queue if it is short; send replies; do one bounded piece
+    /// of the current task; hand further segments to the step task. After a piece of a task the result is
+    /// [`Output::Worked`] or [`Output::Answer`], and there may be more to do. A line that moves takes at least three
+    /// calls: to execute and answer it, to start its motion, and to hand its segments to the step task, one segment per
+    /// call.
     pub fn output(&mut self, now: Instant, room: Room) -> Option<Output> {
         self.m.now = now;
         if self.may_have_changed()
@@ -294,8 +295,8 @@ impl<const N: usize> Controller<N> {
         !self.m.pins.are_calm() || self.m.step_supply.is_running() && self.m.motion.is_idle()
     }
 
-    /// Whether only motion is in progress. In that case, neither time nor the step task can change anything, except
-    /// that the motion ends.
+    /// Whether only motion is in progress. Until that motion ends, passing time and the progress of the step task
+    /// change nothing that [`Controller::look_round`] checks.
     fn only_moves(&self) -> bool {
         matches!(self.state, State::Normal)
             && self.m.probe.is_over()
@@ -443,7 +444,7 @@ impl<const N: usize> Controller<N> {
     /// Starts queued motion when there is no reason to wait for further moves.
     fn auto_start(&mut self) {
         // Motion is still running, but the last segment of the previous move may already be in the step queue. A move
-        // queued after that belongs to the same run, and without this start it would never begin.
+        // queued after that continues this motion, and without this start it would never begin.
         if self.m.step_supply.is_running() && matches!(self.state, State::Normal | State::Jog { cancelling: false }) {
             self.m.motion.start();
             return;

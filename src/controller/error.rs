@@ -1,5 +1,6 @@
 //! The errors that refuse a line and the alarms that lock the machine, each with its number and English text. The
-//! numbers are those of Grbl 1.1 on the wire, then grblHAL's, then Oxmill's own.
+//! numbers on the wire are those of Grbl 1.1. Errors and alarms that Grbl does not have mostly have grblHAL's numbers;
+//! if grblHAL has none either, they have Oxmill's own.
 
 /// Declares a table of codes. Each code has a name, a number on the wire, and a text for people.
 macro_rules! codes {
@@ -137,8 +138,8 @@ codes! {
     /// The at-speed input did not report the speed in time (`$915`, `$916`), or the spindle lost it during a job
     /// (`$929`). Not in Grbl; the number is grblHAL's.
     SpindleSpeed = 14, "the spindle did not come up to speed in time, or lost it";
-    /// The step queue ran dry at speed. Grbl has no number for this, because its machine would lose steps silently.
-    /// Other controllers use numbers from 11 on, so this one is above theirs.
+    /// The step queue ran dry at speed. Grbl has no number for this: there the machine loses steps unnoticed. Other
+    /// controllers use numbers from 11 on, so this one is above theirs.
     Underrun = 100, "motion data ran out at speed; the position may be lost";
     /// Not in Grbl. grblHAL's number for it is 10, which Grbl and Oxmill use for the squaring alarm.
     EmergencyStop = 101, "the emergency stop was pressed; the position may be lost if something moved";

@@ -1,8 +1,8 @@
-//! Memory that a part uses and does not own: a reference on boards, a box on hosts.
+//! How the large parts of the controller hold their memory: by a reference on boards, in a box in programs on a PC.
 
-/// Memory that is lent permanently. On boards it lies in `.bss`; hosts (feature `alloc`) take it from the heap.
+/// A `T` that its user keeps for good: in `.bss` on boards, on the heap in programs on a PC (feature `alloc`).
 #[cfg(feature = "alloc")]
 pub type Lent<T> = alloc::boxed::Box<T>;
-/// Memory that is lent permanently. On boards it lies in `.bss`; hosts (feature `alloc`) take it from the heap.
+/// A `T` that its user keeps for good: in `.bss` on boards, on the heap in programs on a PC (feature `alloc`).
 #[cfg(not(feature = "alloc"))]
 pub type Lent<T> = &'static mut T;

@@ -11,13 +11,13 @@
 //! 4. `work` waits for room in the look-ahead, takes the new modal state over and hands the move to `motion`;
 //! 5. `motion::planner` makes a block of whole motor steps and fits its speeds to those of its neighbours;
 //! 6. `host` answers `ok`;
-//! 7. `motion::segment` cuts the block into pieces of about a millisecond, each with evenly changing tick intervals;
-//! 8. the pump carries them, about 16 ms ahead, to the step task;
+//! 7. `motion::segment` cuts the block into segments of about a millisecond, each with evenly changing tick intervals;
+//! 8. the pump carries the segments, about 16 ms ahead, to the step task;
 //! 9. `motion::stepper` decides at each tick which motors step and when the next tick comes;
-//! 10. the pump writes that to the step pins, or into a trace.
+//! 10. the step task outputs these steps on the step pins; in the simulator it writes them into a trace.
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
-// `Lent` is a reference on a board and a box on a host; the explicit borrow is needed for the box only.
+// `Lent` is a reference on a board and a box on a PC (feature `alloc`); only the box needs the explicit borrow.
 #![cfg_attr(not(feature = "alloc"), allow(clippy::needless_borrow))]
 #![cfg_attr(
     not(test),

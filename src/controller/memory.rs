@@ -1,6 +1,6 @@
-//! Memory for the large parts of a controller, which the caller lends permanently: motion with its look-ahead, the
-//! interpreter, queued replies and stored texts, 20 to 70 KB in all. Each part is built in its place, so the stack
-//! never holds more than one of them.
+//! Memory for the large parts of a controller, which the caller provides for good: motion with its look-ahead, the
+//! interpreter, queued replies and stored texts, 20 to 70 KB in all. The parts are built one after the other, so the
+//! stack never holds more than one of them.
 
 use crate::dispatch::Profile;
 use crate::gcode::Interpreter;
@@ -21,7 +21,8 @@ pub struct Memory<const N: usize> {
 
 #[cfg(feature = "alloc")]
 impl<const N: usize> Memory<N> {
-    /// Allocates the parts on the heap, with a look-ahead of `blocks` blocks and `held` bytes for held text.
+    /// Allocates the parts on the heap, with a look-ahead of `blocks` blocks, and `held` bytes for stored lines: those
+    /// of subroutines, loops, macros and held programs.
     pub fn on_heap(profile: &Profile, blocks: usize, held: usize) -> Self {
         let motion = |memory| Lent::new(Motion::unconfigured(profile.step_clock_hz, memory));
         Self {
@@ -72,7 +73,7 @@ mod on_board {
             records: MaybeUninit::uninit(),
         };
 
-        /// Builds the parts in their places and lends them permanently.
+        /// Builds the parts in this storage, and returns references to them that stay valid for good.
         #[inline(never)]
         pub fn lend(&'static mut self, profile: &Profile) -> Memory<N> {
             let clock = profile.step_clock_hz;

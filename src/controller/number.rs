@@ -20,12 +20,12 @@ const ROOM_FOR_A_DIGIT: u64 = 1_000_000_000_000_000_000;
 /// Powers of ten up to [`DECIMAL_PLACES`].
 const POWERS: [u32; 8] = [1, 10, 100, 1000, 10_000, 100_000, 1_000_000, 10_000_000];
 
-/// A number as it was written.
+/// A number that was read from text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Number {
     /// Value, saturated at ±9.2 × 10¹¹.
     pub value: Decimal,
-    /// Length of the text in bytes.
+    /// Length of the number's text in bytes, with its sign.
     pub used: usize,
     /// Digits after the point, up to [`DECIMAL_PLACES`].
     pub places: u8,
@@ -79,7 +79,8 @@ fn read_short(text: &[u8]) -> Option<(i64, usize, u8)> {
     Some((i64::from(mantissa) * i64::from(*power), used, fraction as u8))
 }
 
-/// Reads any number. Returns the same as [`read_short`]; `None` if there is no digit.
+/// Reads a number of any form. Returns its value, the bytes used and the digits after the point; `None` if there is no
+/// digit.
 #[inline(never)]
 fn read_long(text: &[u8], digits: Digits) -> Option<(i64, usize, u8)> {
     let mut used = 0;
@@ -116,7 +117,7 @@ fn read_long(text: &[u8], digits: Digits) -> Option<(i64, usize, u8)> {
     Some((scaled(mantissa, fraction, zeros), used, fraction as u8))
 }
 
-/// `mantissa` × 10^(`zeros` - `fraction`).
+/// Returns `mantissa` × 10^(`zeros` - `fraction`) as a raw [`Decimal`], saturated.
 fn scaled(mantissa: u64, fraction: u32, zeros: u32) -> i64 {
     let places = DECIMAL_PLACES.saturating_sub(fraction).saturating_add(zeros);
     let magnitude = match 10_u64.checked_pow(places) {

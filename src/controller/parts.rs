@@ -24,8 +24,9 @@ use crate::states::stops::orders::Stops;
 use crate::units::{Duration, Instant};
 use crate::work::probe::phases::Probe;
 
-/// If a line arrives at least this long after the last answer, an O number in it begins the next program, and a program
-/// that is held for a subprogram is dropped. A sender that continues its file sends its next line sooner.
+/// If a line arrives at least 5 s after the answer to the line before it, an O number in it begins the next program,
+/// and a program that waits for one of its subprograms is dropped. A sender that continues its file sends its next line
+/// sooner.
 const REST: Duration = Duration::from_ticks(5_000_000);
 
 // Small fields come first, because one load or store instruction reaches only 4 KiB from the base.

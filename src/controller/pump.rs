@@ -1,6 +1,6 @@
 //! The order in which a platform drives the controller: observe, pass on events, pass on bytes of lines, then carry out
-//! outputs until nothing is left. Firmware, simulator and the suites on the target implement [`Pump`], so the same
-//! bytes make the same steps everywhere.
+//! outputs until nothing is left. The firmware, the simulator and the test suites that run on the target implement
+//! [`Pump`], so the same bytes make the same steps everywhere.
 //!
 //! ```text
 //!  round ─▶ observe ─▶ events, source by source ─▶ bytes of lines ─▶ outputs ─┬─▶ none: the round ends
@@ -40,8 +40,8 @@ pub enum Source {
 /// commands must not starve the step task.
 const COMMANDS_AT_ONCE: u32 = 16;
 /// Maximum number of realtime commands in a round. The round takes them before inputs and lines, so without this limit
-/// a flood of commands would keep these waiting. The limit exceeds the number of commands that can wait at the start of
-/// the round.
+/// a flood of commands would keep inputs and lines waiting. The limit exceeds the number of commands that can wait at
+/// the start of the round.
 const MOST_COMMANDS: u32 = 2 * REALTIME_DEPTH as u32;
 
 /// The platform under a controller: provides queues, time and outputs, and makes no decisions.
@@ -61,13 +61,13 @@ pub trait Pump<const N: usize> {
     fn next_event(&mut self, source: Source) -> Option<Event<N>>;
     /// Takes the next byte of a line; `None` if there is none that the controller accepts now.
     fn next_line_byte(&mut self) -> Option<LineByte>;
-    /// Takes the next line byte, if the controller would drop that byte because it is from before a reset.
+    /// Takes the next line byte, if the controller would drop that byte because it was received before a reset.
     fn next_old_byte(&mut self) -> Option<LineByte> {
         None
     }
     /// Passes text of the next line to the controller, several bytes at a time, as far as the controller accepts it
-    /// now. Only bytes that [`Pump::next_line_byte`] would return can be text; all other bytes are left to that
-    /// function. Records the text as [`Pump::record`] would. Returns whether there was any text.
+    /// now. Passes only bytes that [`Pump::next_line_byte`] would return now, and of these only text; that function
+    /// returns all other bytes. Records the text as [`Pump::record`] would. Returns whether there was any text.
     #[inline(always)]
     fn give_text(&mut self, _now: Instant) -> bool {
         false
@@ -77,7 +77,8 @@ pub trait Pump<const N: usize> {
     fn make_room(&mut self, took: bool) -> bool;
     /// Returns which output queues have room.
     fn room(&mut self) -> Room;
-    /// Passes an output to the task or driver that performs it. There is room for it.
+    /// Passes an output to the task or driver that performs it. Replies and messages for the step task come only if
+    /// [`Pump::room`] has reported room for them.
     fn carry(&mut self, output: Output);
     /// Records an event. Called just before the controller takes it.
     #[inline(always)]
@@ -141,10 +142,10 @@ pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
     put_out(pump, now, &mut again) || again || !wanted && pump.controller().wants_line()
 }
 
-/// Drops bytes received before a reset while lines wait (at an open door, or in a state that only a reset ends). Left
-/// in the queue, these bytes would take the room of later bytes. In the end even another reset would find no room.
-/// Drops at most as many bytes as the queue holds, so that a host that keeps sending cannot delay the round. Returns
-/// whether any byte was dropped.
+/// Drops bytes received before a reset while lines wait (for example at an open door, or in a state that only a reset
+/// ends). Left in the queue, these bytes would take the room of later bytes, and in the end not even another reset
+/// would get through. Drops at most as many bytes as the queue holds, so that a host that keeps sending cannot delay
+/// the round. Returns whether any byte was dropped.
 #[cold]
 #[inline(never)]
 fn drop_old_bytes<const N: usize>(pump: &mut impl Pump<N>, now: Instant) -> bool {
@@ -182,8 +183,8 @@ fn put_out<const N: usize, P: Pump<N>>(pump: &mut P, now: Instant, again: &mut b
     }
 }
 
-/// Passes plain text to the controller and returns the next byte that is not text. Text only extends a line and does
-/// not change whether lines are wanted. Sets `took` if any byte was taken.
+/// Passes text to the controller and returns the next byte that is not text. Text only extends a line and does not
+/// change whether lines are wanted. Sets `took` if any byte was taken.
 #[inline(always)]
 fn next_byte_past_text<const N: usize>(pump: &mut impl Pump<N>, now: Instant, took: &mut bool) -> Option<LineByte> {
     loop {

@@ -7,7 +7,7 @@ const TENTH_NS: u32 = 100;
 /// pulses. Drivers that accept shorter pulses also accept shorter pauses, such as the A4988 with 1 us for both.
 const LONGEST_PAUSE_NS: u32 = 2_500;
 /// After a pulse shorter than this, the pause may be shorter than the pulse, by [`ROUNDING_NS`]. This is safe: drivers
-/// that accept pulses below 1 us need only far shorter pauses.
+/// that accept pulses below 1 us accept pauses far shorter than this one.
 const SHORT_PULSE_NS: u32 = 1_000;
 /// A step can come this much earlier than planned, because intervals are rounded to whole ticks. (Two ticks are 0.024
 /// us at 84 MHz.)

@@ -14,9 +14,9 @@ use crate::step_rates::least_pause_ns;
 
 /// Minimum set-up time of a direction, even if `$29` is less, microseconds.
 const LEAST_SETUP_US: u32 = 2;
-/// Maximum time between two events, microseconds. Longer gaps are filled with events that change nothing. A few events
-/// are always queued ahead, so that the output has no gaps. Because the time between events is limited, no event is
-/// queued long before its time.
+/// Maximum time between two events, microseconds. If the next event is farther away, events that change nothing are
+/// inserted before it. A few events are always queued ahead, so that the output never runs dry; with this limit, none
+/// of them is queued long before its time.
 const SPLIT_US: u32 = 250;
 
 /// Minimum and maximum times between step events, in ticks of the step clock.
@@ -48,16 +48,16 @@ impl StepTiming {
         }
     }
 
-    /// Whether a row of step events can be output at the planned times, without moved or inserted events. The argument
-    /// is the minimum and the maximum interval between the events of the row.
+    /// Whether a sequence of step events can be output at its planned times, so that no event has to be delayed or
+    /// inserted. The argument is the minimum and the maximum interval between the events, in ticks.
     pub fn is_regular(&self, (least, greatest): (u32, u32)) -> bool {
         least >= self.gap && greatest < self.split
     }
 
     /// Returns the time of an event that changes nothing, to be inserted between `last` and `next`; `None` if none is
     /// needed. Such an event is needed if `next` is too far from `last`, or if few events are queued ahead (`short`)
-    /// and there is room for one more. It lies in the middle between the two, but at most the maximum time after
-    /// `last`.
+    /// and there is time for one more between the two. It lies half-way between the two, but at most the maximum time
+    /// after `last`.
     pub fn between(&self, last: u32, next: u32, short: bool) -> Option<u32> {
         let away = next.wrapping_sub(last) as i32;
         if away <= self.split as i32 && !(short && away >= 2 * self.gap as i32) {
@@ -134,7 +134,7 @@ mod tests {
 
     proptest! {
         /// At any time of the wrapping clock, the times between inserted events are within the minimum and the maximum,
-        /// and a finite number of events fills the gap.
+        /// and a finite number of events is inserted.
         #[test]
         fn long_times_are_filled_up(last in any::<u32>(), away in 0_u32..1 << 28, pulse_tenths in 5_u16..=2550, short in any::<bool>()) {
             let timing = StepTiming::new(96, pulse_tenths, 0);

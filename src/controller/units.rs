@@ -215,9 +215,9 @@ pub struct StepsPerMm {
 }
 
 impl StepsPerMm {
-    /// Maximum accepted value.
+    /// Maximum accepted value, steps/mm.
     pub const MAX: f32 = 40_000.0;
-    /// Minimum accepted value.
+    /// Minimum accepted value, steps/mm.
     pub const MIN: f32 = 0.001;
 
     /// One step per millimetre.
@@ -305,7 +305,7 @@ pub fn per_minute(per_second: f32) -> f32 {
 /// A control point of a curve, in X and Y of the machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WeightedPoint {
-    /// Position.
+    /// Machine coordinates X and Y.
     pub place: [Coordinate; 2],
     /// How strongly the curve is drawn to the point, above 0.
     pub weight: f32,

@@ -74,7 +74,7 @@ impl<const N: usize> Controller<N> {
         reaction.spindle_on && door_allows && !self.m.accessories.is_suspended()
     }
 
-    /// Returns the reason why motion is stopping or braking, if it will not resume.
+    /// Returns why motion is stopping or braking; `None` if it is not, or if it will resume afterwards.
     pub(crate) fn stop_under_way(&self) -> Option<StopReason> {
         let alarm = match self.state {
             State::Braking { then } => then.alarm(),
@@ -98,8 +98,8 @@ impl<const N: usize> Controller<N> {
         self.is_idle() && self.is_off()
     }
 
-    /// Like [`Controller::is_quiet`], except that answers may still have to be sent. The controller will soon be quiet
-    /// if no more lines come.
+    /// Like [`Controller::is_quiet`], except that answers, stops and stored records may still be pending. The
+    /// controller will soon be quiet if no more lines come.
     pub fn is_nearly_quiet(&self) -> bool {
         self.has_nothing_to_do() && self.m.motion.is_idle() && self.m.parking.motion().is_idle() && self.is_off()
     }
@@ -108,7 +108,7 @@ impl<const N: usize> Controller<N> {
         self.m.pins.are_off()
     }
 
-    /// Where the machine is.
+    /// Position of the tool in machine coordinates.
     pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
         // A parked machine is where the parking moves have taken it.
         if self.m.parking.is_away() {
@@ -118,7 +118,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Where the machine is in the active coordinate system.
+    /// Position of the tool in the active coordinate system.
     pub fn work_position(&self) -> PerAxis<Coordinate, N> {
         self.machine_position().zip(&self.m.interpreter.work_zero(self.dialect()), |m, o| m - o)
     }
@@ -139,7 +139,7 @@ impl<const N: usize> Controller<N> {
         self.m.motion.queued_line_numbers()
     }
 
-    /// From here on, queued moves carry `number` instead of their N words, so that a simulator can show to which line a
+    /// Moves queued from now on carry `number` instead of their N words, so that a simulator can show to which line a
     /// move belongs. Motion does not depend on the number.
     pub fn number_moves(&mut self, number: u32) {
         self.m.motion.number_moves(number);
@@ -191,8 +191,8 @@ impl<const N: usize> Controller<N> {
         self.m.interpreter.open_since()
     }
 
-    /// If a program had to be held because a subprogram of it comes after it, and the program was too long: the minimum
-    /// number of bytes by which it was too long.
+    /// A program that calls a subprogram defined after it has to be held in memory. Returns by how many bytes at least
+    /// such a program was too long; `None` if it was not.
     pub fn lacking_bytes(&self) -> Option<usize> {
         self.m.interpreter.lacking_bytes()
     }

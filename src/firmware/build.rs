@@ -10,8 +10,9 @@ use std::{env, fs};
 const BOARD: &str = "OXMILL_BOARD";
 
 fn main() {
-    // 16 KiB of stack. The largest use in the QEMU sessions is 6.9 KiB (`cargo xtask converse`). An image built for size
-    // inlines less at its start, and with four axes it needs more.
+    // 16 KiB of stack. The largest use in the QEMU sessions is 6.9 KiB (`cargo xtask converse`). The images `control_*`
+    // get 20 KiB: they are built for size, so less of their set-up is inlined, and they have four axes. Both take more
+    // stack.
     let is_control = oxmill_images::chosen().is_some_and(|image| image.starts_with("control_"));
     let stack_kib = if is_control { 20 } else { 16 };
     oxmill_images::link(&["bins"], stack_kib);
@@ -22,7 +23,7 @@ fn main() {
     write(table_for(image)).expect("cargo's OUT_DIR can be written");
 }
 
-/// Returns the pin table for an image. QEMU's board has no pins.
+/// Returns the pin table for an image; one without pins for QEMU's board.
 fn table_for(image: &str) -> PinTable {
     if image == "qemu_mps2" {
         return PinTable::none(0);

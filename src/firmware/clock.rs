@@ -1,13 +1,14 @@
 //! The time in microseconds, and the alarm clock of `control`.
 //!
-//! The board counts ticks in 32 bits. Only `control` reads the time, and often enough to notice each wrap. The alarm is
-//! checked at each sample of the inputs, so it needs no timer of its own and is late by at most one sample.
+//! The board's counter of ticks has 32 bits. Only `control` reads this time, and does so often enough to notice each
+//! wrap. The alarm is checked at each sample of the inputs, so it needs no timer of its own and is late by at most one
+//! sample.
 
 use crate::boards;
 use oxmill_controller::units::{Duration, Instant};
 use rtic_sync::signal::{SignalReader, SignalWriter};
 
-/// Maximum time, in us, between two readings. The fastest board clock (25 MHz) wraps after 171 s.
+/// Maximum time, in us, between two readings of the clock. The fastest board clock (25 MHz) wraps after 171 s.
 const LONGEST_SLEEP: Duration = Duration::from_ticks(10_000_000);
 
 const NOW: Duration = Duration::from_ticks(0);
@@ -32,7 +33,7 @@ impl Clock {
     /// Returns the time since power-up.
     pub fn now(&mut self) -> Instant {
         let ticks = boards::clock_ticks();
-        // The compiler replaces a 32-bit division by a constant with a multiplication.
+        // In 32 bits, because the compiler then turns the division by a constant into a multiplication.
         let passed = ticks.wrapping_sub(self.seen).wrapping_add(self.rest);
         self.seen = ticks;
         let micros = passed / boards::CLOCK_TICKS_PER_US;
@@ -50,7 +51,7 @@ impl Clock {
     }
 }
 
-/// The alarm, as read by `inputs`.
+/// The alarm of `control`, which `inputs` checks at each sample.
 pub struct Alarm {
     set: SignalReader<'static, u32>,
     at: Option<u32>,

@@ -21,11 +21,11 @@ use oxmill_controller::{Coalescing, LineReader, Owed};
 use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalWriter;
 
-/// Interval of wake-ups while the queue to the step task is full, 500 us: short segments leave the queue before the
-/// wake-up time that the controller requests.
+/// Interval of wake-ups while the queue to the step task is full, 500 us. The wake-up time that the controller requests
+/// can be too late then, because short segments leave the queue before it.
 const FULL_QUEUE_WAKEUP: Duration = Duration::from_ticks(500);
 
-/// The ends of the channels that `control` owns.
+/// The channel ends of `control`: receivers from other tasks, and senders to them.
 pub struct Ends {
     /// From `serial`.
     pub realtime: Receiver<'static, Realtime, REALTIME_DEPTH>,
@@ -45,7 +45,7 @@ pub struct Ends {
     pub input_wiring: Sender<'static, Wiring, 2>,
 }
 
-/// The state of the task.
+/// State of the control task.
 pub struct Control {
     controller: &'static mut BoardController,
     ends: Ends,
@@ -65,17 +65,17 @@ pub struct Control {
     job: Option<Job>,
     /// Wiring data (polarity and similar settings of the pins) for which the queues had no room.
     unsent_wiring: Option<Wiring>,
-    /// Count of line bytes queued since power-up when the round began (wrapping). Bytes queued after that belong to a
-    /// later round.
+    /// Value of `bytes_queued` in [`SERIAL`] when the round began. Line bytes queued after that belong to a later
+    /// round.
     lines_in: u32,
     /// At the start of the round, the serial task held commands for which the queue had no room (owed commands).
     owes: bool,
     /// Owed commands taken from the serial task but not yet passed to the controller.
     owed: Owed,
     coalescing: Coalescing,
-    /// Whether the last change was stored; `None` once the controller has been informed.
+    /// Whether the last change of a setting was stored; `None` once the controller has been informed.
     stored: Option<bool>,
-    /// Inputs that the board has.
+    /// Mask of the inputs that the board has.
     fitted: u32,
     /// The controller has requested the state of the input pins.
     pins_asked: bool,
@@ -187,7 +187,7 @@ impl Control {
         are_held
     }
 
-    /// Stores position and line, for the record of a failure that ends the program.
+    /// Notes machine position and line number, for the record of a later failure that ends the program.
     fn note_place(&mut self) {
         let mut place = [0; 3];
         for (slot, at) in place.iter_mut().zip(self.controller.machine_position().iter()) {
@@ -197,9 +197,9 @@ impl Control {
         last_words::note(Whereabouts { place, line, moment });
     }
 
-    /// Erases flash if that is due, the machine is at rest with its spindle off, and no command waits (or only lines, if
-    /// the log is nearly full). The erase stalls the processor for a quarter of a second; the board keeps the bytes that
-    /// the host sends meanwhile. Returns whether it erased.
+    /// Erases the spare sector of the settings log, if that is due, the machine is at rest with its spindle off, and
+    /// neither commands nor lines wait. If the log is nearly full, lines may wait. The erase stalls the processor for a
+    /// quarter of a second; the board keeps the bytes that the host sends meanwhile. Returns whether it erased.
     fn erase_ahead(&mut self) -> bool {
         let observed = self.observe();
         let nothing_waits =
@@ -211,8 +211,8 @@ impl Control {
         erases
     }
 
-    /// Sends the wiring data to the tasks that own the pins; if a queue is full, a later call does so. At rest both
-    /// queues are emptied within a millisecond.
+    /// Sends the wiring data to the tasks `step` and `inputs`, which use the pins. If a queue is full, a later call of
+    /// this function sends them: at rest both tasks empty their queue within a millisecond.
     fn send_wiring(&mut self) {
         if let Some(wiring) = self.unsent_wiring
             && !self.ends.step_wiring.is_full()
@@ -254,7 +254,8 @@ impl Control {
         SERIAL.bytes_received.load(Ordering::Relaxed) != SERIAL.bytes_queued.load(Ordering::Relaxed)
     }
 
-    /// Returns whether the serial task must be called because it holds gathered line bytes although the queue is empty.
+    /// Returns whether the serial task must be called: it holds gathered line bytes, although the queue of lines is
+    /// empty.
     fn are_gathered(&self) -> bool {
         SERIAL.bytes_queued.load(Ordering::Relaxed) != self.line_bytes_out
             && self.line_reader.ahead().1.is_empty()
@@ -274,7 +275,7 @@ impl Control {
     }
 
     /// Returns the next command. Queued commands come first. When the queue is empty, takes all owed commands, if there
-    /// were any when the round began. These precede commands that are queued later.
+    /// were any when the round began. The serial task queues no further command before that, so the order is kept.
     fn next_command(&mut self) -> Option<Realtime> {
         if let Some(command) = self.owed.pop() {
             return Some(command);
@@ -290,14 +291,14 @@ impl Control {
         self.owed.pop()
     }
 
-    /// Returns whether lines must wait for an erase. This delays a host that sends many settings before the settings
-    /// log is full.
+    /// Returns whether lines must wait for an erase. This makes a host that sends many settings wait before the
+    /// settings log is full.
     #[inline(always)]
     fn waits_for_erase(&self) -> bool {
         self.wants_erase_soon && self.controller.is_nearly_quiet()
     }
 
-    /// Passes the next piece of the recording to the controller.
+    /// Passes the next part of the recording (`$REC`) to the controller, or with `first` its first part.
     #[inline(never)]
     fn read_recording(&mut self, first: bool) {
         let Control { controller, recorder, settings, .. } = self;
@@ -342,7 +343,7 @@ impl Pump<AXES> for Control {
 
     #[inline(always)]
     fn next_event(&mut self, source: Source) -> Option<Event<AXES>> {
-        // Checking whether a queue is empty takes half as long as a failed receive.
+        // Check for an empty queue first, because this takes half as long as a failed receive.
         match source {
             Source::Step if self.ends.events.is_empty() => None,
             Source::Step => self.ends.events.try_recv().ok().map(Event::Step),
@@ -417,8 +418,8 @@ impl Pump<AXES> for Control {
 
     #[inline(always)]
     fn make_room(&mut self, took: bool) -> bool {
-        // Call the serial task only now, when the round has taken all messages. In an earlier call, it may have found
-        // the last message still in the queue.
+        // Call the serial task only now, when the round has taken all messages. In an earlier call, the serial task
+        // might still have found the last message in the queue, and left its bytes unqueued.
         if took && (self.has_no_room() || self.are_gathered()) {
             boards::call_serial();
         }
@@ -447,7 +448,7 @@ impl Pump<AXES> for Control {
             Output::Reply(chunk) | Output::Answer(chunk) => {
                 let _ = self.ends.replies.try_send(chunk);
                 self.coalescing.sent(self.round_began);
-                // Further replies are sent in the same run of the serial task.
+                // Call the serial task only after the last reply, so that one run sends all of them.
                 if !self.controller.has_answers() || self.ends.replies.is_full() {
                     boards::call_serial();
                 }

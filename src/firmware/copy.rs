@@ -40,7 +40,7 @@ pub unsafe extern "C" fn __aeabi_memcpy4() {
     )
 }
 
-/// The same for addresses aligned to 8.
+/// Copies like [`__aeabi_memcpy4`], between addresses aligned to 8.
 // SAFETY: as above.
 #[unsafe(no_mangle)]
 #[unsafe(naked)]
@@ -48,7 +48,8 @@ pub unsafe extern "C" fn __aeabi_memcpy8() {
     naked_asm!("b {aligned}", aligned = sym __aeabi_memcpy4)
 }
 
-/// The same for any addresses, because this core loads and stores single words at any address.
+/// Copies like [`__aeabi_memcpy4`], between any addresses. Unaligned ones are copied word by word, because this core
+/// can load and store single words at any address, but several words only at aligned ones.
 // SAFETY: as above.
 #[unsafe(no_mangle)]
 #[unsafe(naked)]

@@ -9,8 +9,8 @@ use oxmill_controller::messages::CrashKind;
 /// Whether `fail` is already ending the program. A second failure must not run it again.
 static FAILING: AtomicBool = AtomicBool::new(false);
 
-/// Ends the program. If another failure happens meanwhile (in the debug log, whose frames do not nest, or while the
-/// reason is formatted), the first record is kept and the board resets at once.
+/// Ends the program. If another failure happens meanwhile (within the debug log, which allows no nested log frames, or
+/// while the reason is formatted), the board resets at once and the record of the first failure stays.
 pub fn fail(kind: CrashKind, why: core::fmt::Arguments<'_>) -> ! {
     cortex_m::interrupt::disable();
     boards::safe_state();

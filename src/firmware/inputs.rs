@@ -1,11 +1,12 @@
-//! Samples and filters the input pins, and reports changes to `control`. If an armed input becomes active, requests a
-//! stop of the step task. Also counts, for each input, the changes that the filter rejects as noise.
+//! Samples and filters the input pins, and reports changes to `control`. If an input that is armed to stop the machine
+//! becomes active, requests a stop of the step task. Also counts, for each input, the changes that the filter rejects
+//! as noise.
 //!
 //! Each sample also checks the alarm clock of `control`, the `Supervisor` of the watchdog, and the bytes received by
 //! the UART, for which it calls the serial task.
 //!
-//! Inputs are sampled instead of using edge interrupts, so that no two pins compete for an interrupt line and a
-//! bouncing switch cannot flood the CPU. A changed level takes effect after eight equal samples (0.4 ms).
+//! Inputs are sampled and have no edge interrupts. So two pins never compete for an interrupt line, and a bouncing
+//! switch cannot flood the CPU with interrupts. A changed level takes effect after eight equal samples (0.4 ms).
 
 use crate::boards::calls::Calls;
 use crate::boards::{self, InputPins, UartInput, input_bits};
@@ -18,7 +19,7 @@ use oxmill_controller::messages::{SECOND_SWITCH, SIGNALS_DEPTH, Sensed, Wiring, 
 use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalReader;
 
-// A board's word of inputs must have the same bits as the controller's.
+// Each input must have the same bit in the boards' word of inputs as in the controller's.
 const _: () = assert!(
     input_bits::LIMITS == 0
         && 1 << input_bits::SECOND_LIMIT == SECOND_SWITCH
@@ -33,7 +34,7 @@ const _: () = assert!(
         && input_bits::SECOND_PROGRAM == input::SECOND_PROGRAM
 );
 
-/// The state of the task.
+/// State of the task `inputs`.
 pub struct Inputs {
     pins: InputPins,
     inputs: signals::Inputs,
@@ -102,8 +103,9 @@ impl Inputs {
     #[inline(never)]
     fn tell(&mut self, uart: &mut UartInput) {
         let Some(sensed) = self.inputs.sensed() else { return };
-        // UART bytes read up to now must come before this message, so the serial task is called to pass them on before
-        // `control` receives the message. Bytes still in the buffer, as in a flood, come after the message.
+        // `control` must get the UART bytes read up to now before this message, so call the serial task, which passes
+        // them on. Bytes that are still in the buffer, because more arrived than one sample reads, come after the
+        // message.
         uart.pass_on(true);
         boards::call_serial();
         let is_known = self.sent == Some(sensed);

@@ -9,8 +9,8 @@
 //! a record that was stored because the supply voltage dropped survives if the voltage stays above about 1.7 V; it does
 //! not survive a power-off.
 //!
-//! Position and line were noted at the end of the control task's last run. While the machine moves, that was at most 2
-//! ms ago.
+//! Position and line in a record are those at the end of the control task's last run before the failure. While the
+//! machine moves, that run ended at most 2 ms earlier.
 
 use crate::boards;
 use core::cell::Cell;
@@ -36,10 +36,10 @@ pub struct Whereabouts {
     pub moment: u32,
 }
 
-/// Global and not owned by a task, because any task can fail and need it.
+/// A static instead of a task's resource, because a failure can happen in any task.
 static LAST: Mutex<Cell<Whereabouts>> = Mutex::new(Cell::new(Whereabouts { place: [0; 3], line: 0, moment: 0 }));
 
-/// Stores position and line. Called by the control task after its rounds.
+/// Notes position and line for a later failure. Called by the control task at the end of each run.
 pub fn note(last: Whereabouts) {
     critical_section::with(|cs| LAST.borrow(cs).set(last));
 }
@@ -67,12 +67,12 @@ static mut RECORD: MaybeUninit<Words> = MaybeUninit::uninit();
 // not initialised, and every bit pattern is a `Page`.
 static mut RECORDING: MaybeUninit<[Page; boards::RECORDING_PAGES]> = MaybeUninit::uninit();
 
-/// The record as words. A volatile access to the struct would copy each byte of its text separately, which takes 2 KB
-/// of code.
+/// The record as words. A volatile access to the struct would copy each byte of its text separately, which would take 2
+/// KB of code.
 type Words = [u32; size_of::<Kept>() / size_of::<u32>()];
 
-/// Returns the CRC-32 of all words except the last one, which holds the CRC. RAM after power-up does not pass this
-/// check by accident.
+/// Returns the CRC-32 of all words except the last one, which holds the CRC. The contents of RAM after power-up do not
+/// have the right CRC by accident.
 fn sum(words: &Words) -> u32 {
     let mut bytes = [0; size_of::<Words>() - size_of::<u32>()];
     for (to, word) in bytes.chunks_exact_mut(size_of::<u32>()).zip(words) {

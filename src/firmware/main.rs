@@ -30,7 +30,7 @@ macro_rules! firmware {
             use rtic_sync::channel::Channel;
             use rtic_sync::signal::{Signal, SignalReader};
 
-            /// Each resource is shared only by tasks of one priority.
+            /// Each resource is shared only by tasks of one priority, so it needs no lock.
             #[shared]
             struct Shared {
                 #[lock_free]
@@ -54,8 +54,8 @@ macro_rules! firmware {
                 segments: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new(),
                 events: Channel<StepEvent<AXES>, EVENTS_DEPTH> = Channel::new(),
                 signals: Channel<Sensed, SIGNALS_DEPTH> = Channel::new(),
-                // Wiring after a change of settings. Two messages always fit, because the receivers take them within a
-                // millisecond.
+                // Wiring after a change of settings. Room for two messages suffices, because the receiving tasks take
+                // them within a millisecond.
                 step_wiring: Channel<Wiring, 2> = Channel::new(),
                 input_wiring: Channel<Wiring, 2> = Channel::new(),
                 wake: Signal<()> = Signal::new(),

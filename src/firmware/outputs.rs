@@ -1,9 +1,10 @@
-//! Writes the outputs that change slowly: driver enable with its polarity, spindle, coolant, and outputs of programs.
+//! Writes the outputs that change slowly: driver enable with its polarity, spindle, coolant, and the outputs for
+//! programs (M62 to M65).
 
 use crate::boards::{SlowLevels, SlowPins};
 use oxmill_controller::messages::{SlowOutputs, SpindleDirection};
 
-/// The slow pins and their levels.
+/// The slow pins, the levels that `control` has last requested, and the polarity of the enable output.
 pub struct Outputs {
     pins: SlowPins,
     wanted: Option<SlowOutputs>,
@@ -16,7 +17,7 @@ impl Outputs {
         Outputs { pins, wanted: None, enable_invert: false }
     }
 
-    /// Writes new levels.
+    /// Sets the outputs to new levels.
     pub fn show(&mut self, wanted: SlowOutputs) {
         self.wanted = Some(wanted);
         self.write();
@@ -31,7 +32,7 @@ impl Outputs {
     fn write(&mut self) {
         let Some(wanted) = self.wanted else { return };
         self.pins.write(SlowLevels {
-            // Step-stick drivers are enabled by a low level.
+            // Without `enable_invert` the enable output is active low, as step-stick drivers need it.
             drivers: wanted.drivers == self.enable_invert,
             spindle: wanted.spindle != SpindleDirection::Off,
             spindle_reversed: wanted.spindle == SpindleDirection::CounterClockwise,

@@ -6,9 +6,10 @@
 //!                    ├─▶ realtime, lines   replies ───────┤
 //!  USB   ──▶ link ───┘                                   └─▶ USB
 //! ```
-//! Both links are always read. Realtime commands act from either link; lines are accepted only from the link of the
-//! active host. The active host can change when the machine has nothing to do, when the active host disconnects, and
-//! with a reset. When a reset is received, this task itself stops the step task, before anything is queued or decided.
+//! Both links are always read. Realtime commands are accepted from both links; lines are accepted only from the link of
+//! the active host. The active host can change when the machine has nothing to do, when the active host disconnects,
+//! and with a reset. When a reset is received, this task itself requests a stop of the step task, before it queues
+//! anything or decides which host is active.
 
 use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
 use crate::shared::{self, ASKED, CONTROL, SERIAL, Wake};
@@ -25,20 +26,21 @@ const PACKET: usize = 64;
 /// sender wait.
 const UART_HELD: usize = 1;
 
-/// Maximum burst of realtime commands and ignored bytes. Parts of lines have a queue, which limits them. Without this
-/// limit, a host or noise on a wire could use all of the processor time by endless bytes of this kind.
+/// Maximum burst of realtime commands and ignored bytes. Bytes of lines need no such limit, because the room in their
+/// queue limits them. Without this limit, a host or noise on a wire could use all of the processor time by sending
+/// bytes outside lines without end.
 const MOST_OTHERS: u32 = 128;
 /// Time, µs, after which another one of the bytes that `MOST_OTHERS` limits is allowed.
 const OTHER_US: u32 = 200;
-/// Maximum number of bytes that are taken one by one (not as plain text) in `SINGLY_US` µs from a link that cannot
-/// wait. Lines of 15 characters with CR LF, sent at 1 Mbaud, have fewer such bytes in that time. The number is low
-/// enough for `control` to continue its work. A host that counts characters loses no bytes by this limit, because it
-/// never has more bytes in transit than there is room for.
+/// Maximum number of bytes that are taken one by one (not as plain text) in `SINGLY_US` µs from a link that cannot make
+/// its sender wait. Lines of 15 characters with CR LF, sent at 1 Mbaud, have fewer such bytes in that time. The number
+/// is low enough to leave processor time to `control`. A host that counts characters loses no bytes by this limit,
+/// because it never has more bytes in transit than there is room for.
 const MOST_SINGLY: usize = 12;
 /// Period for `MOST_SINGLY`, in µs.
 const SINGLY_US: u32 = 800;
-/// A `!` that may be text becomes a command only after at least this many runs of the task without a further byte. Runs
-/// are about 500 µs apart.
+/// A `!` that may be part of a text becomes a feed hold only after at least this many runs of the task without a
+/// further byte. Runs are about 500 µs apart.
 const QUIET_RUNS: u8 = 16;
 
 /// Link number of the USART.
@@ -46,10 +48,10 @@ const UART: usize = 0;
 /// Link number of USB.
 const USB: usize = 1;
 
-/// The sending ends of the queues to `control`.
+/// The senders of the queues to `control`, and the limits on how many bytes are taken.
 struct ToControl {
-    /// Whether commands that find no room in the queue are kept as flags ("owed" commands), because the link being read
-    /// cannot make its sender wait.
+    /// The link being read cannot make its sender wait. So resets, holds and door commands for which the queue has no
+    /// room are kept as flags ("owed" commands).
     may_owe: bool,
     /// No reply waits or is partly sent, and the last run left no bytes unread.
     flushed: bool,
@@ -62,7 +64,7 @@ struct ToControl {
     others: u32,
     /// Time, in clock ticks, up to which `allow_others` has added to `others`.
     others_since: u32,
-    /// More bytes have arrived than may be taken now, so the task must be called again.
+    /// The last run reached a limit and left bytes unread, so the task must be called again.
     leaves_unread: bool,
     left_unread: SignalWriter<'static, ()>,
 }
@@ -75,15 +77,15 @@ impl ToControl {
         self.others_since = self.others_since.wrapping_add(more * OTHER_US * boards::CLOCK_TICKS_PER_US);
     }
 
-    /// Sends the gathered bytes at the end of a run. Returns whether there is news for `control`.
+    /// Queues the line bytes gathered in this run. Returns whether a message was queued for `control`.
     fn flush(&mut self) -> bool {
         let Self { lines, line_sender, .. } = self;
-        // `lines.is_empty` is true only when the receiver is done with the last message.
+        // `lines.is_empty` is true only when `control` has taken the last message out of the queue.
         line_sender.is_waiting() && line_sender.flush(lines.is_empty(), |message| lines.try_send(message).is_ok())
     }
 }
 
-/// Adds to a count that only this task writes.
+/// Adds to a count that only this task writes, so a separate load and store suffice.
 fn count(counter: &AtomicU32, by: u32) {
     counter.store(counter.load(Ordering::Relaxed).wrapping_add(by), Ordering::Relaxed);
 }
@@ -139,7 +141,7 @@ impl Queues for ToControl {
     }
 }
 
-/// A link and its port.
+/// A link and the port that it reads and writes.
 struct Ported<P> {
     port: P,
     link: Link,
@@ -150,7 +152,7 @@ struct Ported<P> {
     singly_since: u32,
     /// Time, in clock ticks, of the first run without a byte after a `!` that may be text.
     quiet_since: u32,
-    /// Count of runs without a byte since `quiet_since`.
+    /// Number of runs without a byte since `quiet_since`.
     quiet_runs: u8,
 }
 
@@ -213,8 +215,8 @@ impl<P: Port> Ported<P> {
                 Incoming::Byte(byte) => news |= self.link.take(byte, arbiter, other, queues),
             }
             // `others` does not limit bytes of lines, because the room in the queue does. On a link that cannot wait,
-            // it does not limit characters of remarks either: `singly` limits these, and a host that counts characters
-            // for its flow control counts them, too.
+            // it does not limit the characters of comments either: `singly` limits these, and a host with flow control
+            // by counting characters counts them, too.
             let is_other = queues.bytes_queued == queued && (P::WAITS || !self.link.is_in_remark());
             queues.others = queues.others.saturating_sub(u32::from(is_other));
             self.singly += 1;
@@ -237,8 +239,8 @@ impl<P: Port> Ported<P> {
     }
 
     /// Call while the last byte received is a `!` that may be text. Waits for the next byte; if none comes, the `!`
-    /// becomes a command. Returns whether there is news for `control`. Both time and runs are counted: after a stall of
-    /// the processor, time has passed, but the next bytes may have arrived unread.
+    /// becomes a command. Returns whether there is news for `control`. Both the time and the runs are counted: after a
+    /// stall of the processor, enough time has passed, but bytes that arrived during the stall may still be unread.
     #[cold]
     fn await_rest(&mut self, arbiter: &mut HostArbiter, queues: &mut ToControl) -> bool {
         let now = boards::clock_ticks();
@@ -264,7 +266,7 @@ impl<P: Port> Ported<P> {
     }
 }
 
-/// The state of the task.
+/// State of the serial task.
 pub struct Serial {
     arbiter: HostArbiter,
     uart: Ported<SerialPort>,
@@ -279,7 +281,7 @@ pub struct Serial {
 }
 
 impl Serial {
-    /// Creates the task; nothing is received and nothing waits to be sent.
+    /// Creates the task, with nothing received and nothing to send.
     pub fn new(
         uart: SerialPort,
         usb: UsbPort,
@@ -312,7 +314,7 @@ impl Serial {
         }
     }
 
-    /// Runs the task. Called when bytes or a packet have been received, when there is room to send, and by `control`
+    /// Runs the task. Called when bytes or a packet have been received, when a port has room to send, and by `control`
     /// when there is a reply to send or room in the queues. Not inlined, so that the image contains it once and not in
     /// each of two vectors.
     #[inline(never)]
@@ -353,7 +355,7 @@ impl Serial {
             self.sent = self.sending.as_bytes().len();
         }
         let mut more = false;
-        // A reply must not be sent in the middle of a refusal.
+        // A reply must not be sent in the middle of an error answer to a refused line.
         let clear = if to_usb { usb } else { uart };
         loop {
             if !clear {

@@ -1,10 +1,10 @@
 //! The settings store of the firmware: opens the log of `oxmill-store` in the board's flash, restores its records into
 //! the controller, stores changes, and erases the spare sector before it is needed.
 //!
-//! A write takes a few words, and is done when the controller requests it. An erase stalls the processor for a quarter
-//! of a second on the STM32 boards. So the erase is done ahead of need, and only when the caller finds that no motor
-//! moves, the spindle and the laser are off, and no command waits. After a failed erase, no erase is tried until the
-//! next power-up.
+//! A write programs only a few words, and is done when the controller requests it. An erase stalls the processor for a
+//! quarter of a second on the STM32 boards. So the erase is done ahead of need, and only when the caller finds that no
+//! motor moves, the spindle and the laser are off, and no command waits. After a failed erase, no erase is tried until
+//! the next power-up.
 
 use crate::BoardController;
 use crate::boards::SettingsFlash;
@@ -33,7 +33,7 @@ impl SettingsStore {
         SettingsStore { log, worn: false }
     }
 
-    /// Returns the valid record with this index, if there is one.
+    /// Returns the record with this index among the valid records; `None` if there are fewer.
     pub fn record(&mut self, number: u16) -> Option<Record> {
         let (mut left, mut found) = (number, None);
         let seek = |record: Record| match left.checked_sub(1) {
@@ -63,7 +63,7 @@ impl SettingsStore {
         !self.worn && self.log.as_ref().is_some_and(Log::needs_erase)
     }
 
-    /// Returns whether the log will soon have no room without an erase.
+    /// Returns whether an erase of the spare sector is urgent: without it, the log will soon have no room.
     pub fn wants_erase_soon(&self) -> bool {
         !self.worn && self.log.as_ref().is_some_and(Log::needs_erase_soon)
     }

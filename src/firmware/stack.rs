@@ -1,5 +1,5 @@
-//! Logs the maximum depth of the stack when it has grown. The stack is measured only while the step task is at rest and
-//! no host sends.
+//! Logs the maximum use of the stack whenever it has grown. The stack is measured only while the step task is at rest
+//! and no host sends.
 
 use crate::boards::{self, stack};
 use crate::shared::{SERIAL, STEP};
@@ -10,13 +10,13 @@ const QUIET_TICKS: u32 = boards::CLOCK_TICKS_PER_US * 5_000;
 /// Minimum time between two measurements.
 const REST_TICKS: u32 = boards::CLOCK_TICKS_PER_US * 1_000_000;
 
-/// Logs each new depth, at most once per second, because measuring takes a hundred microseconds.
+/// Logs each new maximum. Measures at most once per second, because a measurement takes a hundred microseconds.
 pub struct Watch {
     /// Time of the last measurement.
     looked: u32,
-    /// Time of the last activity.
+    /// Time at which a motor or a host was last active.
     busy: u32,
-    /// Count of received bytes at the last activity.
+    /// Value of `heard` in [`SERIAL`] at that time.
     heard: u32,
     /// Maximum stack depth so far, in bytes.
     most: u32,

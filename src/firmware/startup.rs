@@ -43,7 +43,7 @@ pub struct Channels {
     pub alarm: &'static Signal<u32>,
 }
 
-/// The tasks.
+/// The state of the tasks. `uart` is shared by `inputs` and the UART's interrupt, if the board has one.
 #[allow(missing_docs, reason = "one for each task")]
 pub struct Tasks {
     pub step: Step,
@@ -66,7 +66,8 @@ fn baud(controller: &BoardController, low: u32) -> u32 {
     }
 }
 
-/// Returns the report of a fault that the board has found at its start: the machine stays locked.
+/// Returns the report of a fault that the board has found during its set-up. Because of this report, the machine stays
+/// locked.
 fn fault_of_board(why: &str) -> Crash {
     let text = why.bytes().collect();
     Crash { kind: CrashKind::Board, text, place: [0; 3], line: 0, moment: 0 }

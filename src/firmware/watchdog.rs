@@ -1,6 +1,6 @@
 //! Checks that every task still runs. Ten times per second `Supervisor` marks and calls step, serial and control, and
-//! feeds the hardware watchdog only if all of them have cleared their marks. A mark that is still set at five checks in
-//! a row is a failure.
+//! feeds the hardware watchdog only if all of them have cleared their marks. If a task's mark is still set at five
+//! checks in a row, this is a failure.
 //!
 //! ```text
 //!  step, serial, control ──each run clears its mark──┐
@@ -23,7 +23,7 @@ const PERIOD: u32 = SAMPLE_HZ / 10;
 /// Number of failed checks in a row after which a task counts as stuck.
 const PATIENCE: u32 = 5;
 
-/// The part of the watchdog that `inputs` owns.
+/// Checks the other tasks and feeds the hardware watchdog; part of the task `inputs`.
 pub struct Supervisor {
     watchdog: Watchdog,
     samples: u32,
@@ -37,7 +37,7 @@ impl Supervisor {
         Supervisor { watchdog, samples: 0, unanswered: 0 }
     }
 
-    /// Counts a sample of `inputs`.
+    /// Counts a sample of `inputs`, and checks the tasks when 100 ms have passed.
     #[inline]
     pub fn sample(&mut self, wake: &mut Wake) {
         self.samples += 1;

@@ -67,9 +67,9 @@ pub fn for_line(code: u8, line: &str) -> &'static str {
 }
 
 /// Returns the advice for error `code` at the line `line`, to be shown beside the controller's sentence about the line.
-/// Returns no general advice if this sentence already says, after a colon, what to write.
+/// If this sentence already says what to write, returns an empty text instead of general advice.
 pub fn beside(sentence: &str, code: u8, line: &str) -> &'static str {
-    /// Verbs with which a part of a sentence begins that says what to write.
+    /// If a part of a sentence begins with one of these verbs, it says what to write.
     const IMPERATIVES: [&str; 15] = [
         "write", "set", "take", "correct", "choose", "add", "divide", "give", "name", "use", "split", "end", "remove",
         "put", "let",
@@ -83,7 +83,7 @@ pub fn beside(sentence: &str, code: u8, line: &str) -> &'static str {
     if is_enough && advice == for_code(code) { "" } else { advice }
 }
 
-/// Returns how many words of a line, outside of comments, are this letter with a number or an expression.
+/// Returns how many words of a line, outside of comments, consist of this letter and a number or an expression.
 pub fn count(line: &str, letter: char) -> usize {
     words(line).iter().filter(|word| is_of(word, letter)).count()
 }

@@ -13,15 +13,16 @@ use crate::simulator::Simulator;
 use oxmill_controller::messages::{Noted, Signals, Standing, Stopping};
 use oxmill_controller::protocol::realtime;
 
-/// The times of simulator and board can differ by up to 1/20 s. This constant is the denominator of that fraction.
+/// The same event may happen up to 1/20 s earlier or later in the simulator than on the board. This constant is the
+/// denominator of that fraction.
 const SLACK_PARTS: u64 = 20;
 /// A line that the board took within 1/1000 s of the previous line counts as having waited together with that line.
 /// This constant is the denominator of that fraction.
 const AT_ONCE_PARTS: u64 = 1000;
-/// Part of the modal words of a state in which no feed rate F is set.
+/// Part of the words of a recorded modal state in which no feed rate F is set.
 const NO_FEED: &str = "F0.0000000S";
 
-/// Result of a replay.
+/// Result of replaying a board's recording.
 #[derive(Debug, Default)]
 pub struct Arrival {
     /// Remarks for the user.
@@ -516,7 +517,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         Err(format!("{} the recording has the state {standing:?}; here it is {here:?}", self.seconds(time)))
     }
 
-    /// Handles the end of the recording: the machine must pass the recorded position, at the recorded line.
+    /// Handles a recording that ended with a failure: at about the recorded time, the simulator must reach the recorded
+    /// position at the recorded line.
     fn ended(
         &mut self,
         time: u64,

@@ -14,11 +14,11 @@ use oxmill_controller::error::{Alarm, Error};
 use oxmill_controller::gcode::Units;
 use oxmill_controller::messages::Realtime;
 
-/// Begin of the message with the number of a subprogram that a held program waits for.
+/// Start of the controller's message that a held program waits for a subprogram; the number of the subprogram follows.
 const AWAITS: &str = "[MSG:Program waits for subprogram ";
-/// Begin of the message about G43 while no tool is in the table.
+/// Start of the controller's message about G43 while no tool is in the table.
 pub const NO_TOOLS: &str = "[MSG:No tool is in the table";
-/// What this message means for a job.
+/// Text of the warning that the report adds for [`NO_TOOLS`].
 const WITHOUT_LENGTH: &str = "no tool has a stored length, so G43 has no effect. That is right if Z zero was set with this tool. \
      Otherwise store the length: G10 L1 P(tool) Z(length), above the line or once in the machine";
 /// Maximum number of errors, and of warnings, that the report lists. Further ones are only counted.
@@ -26,7 +26,7 @@ const KEPT_ERRORS: usize = 1000;
 /// Maximum number of controller messages, and of simulator notes, that the report lists. Further ones are only counted.
 const KEPT_MESSAGES: usize = 50;
 
-/// Result of a job.
+/// What the report says about a job, except for its measurements.
 #[derive(Debug, Default)]
 struct Outcome {
     errors: Vec<LineError>,
@@ -53,7 +53,7 @@ impl Outcome {
                 }
                 Said::Error { line, code, text, reason: None } => self.refused(line, code, error_text(code), text),
                 Said::Warning(warning) => self.warn(warning),
-                // A held program repeats what it waits for.
+                // The controller can send the message about a held program several times in a row: list it once.
                 Said::Message { text, .. } if self.messages.last() == Some(&text) && text.starts_with(AWAITS) => {}
                 Said::Message { line, text } if self.messages.len() < KEPT_MESSAGES => {
                     if text.starts_with(NO_TOOLS) {
@@ -67,7 +67,8 @@ impl Outcome {
         }
     }
 
-    /// Removes the last message if it is `message`, because the report shows it with the error that it explains.
+    /// Removes the most recent message if it is `message`, because the report shows its text with the error that it
+    /// explains.
     fn unsay(&mut self, message: &str) {
         if self.more_messages > 0 {
             self.more_messages -= 1;
@@ -86,8 +87,8 @@ impl Outcome {
         }
     }
 
-    /// Returns what to do about a refused line. Uses what only the file shows: an earlier line with F that was refused,
-    /// or several points in one line.
+    /// Returns what to do about a refused line. Also detects two causes that the error alone does not show: an earlier
+    /// line with F was refused, or one line contains several points.
     fn advice(&self, code: u8, text: &str, source: &str) -> String {
         let refused_feed = self.errors.iter().rev().find(|error| advice::count(&error.source, 'F') > 0);
         match refused_feed {
@@ -130,7 +131,7 @@ impl Outcome {
         }
     }
 
-    /// Adds to the error of a held program by how much the program is too long.
+    /// Completes the error about a held program that does not fit into the memory: `lacking` bytes are missing for it.
     fn measure_held(&mut self, lacking: usize, board: &str) {
         let is_of_memory = |error: &&mut LineError| error.code == Error::OutOfMemory.code();
         if let Some(error) = self.errors.iter_mut().rfind(is_of_memory) {
@@ -193,7 +194,8 @@ impl Check {
         Self { simulator, origin, began_at, outcome: Outcome::default(), done: false }
     }
 
-    /// Makes a report for a machine that has worked without a job. `said` is the machine's output.
+    /// Makes a report for a machine that a host has driven without a job, as in a replay. `origin`: the tick at which
+    /// the report begins; `said`: the machine's output since then.
     pub fn of(simulator: Simulator, origin: u64, said: &str) -> Self {
         let mut outcome = Outcome { complete: true, ..Outcome::default() };
         let mut answers = 0;
@@ -213,8 +215,8 @@ impl Check {
         Self { simulator, origin, began_at: [0; AXES], outcome, done: true }
     }
 
-    /// Advances the job by up to `rounds` rounds, each to the next event. A round takes the host a few microseconds.
-    /// Returns whether the job has ended.
+    /// Advances the job by up to `rounds` rounds, each to the next event. A round takes the computer a few
+    /// microseconds. Returns whether the job has ended.
     pub fn advance(&mut self, rounds: u32) -> bool {
         for _ in 0..rounds {
             if self.done {
@@ -369,17 +371,17 @@ impl Check {
         self.simulator.clock().seconds(self.simulator.clock().now())
     }
 
-    /// The simulator.
+    /// The simulator that runs the job.
     pub fn simulator(&self) -> &Simulator {
         &self.simulator
     }
 
-    /// The simulator, for taking what it has collected.
+    /// The simulator, for fetching what it has collected, such as the drawing.
     pub fn simulator_mut(&mut self) -> &mut Simulator {
         &mut self.simulator
     }
 
-    /// Returns the report up to now. `host_s`: run time on the host, in seconds.
+    /// Returns the report up to now. `host_s`: time that the computer needed for the simulation, in seconds.
     pub fn summary(&self, name: &str, host_s: f64) -> Summary {
         let simulator = &self.simulator;
         let (clock, trace, machine) = (simulator.clock(), simulator.trace(), simulator.machine());

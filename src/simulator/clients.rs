@@ -31,7 +31,7 @@ pub(crate) const ENDLESS: &[u8] = b"[MSG:The line has no end]\r\n";
 /// Maximum number of simultaneous connections; further ones are closed at once.
 const CONNECTIONS: usize = 64;
 
-/// Events that the threads send to the loop.
+/// Events that the threads send to the loop that owns the simulator.
 pub(crate) enum Happened {
     /// A client is ready to be served.
     Connected(Client),
@@ -92,9 +92,9 @@ struct InboxState {
     bytes: VecDeque<u8>,
     /// Number of bytes since the last line end, without realtime commands.
     line: usize,
-    /// The client sends nothing more.
+    /// Whether the client has disconnected or its input has ended, so that no more bytes will come.
     ended: bool,
-    /// The loop no longer serves the client.
+    /// Whether the loop has stopped serving the client.
     closed: bool,
     /// The error that ended reading.
     failure: Option<io::Error>,
@@ -179,13 +179,13 @@ impl Inbox {
     }
 }
 
-/// A client, as the loop sees it.
+/// A client, with what the loop needs to serve it.
 pub(crate) struct Client {
     pub(crate) inbox: Arc<Inbox>,
     pub(crate) answers: SyncSender<Vec<u8>>,
-    /// For checking whether the client is still connected.
+    /// The client's TCP connection, for checking whether the client is still connected; `None` for other links.
     pub(crate) stream: Option<TcpStream>,
-    /// The client is standard input: all of its input is executed, even after it has ended.
+    /// Whether the client is standard input, whose lines are all executed, even after the input has ended.
     pub(crate) is_program: bool,
 }
 
@@ -265,7 +265,7 @@ pub(crate) fn writer(mut link: impl Write + Send + 'static, inbox: Arc<Inbox>) -
     let (sender, receiver) = sync_channel::<Vec<u8>>(ANSWERS);
     let handle = thread::spawn(move || {
         let written = receiver.iter().try_for_each(|bytes| write_out(&mut link, &bytes, &inbox));
-        // Only this call reports the disconnection to a loop that has nothing more to write.
+        // If the loop has no more replies to send, only this call lets it notice that the client has disconnected.
         inbox.end();
         written
     });

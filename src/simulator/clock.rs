@@ -14,7 +14,7 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// A clock at 0 that ticks `hz` times a second, at least once.
+    /// A clock at 0 with `hz` ticks per second; an `hz` of 0 counts as 1.
     pub fn new(hz: u32) -> Self {
         Self { hz: u64::from(hz.max(1)), now: 0 }
     }
@@ -31,7 +31,7 @@ impl Clock {
 
     /// The current time as the controller sees it, in whole elapsed microseconds.
     pub fn instant(&self) -> Instant {
-        // Convert whole seconds and the remainder separately: the ticks of some days times a million would overflow.
+        // Convert whole seconds and the remainder separately: the ticks of a few days times a million would overflow.
         Instant::from_ticks(self.now / self.hz * MICROSECONDS + self.now % self.hz * MICROSECONDS / self.hz)
     }
 
@@ -42,8 +42,8 @@ impl Clock {
         seconds.saturating_add((us % MICROSECONDS * self.hz).div_ceil(MICROSECONDS))
     }
 
-    /// The latest tick to which a wait can last. It is so far below the maximum values of ticks and microseconds that
-    /// adding to a time does not overflow.
+    /// The latest tick to which a wait can last. It is far below the maximum values of ticks and microseconds, so
+    /// adding even the longest dwell to it does not overflow.
     pub fn end(&self) -> u64 {
         (u64::MAX / 4 / MICROSECONDS).saturating_mul(self.hz).min(u64::MAX / 2)
     }

@@ -25,7 +25,7 @@ pub struct CommandLine {
     pub command: Command,
 }
 
-/// What to do.
+/// The commands of the program.
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Runs a G-code file in simulated time and reports what the machine did.
@@ -60,7 +60,7 @@ pub enum Command {
     },
 }
 
-/// `board`.
+/// The commands of `oxmill board`.
 #[derive(Debug, Subcommand)]
 pub enum BoardCommand {
     /// Lists the boards: name, chip and title.
@@ -87,7 +87,7 @@ pub enum BoardCommand {
     },
 }
 
-/// `run`.
+/// Arguments of `oxmill run`.
 #[derive(Debug, Args)]
 pub struct Run {
     /// The job: .nc .ngc .gcode .gc .tap .mpf .cnc .min or any other text file; `-` for standard input.
@@ -104,15 +104,15 @@ pub struct Run {
     /// Records all input into this file, for `replay`.
     #[arg(long, value_name = "FILE", conflicts_with = "work_zero")]
     pub record: Option<PathBuf>,
-    /// Before the job.
+    /// Preparation of the machine before the job.
     #[command(flatten)]
     pub start: Start,
-    /// The machine.
+    /// The simulated machine: board, settings, hardware and store.
     #[command(flatten)]
     pub machine: MachineOptions,
 }
 
-/// `check`.
+/// Arguments of `oxmill check`.
 #[derive(Debug, Args)]
 pub struct CheckJob {
     /// The job: any text file, or `-` for standard input.
@@ -120,15 +120,15 @@ pub struct CheckJob {
     /// Prints the summary as a JSON object, in the same form as `run --json`.
     #[arg(long)]
     pub json: bool,
-    /// Before the job.
+    /// Preparation of the machine before the job.
     #[command(flatten)]
     pub start: Start,
-    /// The machine.
+    /// The simulated machine: board, settings, hardware and store.
     #[command(flatten)]
     pub machine: MachineOptions,
 }
 
-/// `plot`.
+/// Arguments of `oxmill plot`.
 #[derive(Debug, Args)]
 pub struct PlotJob {
     /// The job: any text file, or `-` for standard input.
@@ -136,18 +136,18 @@ pub struct PlotJob {
     /// The file for the drawing. Can be repeated.
     #[arg(short, long, required = true, value_name = "FILE.svg|FILE.png")]
     pub output: Vec<PathBuf>,
-    /// Before the job.
+    /// Preparation of the machine before the job.
     #[command(flatten)]
     pub start: Start,
-    /// The machine.
+    /// The simulated machine: board, settings, hardware and store.
     #[command(flatten)]
     pub machine: MachineOptions,
 }
 
-/// `serve`.
+/// Options of `oxmill serve`.
 #[derive(Debug, Args)]
 pub struct Serve {
-    /// Where clients come from.
+    /// The link over which clients connect.
     #[command(flatten)]
     pub link: Link,
     /// Speed relative to real time; `max` runs as fast as this computer can while the machine is busy.
@@ -168,12 +168,12 @@ pub struct Serve {
     /// Records all input into this file, for `replay`.
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
-    /// The machine.
+    /// The simulated machine: board, settings, hardware and store.
     #[command(flatten)]
     pub machine: MachineOptions,
 }
 
-/// `replay`.
+/// Arguments of `oxmill replay`.
 #[derive(Debug, Args)]
 pub struct Replay {
     /// The recording, made by `run --record` or `serve --record`.
@@ -186,7 +186,7 @@ pub struct Replay {
     pub trace: Option<PathBuf>,
 }
 
-/// `resume`.
+/// Arguments of `oxmill resume`.
 #[derive(Debug, Args)]
 pub struct ResumeJob {
     /// The job: any text file.
@@ -207,19 +207,19 @@ pub struct ResumeJob {
     /// The file for the program; the default is standard output.
     #[arg(short, long, value_name = "FILE")]
     pub output: Option<PathBuf>,
-    /// The machine.
+    /// The simulated machine: board, settings, hardware and store.
     #[command(flatten)]
     pub machine: MachineOptions,
 }
 
-/// `settings`.
+/// The commands of `oxmill settings`.
 #[derive(Debug, Subcommand)]
 pub enum SettingsCommand {
     /// Reads settings of another controller, and reports what each of them becomes and why others are not taken.
     Import(ImportSettings),
 }
 
-/// `settings import`.
+/// Arguments of `oxmill settings import`.
 #[derive(Debug, Args)]
 pub struct ImportSettings {
     /// The output of $$ of Grbl 1.1 or grblHAL, or a configuration file (YAML) of FluidNC; `-` for standard input.
@@ -232,7 +232,7 @@ pub struct ImportSettings {
     pub output: Option<PathBuf>,
 }
 
-/// Exactly one of them.
+/// Where a job is resumed: exactly one of these options.
 #[derive(Debug, Args)]
 #[group(required = true, multiple = false)]
 pub struct BeginOptions {
@@ -256,7 +256,7 @@ impl std::str::FromStr for Millimetres {
     }
 }
 
-/// Exactly one of the links.
+/// The link over which clients connect: exactly one of these options.
 #[derive(Debug, Args)]
 #[group(required = true, multiple = false)]
 pub struct Link {
@@ -275,7 +275,7 @@ pub struct Link {
     pub web: Option<u16>,
 }
 
-/// What all commands know of the machine.
+/// Options that describe the simulated machine; most commands have them.
 #[derive(Debug, Args)]
 pub struct MachineOptions {
     /// The board whose step clock, step rates, pins and axes are used. Look-ahead and words are those of the largest board.
@@ -305,13 +305,13 @@ pub struct MachineOptions {
 }
 
 impl MachineOptions {
-    /// The board with the changes that other options make to it.
+    /// Profile of the board, with the step clock of `--step-clock` if it is given.
     pub fn board(&self) -> Board {
         Board { step_clock_hz: self.step_clock.unwrap_or(self.board.step_clock_hz), ..self.board }
     }
 }
 
-/// What is done before a job.
+/// Options for preparing the machine before a job.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub struct Start {
     /// Homes the machine before the job (needs $22=1), and sets the work zero of G54 to this position, in mm in machine
@@ -333,10 +333,10 @@ impl std::str::FromStr for WorkZero {
     }
 }
 
-/// Ratio of virtual time to the host's time.
+/// Ratio of virtual time to real time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Speed {
-    /// Virtual seconds per second.
+    /// Virtual seconds per real second.
     Times(f64),
     /// Runs as fast as possible while the machine is busy.
     Max,

@@ -1,5 +1,5 @@
-//! Rejects files that cannot be a job by their first bytes, before any line is read: empty files, binary files and
-//! UTF-16 text.
+//! Detects files that cannot be a job: empty files, binary files and UTF-16 text. Looks only at the first bytes, before
+//! any line is read.
 
 /// Checks whether a file can be a job. `begin`: its first bytes; `is_all`: whether they are the whole file.
 ///

@@ -117,7 +117,7 @@ pub fn read_machine(path: &Path) -> Result<(Fittings, String)> {
 /// A file with its role in the run, such as `the job`.
 #[derive(Clone, Copy, Debug)]
 pub struct Role<'a> {
-    /// The file.
+    /// Path of the file.
     pub path: &'a Path,
     /// The role, for messages.
     pub name: &'static str,

@@ -77,7 +77,7 @@ struct Fitted {
     side: Side,
     bounce_us: u32,
     probe: bool,
-    /// The pin is high if the contact is closed, as with a normally closed switch.
+    /// Whether the switch is normally closed: its pin is high while the carriage presses it.
     opens: bool,
     closed: bool,
     /// Virtual time until which the contact bounces, in microseconds.
@@ -113,7 +113,8 @@ pub struct Fittings {
     backlash_mm: [f64; AXES],
     racked_mm: f64,
     contacts: Vec<Fitted>,
-    /// Position of the part that each motor drives, mm: below the motor's position by at most the backlash.
+    /// Position of the part that each motor drives, mm: equal to the motor's position, or lower by at most the
+    /// backlash.
     driven_mm: [f64; AXES],
 }
 
@@ -130,7 +131,7 @@ impl Fittings {
     /// Builds the machine of a description.
     ///
     /// # Errors
-    /// If it names an axis that does not exist, or a number is out of range.
+    /// If the description names an axis that does not exist, or a number in it is out of range.
     pub fn new(description: Description) -> Result<Self> {
         let mut contacts = Vec::new();
         let all = description.switch.iter().map(|c| (c, false)).chain(description.plate.iter().map(|c| (c, true)));
@@ -197,7 +198,8 @@ impl Fittings {
         true
     }
 
-    /// Shifts the coordinates of all positions. `by`: steps added to each motor.
+    /// Shifts the positions of all contacts and driven parts, when the present position gets other coordinates. `by`:
+    /// steps added to the counter of each motor.
     pub fn rename_places(&mut self, by: [i32; AXES]) {
         if self.is_empty() {
             return;
@@ -245,7 +247,7 @@ impl Fittings {
             } else {
                 places[contact.axis]
             };
-            // The tolerance lets a contact located exactly at a step close at that step.
+            // Because of the tolerance, a contact located exactly at a step closes at that step.
             let beyond = match contact.side {
                 Side::Positive => place - contact.at_mm,
                 Side::Negative => contact.at_mm - place,

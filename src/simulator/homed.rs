@@ -61,8 +61,8 @@ fn switches_of(simulator: &Simulator) -> HomeSwitches {
     }
 }
 
-/// Sends a line and runs until the machine is idle. An error contains the controller's alarm or error with its
-/// messages.
+/// Sends a line and runs until the machine is idle. Fails if the line ends in an alarm or is rejected; the text
+/// contains the alarm or error with its messages.
 fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
     simulator.take_output();
     simulator.send(format!("{line}\n"));

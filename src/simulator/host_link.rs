@@ -24,13 +24,13 @@ const UNUSED: usize = 1;
 struct ToControl {
     realtime: VecDeque<Realtime>,
     lines: VecDeque<LineByte>,
-    /// Everything that any host has sent has been executed and answered.
+    /// Whether everything that any host has sent has been executed and answered.
     free: bool,
-    /// The controller reads comments as text, character by character.
+    /// Whether the controller reads comments as text, character by character.
     reads_characters: bool,
-    /// The controller answers like grblHAL.
+    /// Whether the controller answers like grblHAL.
     speaks_grblhal: bool,
-    /// The step task must be stopped.
+    /// Whether a command that stops the step task has been received.
     stop: bool,
 }
 
@@ -87,9 +87,9 @@ pub struct HostLink {
     disconnected: bool,
     /// Time at which a `!` that may be text is executed as a command if no byte follows until then.
     command_at: Option<Instant>,
-    /// In a replay: more bytes wait after those sent so far.
+    /// In a replay: whether the board had more bytes waiting after those sent so far.
     more: bool,
-    /// In a replay: the host never counts as silent.
+    /// In a replay: whether the host never counts as silent.
     never_silent: bool,
 }
 
@@ -138,12 +138,12 @@ impl HostLink {
         self.arbiter.command(command, &mut self.queues);
     }
 
-    /// The host opens the port.
+    /// Call when the host opens the port.
     pub fn connect(&mut self) {
         self.connected |= self.link.came(&mut self.arbiter, &mut self.unused_link, &self.queues);
     }
 
-    /// The host closes the port, or is unplugged; the bytes in the port are lost.
+    /// Call when the host closes the port or is unplugged; the bytes in the port are lost.
     pub fn disconnect(&mut self) {
         self.port.clear();
         self.disconnected |= self.link.went(&mut self.arbiter);
@@ -210,7 +210,7 @@ impl HostLink {
         std::mem::take(&mut self.connected).then_some(Event::Connected)
     }
 
-    /// The next command.
+    /// Removes and returns the next realtime command.
     pub fn next_command(&mut self) -> Option<Realtime> {
         self.queues.realtime.pop_front()
     }
@@ -230,9 +230,9 @@ impl HostLink {
         self.queues.lines.len()
     }
 
-    /// Number of line bytes in the queue and in the link. Counts one more if a cut must be queued before the bytes in
-    /// the link (`HOST_CHANGED`, which voids the unfinished line of the former host), and one more if more bytes wait
-    /// in a replay.
+    /// Number of line bytes in the queue and in the link. If bytes are in the link and a `HOST_CHANGED`, which discards
+    /// the unfinished line of the former host, must be queued before them, that mark counts, too. In a replay, bytes
+    /// that still wait count as one more.
     pub fn received(&self) -> usize {
         let held = self.link.held();
         self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut()) + usize::from(self.more)

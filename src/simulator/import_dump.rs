@@ -1,6 +1,6 @@
-//! Imports the output of `$$` of Grbl, grblHAL or Oxmill. Most numbers have the same meaning. In a dump of grblHAL,
-//! masks become the settings that have the meaning of their bits, and settings that only grblHAL has are not taken,
-//! each with a reason.
+//! Imports the output of `$$` of Grbl, grblHAL or Oxmill. Most numbers have the same meaning. In a dump of grblHAL, the
+//! bits of a mask become the settings with the same meaning. Settings that only grblHAL has are not taken, each with a
+//! reason.
 
 use crate::import_list::{FileEntry, Import, NO_SETTING, decimal, number, row, values_of, whole};
 use oxmill_controller::axes::LINEAR;
@@ -8,7 +8,7 @@ use oxmill_controller::settings::{AxisKey, GrblHalMask, Key, Kind};
 use oxmill_controller::units::Decimal;
 use std::ops::RangeInclusive;
 
-/// Numbers from here on are Oxmill's own.
+/// Settings with this number or a higher one are Oxmill's own.
 const OWN: u32 = 900;
 /// Numbers of Grbl's settings for each axis. Some builds of Grbl have more than three axes.
 const PER_AXIS: RangeInclusive<u32> = 100..=139;
@@ -18,14 +18,15 @@ const GRBLHAL: Decimal = Decimal::from_int(3);
 const WITH_A: Decimal = Decimal::from_int(4);
 /// First homing cycle for which a machine with three axes has no setting.
 const FOURTH_CYCLE: u16 = AxisKey::HomingCycle.number() + LINEAR as u16;
-/// Number of A's resolution.
+/// Number of the setting for the resolution of A.
 const RESOLUTION_OF_A: u16 = AxisKey::Resolution.number() + LINEAR as u16;
 /// Number of grblHAL's setting for the retract of G73.
 const HAL_PECK: u16 = 28;
 /// Number of grblHAL's setting for tool changes.
 const HAL_TOOL_CHANGE: u16 = 341;
 
-/// Settings of grblHAL that have no counterpart, each with the reason. `$220` and on have another meaning here.
+/// Settings of grblHAL that have no counterpart, each with the reason. Numbers from `$220` on have another meaning in
+/// Oxmill.
 const HAL_ONLY: &[(RangeInclusive<u16>, &str)] = &[
     (7..=7, "the PWM is off at S0"),
     (8..=8, "$906 inverts the second motor of the axis in $905"),
@@ -110,7 +111,7 @@ pub fn import(text: &str) -> Option<Import> {
     Some(import.finish())
 }
 
-/// Returns whether a line has nothing but a comment.
+/// Returns whether a line is blank or has only a comment.
 fn is_blank(line: &str) -> bool {
     line.split([';', '#', '(']).next().unwrap_or_default().trim().is_empty()
 }
@@ -136,12 +137,13 @@ fn says_grblhal(text: &str) -> bool {
     text.lines().map(str::trim).any(|line| line.starts_with("GrblHAL ") || line == "[FIRMWARE:grblHAL]")
 }
 
-/// Returns the mask of the machine's axes up to A, as far as the dump tells.
+/// Returns the mask of the machine's axes: X, Y, Z, and A if the dump has a resolution of A.
 fn axes(found: &[Line]) -> u32 {
     if found.iter().any(|line| line.number == u32::from(RESOLUTION_OF_A)) { 0b1111 } else { 0b111 }
 }
 
-/// Takes a mask: the bits of the setting itself, and the bit of `$932`. Bits without a function here are left.
+/// Takes a mask: the bits of the setting itself, and the bit that becomes `$932`. Bits without a function in Oxmill are
+/// listed as not taken.
 fn take_mask(import: &mut Import, number: u16, mask: &GrblHalMask, bits: u32, entry: &FileEntry) {
     import.take(number, decimal(bits & mask.own), entry);
     if let Some(on) = mask.zero_at_pull_off(bits).filter(|_| import.what == "grblHAL") {
@@ -190,7 +192,7 @@ fn take_of_hal(import: &mut Import, number: u16, value: Decimal, axes: u32, entr
     }
 }
 
-/// Takes a setting of grblHAL that has another number here, or leaves it.
+/// Takes a setting of grblHAL that has another number in Oxmill. Lists any other setting as not taken.
 fn take_of_hal_only(import: &mut Import, number: u16, value: Decimal, entry: &FileEntry) {
     match (number, whole(value)) {
         (HAL_PECK, _) => import.take(Key::PeckClearance.number(), value, entry),
@@ -206,7 +208,7 @@ fn take_of_hal_only(import: &mut Import, number: u16, value: Decimal, entry: &Fi
     }
 }
 
-/// Puts A in use if the dump of another controller has a resolution of A.
+/// Sets `$930=4`, which puts the axis A in use, if the dump of another controller has a resolution of A.
 fn use_a(import: &mut Import, found: &[Line]) {
     let line = found.iter().find(|line| line.number == u32::from(RESOLUTION_OF_A));
     if let Some(line) = line.filter(|_| import.has(RESOLUTION_OF_A)) {

@@ -6,16 +6,16 @@ use oxmill_controller::axes::{Axis, LINEAR};
 use oxmill_controller::settings::{AxisKey, Key};
 use oxmill_controller::units::Decimal;
 
-/// Reason for hardware that the board decides on.
+/// Reason for entries about hardware that the Oxmill board determines.
 const OF_THE_BOARD: &str = "pins and parts of another board";
 /// Name of a pin that is not connected.
 const NO_PIN: &str = "NO_PIN";
-/// Spindles whose speed is a PWM or a switched output.
+/// FluidNC's types of spindles whose speed is a PWM or a switched output.
 const SPINDLES: [&str; 7] = ["PWM", "Laser", "10V", "BESC", "DAC", "Relay", "HBridge"];
-/// Spindles on a serial bus.
+/// FluidNC's types of spindles on a serial bus, which Oxmill does not support.
 const BUS_SPINDLES: [&str; 9] =
     ["Huanyang", "HuanyangVFD", "H100", "H2A", "YL620", "NowForever", "DanfossVLT2800", "SiemensV20", "ModbusVFD"];
-/// Letters of the axes.
+/// Letters of the axes; the index of a letter is the number of its axis.
 const LETTERS: &str = "xyzabc";
 
 /// Returns whether the text has a section of axes, as each file of FluidNC does.
@@ -23,7 +23,7 @@ pub fn is_configuration(text: &str) -> bool {
     text.lines().any(|line| without_comment(line).trim() == "axes:")
 }
 
-/// Imports a file.
+/// Imports the text of a FluidNC configuration file.
 ///
 /// # Errors
 /// If a tab is in the indentation of a line. The text names the line.
@@ -75,7 +75,7 @@ pub fn import(text: &str) -> Result<Import, String> {
     Ok(reader.finish())
 }
 
-/// Returns a line without a comment, which begins the line or follows a blank.
+/// Returns a line without its comment. A `#` begins a comment only at the beginning of the line or after a blank.
 fn without_comment(line: &str) -> &str {
     let begin = line.match_indices('#').find(|(at, _)| line[..*at].ends_with([' ', '\t']) || *at == 0);
     begin.map_or(line, |(at, _)| &line[..at])
@@ -93,14 +93,14 @@ struct ConfiguredMachine {
     hard_limits: Vec<(bool, FileEntry)>,
     /// Machine coordinate after homing, by axis.
     place: Vec<(Decimal, FileEntry)>,
-    /// Axis, whether the step pulse is low.
+    /// Axis, and whether its step pin is active low.
     steps: Vec<(Axis, bool, FileEntry)>,
-    /// Axis, number of the motor, whether the direction is low.
+    /// Axis, number of the motor, and whether its direction pin is active low.
     directions: Vec<(Axis, usize, bool, FileEntry)>,
     /// Axes with a second motor.
     second_motors: Vec<(Axis, FileEntry)>,
     second_switches: Vec<(Axis, FileEntry)>,
-    /// Section of the first spindle.
+    /// Name of the first spindle section in the file; entries of other spindles are not taken.
     spindle: Option<String>,
     a: Option<FileEntry>,
 }
@@ -111,7 +111,7 @@ struct Reader {
 }
 
 impl Reader {
-    /// Imports a value, or notes why it is left out. `keys` is the path to it in the file.
+    /// Imports a value, or lists it as not taken with the reason. `keys` is the path to the value in the file.
     fn value(&mut self, keys: &[&str], value: &str, entry: FileEntry) {
         match *keys {
             ["axes", axis, ref rest @ ..] if !rest.is_empty() => match LETTERS.find(axis).filter(|_| axis.len() == 1) {
@@ -293,14 +293,14 @@ impl Reader {
         }
     }
 
-    /// Takes the ends of a map such as `0=0.000% 1000=100.000%`.
+    /// Takes the lowest and the highest speed of a speed map such as `0=0.000% 1000=100.000%`.
     fn speeds(&mut self, map: &str, entry: &FileEntry) {
         let point = |text: &str| {
             let (speed, part) = text.split_once('=')?;
             number(speed).zip(number(part.trim_end_matches('%')))
         };
         let points: Option<Vec<_>> = map.split([' ', ';']).filter(|text| !text.is_empty()).map(point).collect();
-        // A map may be in falling order.
+        // The speeds of a map may be in falling order.
         let by_speed = |points: &Vec<(Decimal, Decimal)>| {
             let least = points.iter().min_by_key(|(speed, _)| speed.0)?;
             Some((*least, *points.iter().max_by_key(|(speed, _)| speed.0)?))
@@ -316,7 +316,8 @@ impl Reader {
         }
     }
 
-    /// Leaves an entry that has no counterpart.
+    /// Lists an entry without a counterpart in Oxmill as not taken, with the reason. Ignores a pin that is not
+    /// connected.
     fn other(&mut self, keys: &[&str], value: &str, entry: FileEntry) {
         if value == NO_PIN {
             return;
@@ -345,7 +346,7 @@ impl Reader {
         self.limits(&machine.soft_limits, Key::SoftLimits, is_homed);
         self.limits(&machine.hard_limits, Key::HardLimits, true);
         self.second_motor(&machine);
-        // A mask without an axis is a setting, too: the machine may have another mask.
+        // Take a mask of 0, too, because the machine may have another mask stored.
         let of_first = machine.directions.iter().filter(|(_, motor, ..)| *motor == 0);
         let directions: Vec<_> = of_first.map(|(axis, _, is_low, entry)| (*axis, *is_low, entry)).collect();
         self.mask(Key::DirectionInvert, &directions);

@@ -14,7 +14,7 @@ use std::fmt;
 /// Maximum length of an entry's text, in characters. Longer ones are cut off.
 const LONGEST: usize = 100;
 
-/// Reason for a number that Oxmill does not have.
+/// Reason for a setting number that Oxmill does not have.
 pub const NO_SETTING: &str = "no such setting";
 
 /// The result of importing a file.
@@ -33,13 +33,13 @@ pub struct Import {
 pub struct TakenSetting {
     /// Number after `$`.
     pub number: u16,
-    /// Value in the setting's unit. The setting accepts it, outside Grbl's dialect.
+    /// Value in the setting's unit. The controller accepts this value, except that Grbl's dialect may reject it.
     pub value: Value,
     /// Name of the setting.
     pub name: String,
     /// Unit; empty for none.
     pub unit: &'static str,
-    /// The entry.
+    /// Text of the entry in the file from which the setting comes.
     pub from: String,
     /// Line of the entry, from 1.
     pub line: usize,
@@ -48,9 +48,9 @@ pub struct TakenSetting {
 /// An entry that is not taken.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LeftEntry {
-    /// The entry.
+    /// Text of the entry in the file.
     pub text: String,
-    /// The reason.
+    /// Why the entry is not taken.
     pub why: String,
     /// Line of the entry, from 1.
     pub line: usize,
@@ -99,7 +99,7 @@ pub fn number(text: &str) -> Option<Decimal> {
     read(text.as_bytes(), Digits::Exact).filter(|number| number.used == text.len()).map(|number| number.value)
 }
 
-/// Returns a value as a whole number that is not negative.
+/// Returns a value as a `u32`; `None` if it is not whole, is negative or is too large.
 pub fn whole(value: Decimal) -> Option<u32> {
     (value.0 % DECIMAL_ONE == 0).then(|| u32::try_from(value.0 / DECIMAL_ONE).ok()).flatten()
 }
@@ -109,7 +109,7 @@ pub fn decimal(whole: u32) -> Decimal {
     Decimal(i64::from(whole) * DECIMAL_ONE)
 }
 
-/// Returns the row of a setting, if the number exists.
+/// Returns a setting's row of the controller's table; `None` if there is no setting with this number.
 pub fn row(number: u16) -> Option<Row> {
     (0..lines(AXES)).filter_map(|line| Settings::<AXES>::described(line, AXES)).find(|row| row.number == number)
 }
@@ -123,7 +123,7 @@ pub fn values_of(row: &Row) -> String {
 }
 
 impl Import {
-    /// Makes an empty import.
+    /// Makes an empty import. `what`: the controller that the settings come from.
     pub fn of(what: &'static str) -> Self {
         Self { what, ..Self::default() }
     }
@@ -133,7 +133,8 @@ impl Import {
         self.taken.iter().any(|taken| taken.number == number)
     }
 
-    /// Takes a setting if its row accepts the value. Otherwise its entry is left, with the values that are accepted.
+    /// Takes a setting if its row accepts the value. Otherwise lists the entry as not taken, with the values that are
+    /// accepted.
     pub fn take(&mut self, number: u16, value: Decimal, entry: &FileEntry) {
         let Some(row) = row(number) else { return self.leave(entry, NO_SETTING) };
         match Settings::<AXES>::default().accepted(number, value) {
@@ -153,12 +154,13 @@ impl Import {
         });
     }
 
-    /// Lists an entry as not taken.
+    /// Lists an entry as not taken, with the reason.
     pub fn leave(&mut self, entry: &FileEntry, why: impl Into<String>) {
         self.left.push(LeftEntry { text: entry.text.clone(), why: why.into(), line: entry.line });
     }
 
-    /// Ends an import. Of several values for a setting the last counts, as on a board; the others are left.
+    /// Ends an import. If the file sets a number several times, the last value counts, as on a board; earlier values
+    /// that differ from it are listed as not taken.
     pub fn finish(mut self) -> Self {
         let mut taken: Vec<TakenSetting> = Vec::new();
         for next in self.taken {

@@ -16,7 +16,7 @@ pub struct InputTask {
     contacts: Signals,
     /// Number of samples since the contacts last changed.
     steady: u8,
-    /// Time of the next sample, in ticks; `None` while nothing can change.
+    /// Time of the next sample, in ticks; `None` while the filter and all contacts have settled.
     sample_due: Option<u64>,
     inputs: Inputs,
     /// Per input: changes that the filter has rejected.
@@ -60,7 +60,7 @@ impl InputTask {
         self.hand.word() | self.contacts.word()
     }
 
-    /// Time of the next sample, in ticks.
+    /// Time of the next sample, in ticks; `None` if no sample is scheduled.
     pub fn sample_due(&self) -> Option<u64> {
         self.sample_due
     }
@@ -71,7 +71,8 @@ impl InputTask {
     }
 
     /// Takes one sample with the machine's contacts as they are now. Schedules another sample unless the filter and all
-    /// contacts have settled. Returns whether the step task must be stopped.
+    /// contacts have settled. `period` is the time between samples, in ticks. Returns whether the step task must be
+    /// stopped.
     pub fn sample_contacts(&mut self, fittings: &mut Fittings, clock: &Clock, period: u64) -> bool {
         let now = clock.instant().ticks();
         let contacts = fittings.sample(now);
@@ -93,8 +94,9 @@ impl InputTask {
         stops
     }
 
-    /// Takes [`SETTLING`] samples at once. Returns how many of them stop the step task. Does nothing while contacts
-    /// settle after power-up, because the first report to the controller must contain the settled contacts.
+    /// Takes [`SETTLING`] samples at the same virtual time. Returns how many of them stop the step task. Does nothing
+    /// while contacts settle after power-up, because the first report to the controller must contain the settled
+    /// contacts.
     pub fn settle(&mut self) -> usize {
         if self.inputs.sensed().is_none() && self.sample_due.is_some() {
             return 0;

@@ -1,5 +1,5 @@
 //! Runs `run`, `check`, `plot`, `replay` and `resume`: reads the files, powers up a simulator, sends the job, and
-//! writes summary, trace, recording and drawings. Returns how the command ended, for its exit status.
+//! writes summary, trace, recording and drawings. Each command returns how it ended, for the exit status.
 
 use crate::board_replay;
 use crate::check::Check;
@@ -65,7 +65,7 @@ fn check_store(simulator: &Simulator, store: Option<&Path>) -> Result<()> {
 }
 
 /// Powers up a simulator as the options describe it and applies its settings. If `recorded`, also returns a recorder
-/// that records from power-up on; call [`begin_recording`] next.
+/// that records from power-up on; then call [`begin_recording`], which writes the recording to its file.
 pub fn power_up(options: &MachineOptions, recorded: bool) -> Result<(Simulator, Option<Recorder>)> {
     let (mut simulator, machine) = fitted(options)?;
     let mut recorder = begin_recorder(&mut simulator, &machine, options, recorded)?;
@@ -113,7 +113,8 @@ fn begin_recorder(
     Ok(recorded.then(|| Recorder::begin(simulator, machine)))
 }
 
-/// Returns the settings of the options, each as (origin, setting). The dialect comes last, so it wins.
+/// Returns the settings of the options, each as (origin, setting). The dialect comes last, so that `--dialect`
+/// overrides a dialect in the settings file.
 fn settings(options: &MachineOptions) -> Result<Vec<(String, String)>> {
     let mut lines = Vec::new();
     if let Some(path) = &options.settings {
@@ -464,7 +465,7 @@ pub fn machine_roles<'a>(machine: &'a MachineOptions, record: Option<&'a Path>) 
     files.into_iter().filter_map(|(path, name, written)| Some(Role { path: path?, name, written })).collect()
 }
 
-/// Opens a file for output. `name`: its content, for the error.
+/// Opens a file for output. `name`: what the file will contain, for the error message.
 ///
 /// # Errors
 /// If it cannot be opened.
@@ -507,8 +508,8 @@ fn machine_time(seconds: f64) -> String {
     format!("{} of machine time ", crate::summary::clock_time(seconds))
 }
 
-/// The text shows no remaining time. It could be estimated only from the share of the file that was read, but one line
-/// can take a second or a day.
+/// Returns the template of the progress bar. It shows no remaining time, because that could be estimated only from the
+/// share of the file that was read, but one line can take a second or a day.
 fn progress_template(share_of: Option<&str>) -> String {
     let share = share_of.map_or("{spinner}".into(), |what| format!("{{bar:40}} {{percent:>3}} % of {what},"));
     share + " {msg}in {elapsed}"

@@ -15,7 +15,7 @@ pub fn linear<T>([x, y, z, ..]: [T; AXES]) -> [T; LINEAR] {
 #[derive(Clone, Debug, Default)]
 pub struct Machine {
     position: [i32; AXES],
-    /// The second motor of a ganged axis.
+    /// Net steps of the second motor of the ganged axis.
     second: i32,
     arrangement: Arrangement,
     ganged: u8,
@@ -26,7 +26,8 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Sets which motors follow which pulses from here on.
+    /// Applies the wiring from here on: which axis is ganged, and which of its two motors follow the pulses of the
+    /// axis.
     pub fn wire(&mut self, wiring: &Wiring) {
         self.ganged = wiring.ganged;
         self.ganged_motors = wiring.ganged_motors;
@@ -116,7 +117,8 @@ impl Machine {
         self.pulses = [0; AXES];
     }
 
-    /// Shifts the coordinates of the present position. `by`: steps added to each motor. Restarts the extents.
+    /// Gives the present position other coordinates without moving the machine. `by`: steps added to the counter of
+    /// each motor. Restarts the extents.
     pub fn rename_place(&mut self, by: [i32; AXES]) {
         for (axis, by) in by.into_iter().enumerate() {
             self.position[axis] = self.position[axis].wrapping_add(by);

@@ -28,7 +28,7 @@ pub struct Marks {
 }
 
 impl Marks {
-    /// Notes the line that is being executed. Returns a new number for its moves if the mark has changed. `queued`
+    /// Records the line that is being executed. Returns a new number for its moves if the mark has changed. `queued`
     /// returns the numbers of the moves in the queue. If there are more than `KEPT` entries, only those of queued moves
     /// are kept: lines without moves could fill the table without limit.
     pub fn begin(&mut self, mark: Mark, queued: impl FnOnce() -> Vec<u32>) -> Option<u32> {
@@ -44,7 +44,8 @@ impl Marks {
         Some(self.last)
     }
 
-    /// Returns the mark of a number, and forgets all numbers before it.
+    /// Returns the mark of a number, or the default mark if the number is unknown. Forgets all earlier numbers, because
+    /// moves are passed on in order.
     pub fn of(&mut self, number: u32) -> Mark {
         let Some(at) = self.known.iter().position(|(known, _)| *known == number) else { return Mark::default() };
         self.known.drain(..at);

@@ -30,8 +30,8 @@ const ACCELERATION_TOLERANCE: f64 = 0.02;
 /// Acceptable rounding error of a speed in a drawing, as a fraction of the speed. The error is mostly smaller. A lower
 /// value would need longer windows, which would blur the motion after a short block.
 const DRAWN_TOLERANCE: f64 = 0.06;
-/// Maximum distance of the end of a block from the step that it is rounded to, in steps. The time that the planner
-/// gives to a block is rounded likewise.
+/// Maximum distance between the end of a block and the step to which this end is rounded, in steps. The time that the
+/// planner gives to a block is rounded likewise.
 const ROUNDING: f64 = 0.5;
 /// Maximum position error, in steps, of the ends of an arc's chord. These ends are given in fractions of a step.
 const TOLD: f64 = 0.5 / AxisSteps::PARTS as f64;
@@ -119,13 +119,13 @@ struct Pending {
 #[derive(Clone, Copy, Debug)]
 struct Node {
     time: f64,
-    /// Distance along the path up to here, without the `excess` of the blocks.
+    /// Distance along the path since the machine was last at rest, without the `excess` of the blocks.
     way: f64,
-    /// Sum of the `doubt` of the blocks up to here.
+    /// Sum of the `doubt` of the blocks since the machine was last at rest.
     doubt: f64,
     place: [f64; AXES],
     error: f64,
-    /// Number of the block.
+    /// Serial number of the block that the segment belongs to.
     block: u64,
     /// Relative uncertainty of the block's length.
     wrong: f64,
@@ -178,7 +178,7 @@ fn certain(value: f64, error: f64, tolerance: f64) -> f64 {
 /// Follows the step task segment by segment.
 #[derive(Clone, Debug)]
 pub struct Meter {
-    /// The next sample is the first of its block.
+    /// Whether the next sample is the first of its block.
     fresh: bool,
     hz: f64,
     steps_per_mm: [f64; AXES],
@@ -190,7 +190,7 @@ pub struct Meter {
     block: Block,
     units_done: f64,
     waited: f64,
-    /// Ends of the last segments since the machine was at rest.
+    /// Ends of the most recent segments, enough for the longest window. Cleared when the machine comes to rest.
     nodes: VecDeque<Node>,
     /// Number of segments since power-up.
     segments: usize,
@@ -305,7 +305,7 @@ impl Meter {
         &mut self.times
     }
 
-    /// Restarts the measurement.
+    /// Sets all results and times to zero.
     pub fn restart(&mut self) {
         self.measured = Measured::default();
         self.times = Times::default();
@@ -337,14 +337,14 @@ impl Meter {
         }
     }
 
-    /// The step task has stopped and cleared its queue.
+    /// Call when the step task has stopped and cleared its queue, at `seconds` of virtual time.
     pub fn stopped(&mut self, seconds: f64) {
         self.upcoming.clear();
         self.next_block = None;
         self.at_rest(seconds);
     }
 
-    /// The step task has come to rest.
+    /// Call when the step task has come to rest, at `seconds` of virtual time.
     pub fn at_rest(&mut self, seconds: f64) {
         self.nodes.clear();
         self.count_pending();
@@ -354,7 +354,8 @@ impl Meter {
         }
     }
 
-    /// The step task has started the next segment at `seconds`, at the machine position `position`.
+    /// Call when the step task has started the next segment, at `seconds` of virtual time and at the motor positions
+    /// `position`.
     pub fn begin(&mut self, seconds: f64, position: [i32; AXES]) {
         let Some((segment, block)) = self.upcoming.pop_front() else { return };
         if let Some(block) = block {
@@ -406,8 +407,9 @@ impl Meter {
         }
     }
 
-    /// Counts a piece of the block. Pieces of a step or two form a staircase, which is longer than the programmed path.
-    /// So several such pieces are counted together, as one straight line.
+    /// Adds the part of the block that a segment covers to the distances. `parts`: the fractions of the block at which
+    /// the segment begins and ends. Blocks shorter than [`SHORT`] form a staircase of steps, which is longer than the
+    /// programmed path. So several such blocks are counted together, as one straight line.
     fn add_distance(&mut self, length: f64, parts: [f64; 2], rapid: bool) {
         if !self.block.short || rapid != self.pending.rapid {
             self.count_pending();
@@ -431,7 +433,7 @@ impl Meter {
     fn count_pending(&mut self) {
         let Pending { from, to, length, rapid } = std::mem::take(&mut self.pending);
         let straight = distance(&from, &to);
-        // If the straight line is much shorter than the pieces, the path turns within them: count the pieces.
+        // If the straight line is much shorter than the sum of the blocks, the path turns within them: count the sum.
         let length = if straight >= length * 0.7 { straight } else { length };
         self.measured.distance += length;
         self.measured.rapid_distance += if rapid { length } else { 0.0 };
@@ -457,7 +459,7 @@ impl Meter {
     }
 
     fn draw_segment(&mut self, seconds: f64, time: f64, rapid: bool, done: f64) {
-        // Use the shortest window that is accurate enough for the eye, or else the longest.
+        // Use the shortest window that is accurate enough for a drawing. If none is, use the longest.
         let mut known = None;
         for segments in scales().take_while(|segments| *segments <= self.alike) {
             let Some((from, to)) = self.window(segments) else { break };
@@ -511,7 +513,8 @@ impl Meter {
                 let speed = certain(length, error, SPEED_TOLERANCE) / along.time;
                 measured.axis_speed[axis] = measured.axis_speed[axis].max(speed);
             }
-            // This window is accurate enough, and a longer one cannot have a greater mean.
+            // This window is accurate enough. The mean speed of a longer window cannot exceed the maximum of the
+            // windows of this length in it.
             if along.wrong() <= SPEED_TOLERANCE {
                 break;
             }
@@ -536,8 +539,9 @@ impl Meter {
             let parts: [f64; AXES] = std::array::from_fn(part);
             let mut peaks = parts.iter().zip(measured.axis_acceleration);
             if acceleration <= measured.acceleration && peaks.all(|(part, peak)| acceleration * part <= peak) {
-                // If this window is accurate enough, stop: a longer one cannot have a greater mean. Otherwise rounding
-                // in short blocks can hide the acceleration in this window, so try a longer one.
+                // If this window is accurate enough, stop: the mean of a longer window cannot exceed the maximum of the
+                // windows of this length in it. Otherwise rounding in short blocks can hide the acceleration in this
+                // window, so try a longer one.
                 if error <= acceleration * ACCELERATION_TOLERANCE {
                     break;
                 }
@@ -590,7 +594,7 @@ impl Meter {
         }));
         let length = delta.iter().map(|d| d * d).sum::<f64>().sqrt();
         let unit = delta.map(|d| if length > 0.0 { d / length } else { 0.0 });
-        // How far a step of each motor moves the tool along the path.
+        // Distance by which a step of each motor moves the tool along the path, mm.
         let steps: [f64; AXES] = std::array::from_fn(|motor| {
             let moved = self.place_of(std::array::from_fn(|other| if other == motor { 1.0 } else { 0.0 }));
             (0..AXES).map(|axis| moved[axis] * unit[axis]).sum::<f64>().abs()

@@ -6,8 +6,8 @@ use std::io::{self, ErrorKind, Read};
 
 /// Beginning of an encrypted connection (RFC 8446, 5.1). Any of its further bytes could be taken for realtime commands.
 const TLS: &[u8] = b"\x16\x03";
-/// Longer than any line that the firmware accepts. A longer first line is taken for a request, because web addresses
-/// can be long.
+/// Length in bytes, more than any line that the firmware accepts. A first line longer than this counts as a request,
+/// because web addresses can be long.
 const LONGEST_LINE: usize = 1024;
 
 /// Maximum length of an HTTP method. A page cannot use a longer one without a preflight request (OPTIONS), which is

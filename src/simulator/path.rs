@@ -19,10 +19,10 @@ const FIRST_TOLERANCE: f32 = 0.000_5;
 /// Maximum number of points that are thinned together.
 const AT_A_TIME: usize = 512;
 
-/// A piece of uniformly accelerated motion within a straight move.
+/// A piece of uniformly accelerated motion within a straight move: a segment of the step task.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample {
-    /// Start time.
+    /// Start time, in seconds of virtual time.
     pub seconds: f64,
     /// Duration in seconds.
     pub time: f64,
@@ -53,7 +53,8 @@ pub struct Point {
     pub rapid: bool,
     /// Start and end time of the motion to this point, in seconds from the start of the drawing.
     pub seconds: [f64; 2],
-    /// The line and tool of the motion to this point, or of its last part; if moves are marked.
+    /// The line and tool of the motion to this point, if moves are marked. If several motions were merged, those of the
+    /// last one.
     pub mark: Mark,
 }
 
@@ -83,7 +84,8 @@ impl Column {
         Column { feed, rapid: self.rapid.into_iter().chain(other.rapid).reduce(f32::max) }
     }
 
-    /// Returns whether a speed was noted in the column's time span. If not, the speed before it still holds.
+    /// Returns whether a speed was recorded in the column's time span. If not, the speed of the previous column still
+    /// holds.
     fn is_known(&self) -> bool {
         self.feed.is_some() || self.rapid.is_some()
     }
@@ -175,7 +177,7 @@ impl Drawing {
         self.end = self.end.max(sample.seconds + sample.time);
     }
 
-    /// The machine is at rest from `seconds` on.
+    /// Records that the machine is at rest from `seconds` (virtual time) on.
     pub fn rest(&mut self, seconds: f64) {
         self.mark(seconds, Column { feed: Some((0.0, 0.0)), rapid: None });
         self.end = self.end.max(seconds);
@@ -187,7 +189,7 @@ impl Drawing {
         &self.points
     }
 
-    /// The columns in which a speed was noted, as (middle in seconds from the start, column), in order of time.
+    /// The columns in which a speed was recorded, as (middle in seconds from the start, column), in order of time.
     pub fn columns(&self) -> impl Iterator<Item = (f64, Column)> + '_ {
         let middle = |index: usize| (index as f64 + 0.5) * self.width;
         self.columns
@@ -219,9 +221,8 @@ impl Drawing {
         self.columns[index] = self.columns[index].merge(column);
     }
 
-    /// Thins the path out, the least visible points first, until a quarter of the space is free again. The tolerance
-    /// grows only when the present one does not suffice, so it depends on the whole path and not on how often the path
-    /// was thinned.
+    /// Thins the path out, the least visible points first, until a quarter of the space is free again. Tries the
+    /// present tolerance first, and doubles it only as often as needed.
     fn thin_out(&mut self) {
         loop {
             let speed = self.top_speed * SAME_SPEED * 2.0 * (self.tolerance / FIRST_TOLERANCE);

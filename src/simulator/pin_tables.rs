@@ -53,7 +53,7 @@ fn show(name: &str) -> Result<Ending> {
     Ok(Ending::Good)
 }
 
-/// Reads a table and tells its faults. Returns `None` if it has some.
+/// Reads a table and prints its faults. Returns `None` if it has any.
 fn read(path: &Path) -> Result<Option<Board>> {
     let mut bytes = Vec::new();
     let result = match path.as_os_str() == "-" {

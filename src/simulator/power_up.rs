@@ -15,7 +15,7 @@ pub enum Dialect {
     Grbl,
     /// Grbl and everything beyond it.
     Oxmill,
-    /// As `oxmill`, and what the document means that Oxmill was made from.
+    /// As `oxmill`, with two differences (docs/gcode.md).
     Seed,
     /// As `oxmill`, and answers like grblHAL, for gSender and ioSender.
     #[cfg_attr(feature = "program", value(name = "grblhal"))]
@@ -38,7 +38,7 @@ impl Dialect {
         }
     }
 
-    /// All dialects.
+    /// All dialects, in the order of their setting values.
     pub const ALL: [Dialect; 4] = [Dialect::Grbl, Dialect::Oxmill, Dialect::Seed, Dialect::GrblHal];
 
     /// Returns the dialect with this name.
@@ -46,7 +46,7 @@ impl Dialect {
         Self::ALL.into_iter().find(|dialect| dialect.name() == name)
     }
 
-    /// Returns the dialect that a simulator uses.
+    /// Returns the dialect that a simulator uses, by its setting; `None` if no dialect has that value.
     pub fn of(simulator: &Simulator) -> Option<Self> {
         let value = simulator.controller().settings().whole(Key::Dialect);
         Self::ALL.into_iter().find(|dialect| u32::from(dialect.setting()) == value)
@@ -74,7 +74,7 @@ pub fn error_text(code: u8) -> &'static str {
     Error::ALL.iter().find(|error| error.code() == code).map_or("an error without a description", |error| error.text())
 }
 
-/// Returns the messages of an answer, each after a blank.
+/// Returns the `[MSG:` lines of the machine's output as one text, with a blank before each.
 pub fn messages_of(said: &str) -> String {
     said.lines().filter(|line| line.starts_with("[MSG:")).map(|line| format!(" {line}")).collect()
 }
@@ -86,7 +86,7 @@ pub enum SettingRefused {
     NoAssignment,
     /// The controller answered `error:N`, after messages such as ` [MSG:Values of $22: 0 or 1]`.
     Error(u8, String),
-    /// The ordered power cut has happened.
+    /// A power cut that the user ordered has happened.
     PowerGone,
 }
 

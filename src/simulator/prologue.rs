@@ -20,13 +20,14 @@ pub struct Entry {
     pub moved: PerAxis<bool, AXES>,
     /// Z at which the tool travels; `None` if the job has not moved Z.
     pub clearance: Option<Coordinate>,
-    /// The job reached the Z of `place` by a rapid and made only rapids since, so there is no material on the way.
+    /// Whether the job reached the Z of `place` by a rapid and made only rapids since: then there is no material on the
+    /// way down.
     pub is_clear: bool,
     /// Feed rate downwards, mm/min.
     pub plunge: Option<Decimal>,
     /// Spin-up time of the spindle, seconds.
     pub spin_up: u16,
-    /// The spindle is a laser ($32): it is switched on last, without a delay.
+    /// Whether the spindle is a laser ($32), which is switched on last, without a delay.
     pub is_laser: bool,
     /// Whether a line of the rest relies on the motion mode in force, that is, has axis words without a motion word.
     pub carries: bool,
@@ -320,7 +321,8 @@ fn cycle(kind: CycleKind, words: &CycleWords, units: Units, has: impl Fn(u8) -> 
     .collect()
 }
 
-/// Returns the words of a line that have literal numbers, without comments.
+/// Returns the words of a line as letter and literal number, without comments. A letter without a valid literal number
+/// gets the number `i64::MAX`.
 pub fn words_of(line: &[u8]) -> Vec<(u8, Decimal)> {
     let mut words = Vec::new();
     let mut bytes = line.iter().copied().filter(|byte| !matches!(byte, b' ' | b'\t')).peekable();

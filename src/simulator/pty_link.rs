@@ -1,5 +1,6 @@
 //! `serve --pty`: a pseudo terminal that a sender opens like a serial port, by its name or a symbolic link. When the
-//! client closes it, unread output is discarded. Several programs that have it open count as one client.
+//! client closes the terminal, unread output is discarded. Several programs that have the terminal open count as one
+//! client.
 
 use crate::clients::{Client, ENDLESS, Happened, Inbox, LOOK, PIECE, Writer, hung_up, writer};
 use anyhow::{Context, Result, bail};

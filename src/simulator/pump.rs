@@ -34,7 +34,7 @@ impl Pump<AXES> for Simulator {
             step_idle: self.step.is_idle(),
             rx_free: self.board.received_bytes.saturating_sub(queued) as u16,
             received: u16::try_from(received).unwrap_or(u16::MAX),
-            // A job has no host that could fall silent.
+            // A loaded job has no host that could fall silent, so never count the host as silent.
             heard: self.host.heard(has_job),
         }
     }
@@ -119,7 +119,7 @@ impl Pump<AXES> for Simulator {
 }
 
 impl Simulator {
-    /// Passes the next piece of the recorder's listing to the controller, in the form that a board would pass.
+    /// Passes the next piece of the recording that `$REC` lists to the controller, in the same form as on a board.
     fn read_recording(&mut self, first: bool) {
         let Simulator { controller, recorder, store, board, .. } = self;
         let record = |number| store.records().into_iter().nth(usize::from(number));

@@ -1,5 +1,5 @@
-//! Finds bytes in a job's line that a machine would execute as realtime commands if a sender sends them unchanged.
-//! Warns what they would do, and in which dialects.
+//! Finds bytes in a job's line that a machine would execute as realtime commands if a sender sends them unchanged. The
+//! warning says what they would do, and in which dialects.
 
 use oxmill_controller::messages::Realtime;
 use oxmill_controller::protocol::realtime::{command, command_of_grblhal};

@@ -188,7 +188,7 @@ struct Walk {
     /// Axes that have moved.
     moved: PerAxis<bool, AXES>,
     ends: Vec<End>,
-    /// The job reached the present Z by a rapid and has made only rapids since.
+    /// Whether the job reached the present Z by a rapid and has made only rapids since.
     is_clear: bool,
     /// Feed rate of the last move straight down, mm/min.
     plunge: Option<Decimal>,
@@ -238,7 +238,7 @@ impl Walk {
         self.state().offsets().tool_length.get(Axis::Z).unwrap_or_default()
     }
 
-    /// Runs a line, and notes the move that it makes. Fails if the line is rejected or probes.
+    /// Runs a line, and records the move that it makes. Fails if the line is rejected or probes.
     fn take(&mut self, index: usize, line: &[u8]) -> Result<(), String> {
         let line = spoken(line);
         let begins_homed = line.trim_start().to_ascii_uppercase().starts_with("$H") && !self.moved.0.contains(&true);
@@ -365,8 +365,9 @@ impl Walk {
         Ok(highest)
     }
 
-    /// Runs the next lines of the job (`job`) here. On a machine that has just been powered up, runs the prologue and
-    /// these lines as the new program contains them (`written`). Fails if the two machines then differ in their state.
+    /// Runs the next lines of the job (`job`) in this simulator. In another one that has just been powered up, runs the
+    /// prologue and these lines as the new program contains them (`written`). Fails if the states of the two simulators
+    /// then differ.
     fn compare(&mut self, prologue: &[String], written: &[Vec<u8>], job: &[&[u8]]) -> Result<(), String> {
         let mut anew = powered_up_as(&self.simulator)?;
         let taken = prologue.iter().map(|line| line.clone().into_bytes()).chain(written.iter().cloned());
@@ -391,7 +392,7 @@ fn outputs_of(simulator: &Simulator) -> u8 {
 }
 
 /// Returns a new simulator, just powered up, with the same settings, offsets and hardware. Limits and homing are
-/// switched off, as the simulator is not homed and its positions may exceed the limits.
+/// switched off, because the simulator is not homed and its positions may exceed the limits.
 fn powered_up_as(machine: &Simulator) -> Result<Simulator, String> {
     let store = machine.store().apart().map_err(|why| why.to_string())?;
     let (board, fittings) = (*machine.board(), machine.fittings().clone());
@@ -405,7 +406,7 @@ fn powered_up_as(machine: &Simulator) -> Result<Simulator, String> {
     Ok(simulator)
 }
 
-/// Changes the work zeros and the machine position.
+/// Gives the simulator of the second run other work zeros and another machine position.
 fn move_elsewhere(simulator: &mut Simulator) -> Result<(), String> {
     let axes = simulator.controller().settings().axes_in_use();
     let words = |times: usize| -> String {

@@ -6,9 +6,9 @@
 //! later.
 //!
 //! One client is served at a time, as a serial port is open in one program only; on TCP, a second client gets a message
-//! and is disconnected. When a client closes its side, the port is closed (`$914` says what becomes of the job), and
-//! bytes for which the board has no room are discarded. A client's bytes are read before the machine needs them,
-//! so that the client's disconnection is noticed.
+//! and is disconnected. When a client closes its side, the port is closed (`$914` determines what becomes of the job),
+//! and bytes for which the board has no room are discarded. A client's bytes are read before the machine needs them, so
+//! that the client's disconnection is noticed.
 
 use crate::clients::{
     ANSWERS, Client, Connection, ENDLESS, Happened, Inbox, Incoming, LONGEST_LINE, LOOK, PIECE, Writer, hung_up,
@@ -76,8 +76,8 @@ fn announce(link: &str) -> Result<()> {
     writeln!(out, "{link}").and_then(|()| out.flush()).context("cannot write to standard output where the link is")
 }
 
-/// Opens the link, which announces its clients through `sender`. If the link is standard input and output, returns the
-/// writer of standard output.
+/// Opens the link, which reports its clients to the loop through `sender`. If the link is standard input and output,
+/// returns the writer of standard output.
 fn open_link(options: &Serve, sender: SyncSender<Happened>) -> Result<Option<Writer>> {
     if let Some(address) = &options.link.tcp {
         let listener = listen(address)?;
@@ -216,7 +216,7 @@ impl Device {
         }
     }
 
-    /// Passes the client's bytes on, as far as its port has room, and handles its disconnection.
+    /// Passes the client's bytes on, as far as the simulated port has room, and handles the client's disconnection.
     fn fetch(&mut self) {
         loop {
             let Some(client) = &self.client else { return };

@@ -1,6 +1,6 @@
 //! Imports the settings of other controllers: the output of `$$` of Grbl and grblHAL, or a configuration file of
-//! FluidNC. Each entry becomes settings, or it is left with a reason. The command `oxmill settings import` and the page
-//! use this module.
+//! FluidNC. Each entry becomes one or more settings, or is listed as not taken with a reason. The command `oxmill
+//! settings import` and the page use this module.
 
 use crate::{import_dump, import_fluidnc};
 

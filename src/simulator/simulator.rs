@@ -6,7 +6,7 @@
 //! 1. the step task's tick,
 //! 2. bytes from the host, in the order sent, through the boards' own [`Link`](oxmill_controller::Link),
 //! 3. changes of input pins, through the boards' own filter,
-//! 4. a turn of the control task: rounds in the order of [`oxmill_controller::pump`], as in the firmware, until a round
+//! 4. a turn of the control task: as in the firmware, it repeats the round of [`oxmill_controller::pump`] until a round
 //!    finds nothing to do.
 
 use crate::boards::{self, AXES, BLOCKS, Board};
@@ -32,17 +32,17 @@ use oxmill_controller::units::Coordinate;
 use oxmill_controller::{Controller, Profile, StepRates};
 use std::time::Duration;
 
-/// Maximum number of outgoing bytes that wait for the host before the controller must hold its replies back.
+/// Number of output bytes not yet fetched by the host at which the controller must hold back further replies.
 pub(crate) const OUTGOING: usize = 1 << 16;
 
-/// The parts of a simulator.
+/// What a [`Simulator`] is made of: board, flash contents and machine hardware.
 #[derive(Debug)]
 pub struct Options {
-    /// The board that is simulated.
+    /// Profile of the simulated board: step clock, step rates, pins, axes.
     pub board: Board,
-    /// The flash image.
+    /// The flash image, from which the stored settings are restored.
     pub store: Store,
-    /// Switches and probe plate of the machine.
+    /// Switches, probe plate and backlash of the machine.
     pub fittings: Fittings,
     /// Whether all step events are kept in memory, for [`Trace::kept`].
     pub keep_steps: bool,
@@ -66,14 +66,15 @@ pub struct Simulator {
     pub(crate) inputs: InputTask,
     pub(crate) step: StepTask,
     pub(crate) world: World,
-    /// Whether the last record could be stored; `None` after the controller has been notified.
+    /// Whether the most recent change of the store succeeded; `None` if there was none, or if the controller has
+    /// already received this result.
     pub(crate) stored: Option<bool>,
-    /// Whether the controller has requested the state of the inputs.
+    /// Whether the controller has requested the state of the inputs and has not received it yet.
     pub(crate) pins_asked: bool,
     pub(crate) outgoing: Vec<u8>,
-    /// A job whose lines the controller takes whenever it is ready.
+    /// A loaded job. The controller takes its bytes instead of the host's lines, as soon as it can execute more.
     pub(crate) job: Sole<JobText>,
-    /// Number of bytes of `job` that are ready.
+    /// Number of bytes of `job` that the controller can take in the present round.
     pub(crate) job_ready: usize,
     pub(crate) wiring: Option<Wiring>,
     /// Records the inputs as a board does.
@@ -151,8 +152,8 @@ impl Simulator {
     // Inputs
 
     /// Receives bytes from the host at the present virtual time. Realtime commands act immediately: they overtake line
-    /// bytes sent earlier, as long as those fit into the board's queue and the link (255 and 192 bytes). Bytes that do
-    /// not fit wait in the host's port, and so do commands after them: see [`Simulator::unread`].
+    /// bytes sent earlier, as long as these line bytes fit into the board's queue and the link (255 and 192 bytes).
+    /// Bytes that do not fit wait in the host's port, and so do commands after them: see [`Simulator::unread`].
     pub fn send(&mut self, bytes: impl AsRef<[u8]>) {
         self.host.send(bytes.as_ref());
         self.receive();
@@ -174,7 +175,7 @@ impl Simulator {
         self.host.hear_always();
     }
 
-    /// Simulates the loss of bytes on their way from the host.
+    /// Simulates the loss of bytes on their way from the host: the controller rejects the line that they belonged to.
     pub fn lose_bytes(&mut self) {
         self.host.lose();
     }
@@ -195,7 +196,7 @@ impl Simulator {
         self.recorder.follow_blocks(blocks);
     }
 
-    /// Executes a realtime command that does not come over the link.
+    /// Executes a realtime command without sending its byte over the link.
     pub fn press(&mut self, command: Realtime) {
         if command == Realtime::Reset {
             self.stop();
@@ -204,14 +205,14 @@ impl Simulator {
         self.turn();
     }
 
-    /// A host opens the port.
+    /// Simulates a host that opens the port.
     pub fn connect(&mut self) {
         self.host.connect();
         self.turn();
     }
 
-    /// The host closes the port, or is unplugged. Bytes in its port and in the link are lost, including the rest of a
-    /// line. Lines in the board's queue are executed, without an `ok` or `error`.
+    /// Simulates a host that closes the port or is unplugged. Bytes in its port and in the link are lost, including the
+    /// rest of a line. Lines in the board's queue are executed, without an `ok` or `error`.
     pub fn disconnect(&mut self) {
         self.host.disconnect();
         self.turn();
@@ -221,13 +222,14 @@ impl Simulator {
     pub fn take_output(&mut self) -> String {
         let taken = std::mem::take(&mut self.outgoing);
         if taken.len() >= OUTGOING {
-            // The output was full, so the controller may have held back replies and the work after them: let it go on.
+            // The output was full, so the controller may have held back replies and the work after them: run the
+            // controller again.
             self.turn();
         }
         String::from_utf8_lossy(&taken).into_owned()
     }
 
-    /// Pins that the user pulls low. A pin at 1 is active unless a setting inverts it.
+    /// Pins that the user pulls low. Such a pin has a 1 in the result; it is active unless a setting inverts the input.
     pub fn pins(&self) -> Signals {
         self.inputs.hand()
     }
@@ -241,8 +243,8 @@ impl Simulator {
     }
 
     /// Executes a line of the pin protocol, such as `limit x 1`; returns `ok` or what is wrong. `steps` returns the
-    /// state of the step outputs: motor positions, pulses of each motor, and the hash of all step events in their
-    /// order.
+    /// state of the step outputs: motor positions, pulses of each motor, and the hash of all step events in order of
+    /// time.
     pub fn pin_line(&mut self, line: &str) -> String {
         if line.trim() == "steps" {
             let axes = self.controller.settings().axes_in_use();
@@ -367,7 +369,7 @@ impl Simulator {
     }
 
     /// Returns the tick at which the controller must work next, or at which a `!` that may be text is executed as a
-    /// command; `None` if there is no such tick or the clock never reaches it.
+    /// command, whichever comes first; `None` if there is no such tick or the clock never reaches it.
     fn wake_due(&self) -> Option<u64> {
         let due = [self.controller.next_wakeup(), self.host.rest_due()].into_iter().flatten();
         let due = due.map(|instant| self.clock.ticks_at(instant)).min()?;
@@ -395,7 +397,8 @@ impl Simulator {
             && self.job.0.as_ref().is_none_or(|job| job.is_used_up())
     }
 
-    /// Returns whether the ordered power cut has happened. From then on the simulator does nothing.
+    /// Returns whether the power cut ordered with [`Store::cut_power_after`] has happened. From then on the simulator
+    /// does nothing.
     pub fn power_is_gone(&self) -> bool {
         self.store.power_is_gone()
     }
@@ -410,19 +413,19 @@ impl Simulator {
         self.step.due().is_some()
     }
 
-    /// The virtual clock.
+    /// The virtual clock, which advances only through calls such as [`Simulator::run_for`].
     pub fn clock(&self) -> &Clock {
         &self.clock
     }
 
     // State
 
-    /// The board.
+    /// Profile of the simulated board.
     pub fn board(&self) -> &Board {
         &self.board
     }
 
-    /// The controller.
+    /// The controller, for reading its state.
     pub fn controller(&self) -> &Controller<AXES> {
         &self.controller
     }
@@ -454,7 +457,7 @@ impl Simulator {
         &self.world.fittings
     }
 
-    /// Motors and carriages.
+    /// Positions and pulse counts of the motors, and extents of the carriages.
     pub fn machine(&self) -> &Machine {
         &self.world.machine
     }
@@ -546,7 +549,7 @@ impl Simulator {
         self.job.0.as_ref()
     }
 
-    /// The job, if one was loaded.
+    /// The job, if one was loaded, for fetching its replies or stopping it.
     pub fn job_mut(&mut self) -> Option<&mut JobText> {
         self.job.0.as_mut()
     }
@@ -561,8 +564,8 @@ impl Simulator {
         }
     }
 
-    /// Samples the inputs until the filter has settled. Call after a change by the user, or by a setting: such changes
-    /// are slow, so the time that the filter needs does not matter.
+    /// Takes all samples that the input filter needs to settle, at the present virtual time. Call after a change by the
+    /// user or by a setting: for such slow changes, the delay of the filter does not matter.
     pub(crate) fn settle_inputs(&mut self) {
         for _ in 0..self.inputs.settle() {
             self.stop();
@@ -574,7 +577,8 @@ impl Simulator {
         self.step.stop(&self.clock, &mut self.world);
     }
 
-    /// Lets the link fetch the host's bytes, as far as there is room. Returns whether anything was queued.
+    /// Lets the link fetch the host's bytes, as far as there is room. Returns whether anything was queued for the
+    /// controller.
     pub(crate) fn receive(&mut self) -> bool {
         let mut any = self.host.pass_on();
         while let Some(queued) = self.host.fetch(&self.controller) {
@@ -629,7 +633,7 @@ impl Simulator {
         self.world.meter.times_mut().add_to_line(self.controller.lines_read(), seconds);
     }
 
-    /// Assigns a number to the moves of the line in progress.
+    /// Assigns a number to the moves of the line in progress, by which `marks` later finds their line and tool.
     pub(crate) fn mark_line(&mut self) {
         if let Some(marks) = &mut self.marks {
             let controller = &mut self.controller;

@@ -14,7 +14,7 @@ use oxmill_controller::Stepper;
 use oxmill_controller::messages::{SEGMENTS_DEPTH, SlowOutputs, StepEvent, ToStep, Wiring};
 use std::collections::VecDeque;
 
-/// The machine driven by the pins, and its instruments.
+/// The simulated machine driven by the step pins, and the instruments that measure it.
 #[derive(Clone)]
 pub struct World {
     /// Motors and carriages.
@@ -40,7 +40,7 @@ impl World {
 #[derive(Clone)]
 pub struct StepTask {
     stepper: Box<Stepper<AXES>>,
-    /// Waiting messages, each with the line and tool of its move.
+    /// Messages that wait for the stepper, each with the line and tool of its move.
     segments: VecDeque<(ToStep, Mark)>,
     events: VecDeque<StepEvent<AXES>>,
     /// Next expiry of the step timer, in ticks; `None` while the timer is stopped.
@@ -49,7 +49,8 @@ pub struct StepTask {
     busy: u64,
     directions: u8,
     begun: u32,
-    /// While set, the task ignores messages until a `Resume` with this count of stops.
+    /// After a stop: the count of stops. The stepper discards messages until a `Resume` with this count, so the meter
+    /// must not count them. `None` while messages are accepted.
     shut: Option<u16>,
     power: u16,
     outputs: Option<SlowOutputs>,
@@ -97,12 +98,12 @@ impl StepTask {
         self.segments.len()
     }
 
-    /// Returns whether nothing moves and nothing waits.
+    /// Returns whether the timer is stopped and no message waits.
     pub fn is_done(&self) -> bool {
         self.due.is_none() && self.segments.is_empty()
     }
 
-    /// Returns whether nothing moves or waits, and the stepper has nothing loaded.
+    /// Returns whether the timer is stopped, no message waits and the stepper has nothing loaded.
     pub fn is_idle(&self) -> bool {
         self.is_done() && self.stepper.is_idle()
     }
@@ -117,17 +118,17 @@ impl StepTask {
         self.outputs
     }
 
-    /// The present spindle or laser power.
+    /// The present spindle or laser power, 0 to 65535.
     pub fn power(&self) -> u16 {
         self.power
     }
 
-    /// The next report to the control task.
+    /// Removes and returns the next report to the control task.
     pub fn next_event(&mut self) -> Option<StepEvent<AXES>> {
         self.events.pop_front()
     }
 
-    /// Applies the wiring of the probe.
+    /// Applies the polarity of the probe pin.
     pub fn wire(&mut self, wiring: &Wiring) {
         self.probe_invert = wiring.probe_invert;
     }
@@ -206,8 +207,8 @@ impl StepTask {
             self.load(clock, world);
         }
         if self.due.is_none() {
-            // At standstill the power comes from `outputs`, not from a segment: 0 if a laser is scaled (M4), otherwise
-            // its constant power.
+            // At standstill the power comes from `outputs`, not from a segment. For a laser in M4, whose power is
+            // scaled with the speed, it is 0.
             self.carry_power(due, self.outputs.map_or(0, |outputs| outputs.power), world);
             world.meter.at_rest(clock.seconds(due));
             return true;
@@ -237,8 +238,8 @@ impl StepTask {
         first
     }
 
-    /// Stops immediately, and switches a laser off whose power the segments set. Reports the stop to the controller,
-    /// and drops all waiting messages.
+    /// Stops immediately. If segments set the power of a laser, switches the laser off. Reports the stop to the
+    /// controller, and drops all waiting messages.
     pub fn stop(&mut self, clock: &Clock, world: &mut World) {
         let event = self.stepper.stop([0; AXES]);
         self.stopped(event, clock, world);

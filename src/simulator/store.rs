@@ -1,9 +1,9 @@
 //! The settings store of a simulated board: the boards' own log, on two flash sectors in memory. Every written word can
-//! be copied to a file immediately.
+//! also be passed to a copy, such as a file.
 //!
-//! The copy gets every word immediately, so whenever the process ends, the copy is like a flash after a power cut. A
-//! power cut can also be ordered: after a given number of writes and erases, the next operation is left half done and
-//! all further ones fail.
+//! The copy gets every word as soon as it is written. So if the process ends at any moment, the copy is like a flash
+//! after a power cut. A power cut can also be ordered: after a given number of writes and erases, the next operation is
+//! left half done and all further ones fail.
 
 use anyhow::{Context, Result, anyhow, bail};
 use oxmill_controller::messages::{Record, Store as Change};
@@ -17,7 +17,7 @@ const SECTOR: u32 = 16 * 1024;
 pub const IMAGE: usize = 2 * SECTOR as usize;
 const ERASED: u32 = u32::MAX;
 
-/// A change of the image.
+/// A change of the image, or the request to make all changes durable.
 #[derive(Clone, Copy, Debug)]
 pub enum Kept<'a> {
     /// Bytes at this offset have changed to the given ones.
@@ -26,13 +26,13 @@ pub enum Kept<'a> {
     Sync,
 }
 
-/// A function that keeps a copy of the image.
+/// A function that receives every change of the image, to keep a copy of it.
 pub type Keep = Arc<dyn Fn(Kept<'_>) -> std::io::Result<()> + Send + Sync>;
 
 /// Why an image cannot be used.
 #[derive(Debug)]
 pub enum Unusable {
-    /// It is not a flash image with a log.
+    /// The bytes are not a flash image with a settings log.
     Foreign(anyhow::Error),
     /// The log in the image cannot be continued.
     Log(Failure),
@@ -45,12 +45,12 @@ pub struct Store {
 }
 
 impl Store {
-    /// Makes an empty store in memory, which ends with the process.
+    /// Makes an empty store in memory; its contents are lost when it is dropped.
     pub fn in_memory() -> Self {
         Self::with_sectors_of(SECTOR)
     }
 
-    /// Makes an empty store in memory with smaller sectors, which fill up sooner.
+    /// Makes an empty store in memory whose sectors have `bytes` bytes. Sectors smaller than a board's fill up sooner.
     ///
     /// # Panics
     /// If a sector is too small for its own header.
@@ -115,12 +115,12 @@ impl Store {
         self.log.flash().sync().context("cannot write the flash image")
     }
 
-    /// Returns whether a sector should be erased when there is time.
+    /// Returns whether the spare sector should be erased at the next opportunity ([`Store::erase_ahead`]).
     pub fn needs_erase(&self) -> bool {
         self.log.needs_erase()
     }
 
-    /// Erases the spare sector.
+    /// Erases the spare sector, so that no later write has to wait for an erase.
     pub fn erase_ahead(&mut self) -> Result<()> {
         self.log.erase_spare().map_err(|failure| anyhow!("{failure}"))
     }
@@ -134,12 +134,12 @@ impl Store {
         image.torn = torn;
     }
 
-    /// Returns whether the power was cut.
+    /// Returns whether the power cut ordered with [`Store::cut_power_after`] has happened.
     pub fn power_is_gone(&self) -> bool {
         self.log.flash().gone
     }
 
-    /// The bytes of both sectors.
+    /// The bytes of both sectors, one after the other.
     pub fn image(&self) -> Vec<u8> {
         self.log.flash().bytes()
     }
@@ -168,7 +168,7 @@ impl fmt::Display for Failure {
     }
 }
 
-/// Two sectors.
+/// The simulated flash: the words of both sectors, and the ordered power cut.
 #[derive(Clone)]
 struct Image {
     sectors: [Vec<u32>; 2],

@@ -21,7 +21,7 @@ const NOTICEABLE: f64 = 0.005;
 /// Maximum number of lines that are listed.
 const MOST_PLACES: usize = 20;
 
-/// A line at which the machine lost time.
+/// A line at which the machine lost time because it waited for bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Lost {
     /// Line number in the text sent, from 1.
@@ -30,7 +30,7 @@ pub struct Lost {
     pub seconds: f64,
 }
 
-/// Result of a job that was sent.
+/// Result of sending a job over a link.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Streamed {
     /// Bits per second of the link; 0 for an unlimited link.
@@ -45,7 +45,7 @@ pub struct Streamed {
     pub lost: Vec<Lost>,
 }
 
-/// A job that is being sent.
+/// A job that is being sent over a simulated link to a simulated machine.
 pub struct Streaming {
     simulator: Simulator,
     baud: u32,
@@ -54,14 +54,14 @@ pub struct Streaming {
     waiting: VecDeque<Vec<u8>>,
     /// Lengths of the lines that have been sent and not answered.
     in_flight: VecDeque<usize>,
-    /// Bytes that the sender has handed to the link.
+    /// Bytes that the sender has handed to the link and that the link has not carried yet.
     outgoing: VecDeque<u8>,
-    /// Transmission capacity for `outgoing`, in units of 1/[`BYTE`] byte.
+    /// Unused transmission capacity for `outgoing`, in units of 1/[`BYTE`] byte.
     credit: u64,
-    /// Reply bytes on their way back.
+    /// Reply bytes that the link has not carried back to the sender yet.
     returning: VecDeque<u8>,
     answer: Vec<u8>,
-    /// Transmission capacity for `returning`, in units of 1/[`BYTE`] byte.
+    /// Unused transmission capacity for `returning`, in units of 1/[`BYTE`] byte.
     credit_back: u64,
     errors: u64,
     done: bool,

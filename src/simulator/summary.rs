@@ -6,7 +6,7 @@ use oxmill_controller::axes::Axis;
 use serde::Serialize;
 use std::fmt;
 
-/// A reply `error:N`.
+/// A rejected line: a reply `error:N` with its explanation.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct LineError {
     /// Line number in the file, from 1.
@@ -17,7 +17,7 @@ pub struct LineError {
     pub column: Option<u64>,
     /// What is wrong with the line.
     pub text: String,
-    /// The line.
+    /// The line, without blanks at its ends, cut off after 120 characters.
     pub source: String,
     /// What the user can do about the error.
     pub advice: String,
@@ -75,7 +75,7 @@ pub struct Summary {
     pub step_clock_hz: u32,
     /// Number of lines of the file.
     pub lines: u64,
-    /// Number of lines that begin with `%` and were skipped.
+    /// Number of tape marks in the file: lines with `%` and only comments.
     pub tape_marks: u64,
     /// The first errors, at most 1000.
     pub errors: Vec<LineError>,
@@ -120,9 +120,9 @@ pub struct Summary {
     pub position_mm: Vec<f64>,
     /// Work position at the end.
     pub work_position_mm: Vec<f64>,
-    /// Net steps.
+    /// Net steps of each motor during the job.
     pub steps: Vec<i64>,
-    /// Step pulses in either direction.
+    /// Number of step pulses of each motor, both directions added up.
     pub pulses: Vec<u64>,
     /// Number of step events. Simultaneous pulses of several axes are one event.
     pub step_events: u64,
@@ -132,10 +132,10 @@ pub struct Summary {
     /// Maximum path speed: an average over a few milliseconds or more, reduced by what rounding to steps may have
     /// added.
     pub peak_speed_mm_s: f64,
-    /// Maximum change of path speed per time (on ramps), measured likewise. Excludes the acceleration across the path
-    /// in curves and corners.
+    /// Maximum change of path speed per time (on ramps), averaged and reduced like `peak_speed_mm_s`. Excludes the
+    /// acceleration across the path in curves and corners.
     pub peak_acceleration_mm_s2: f64,
-    /// Maximum speed of each axis, measured likewise.
+    /// Maximum speed of each axis, averaged and reduced like `peak_speed_mm_s`.
     pub peak_axis_speed_mm_s: Vec<f64>,
     /// For each axis, the maximum of its component of the acceleration on ramps: the change of path speed per time,
     /// times the direction of the path.
@@ -144,22 +144,22 @@ pub struct Summary {
     pub trace_hash: String,
     /// Hash over the step and direction bits in their order, without the times.
     pub order_hash: String,
-    /// Duration of the simulation, in seconds of the host.
+    /// Time that the computer needed for the simulation, in seconds.
     pub host_s: f64,
 }
 
 impl Summary {
-    /// Returns the number of errors.
+    /// Returns the number of all errors, including those beyond the list `errors`.
     pub fn error_count(&self) -> u64 {
         self.errors.len() as u64 + self.more_errors
     }
 
-    /// Returns the number of warnings.
+    /// Returns the number of all warnings, including those beyond the list `warnings`.
     pub fn warning_count(&self) -> u64 {
         self.warnings.len() as u64 + self.more_warnings
     }
 
-    /// Returns the parts of the forecast in one line.
+    /// Returns the parts of the forecast as a line of text: time at feed, in rapids and standing.
     pub fn parts(&self) -> String {
         let parts = [("at feed", self.feed_s), ("in rapids", self.rapid_s), ("standing", self.standing_s)];
         let standing = [("dwell", self.dwell_s), ("spindle", self.spin_up_s)];

@@ -1,5 +1,5 @@
-//! Passes a job's text to the controller byte by byte, and assigns each reply to its line: errors, messages, and the
-//! line of an alarm.
+//! Passes a job's text to the controller byte by byte, and finds the line of the file that each reply (error, message,
+//! alarm) belongs to.
 //!
 //! The bytes of a file are never realtime commands, unlike those on a link. Comments can contain any UTF-8: non-ASCII
 //! characters reach the controller as `?`, which is ignored in a comment and rejected elsewhere. Every line gets
@@ -17,7 +17,7 @@ use std::io::{self, BufRead};
 const LONGEST_LINE: usize = 1 << 20;
 /// Number of characters of a line that reports show.
 const SHOWN_LINE: usize = 120;
-/// Number of bytes that are made ready ahead of the controller, like a full receive queue.
+/// Number of bytes that are kept ready for the controller, as in the full receive queue of a board.
 const AHEAD: usize = 256;
 
 /// A reply of the controller, or a warning.
@@ -29,14 +29,14 @@ pub enum Said {
         line: u64,
         /// The error's number.
         code: u8,
-        /// The line, without its end.
+        /// The line, without blanks at its ends, cut off after 120 characters.
         text: String,
         /// What is wrong with the line, if known: the message before the error.
         reason: Option<String>,
     },
     /// Any other output that is not an answer to a line.
     Message {
-        /// Line number in the file of the oldest line that was unanswered then; 0 if there was none.
+        /// Line number in the file of the oldest line that was unanswered when this output came; 0 if there was none.
         line: u64,
         /// The output.
         text: String,
@@ -53,9 +53,9 @@ pub struct JobText {
     after_cr: bool,
     stopped: bool,
     failed: Option<io::Error>,
-    /// A comment mentions inches.
+    /// Whether a comment has mentioned inches so far.
     mentions_inches: bool,
-    /// Line number of the last line with G21.
+    /// Line number of the most recent line with G21.
     metric_at: Option<u64>,
     /// Unanswered lines: line number in the file, text, and the error with which the board rejects the line if it does
     /// not support all words (see `small_board`).
@@ -70,16 +70,18 @@ pub struct JobText {
     alarmed_at: Option<u64>,
     consumed: u64,
     reply: Vec<u8>,
-    /// The last line of output, if it was a message (`[MSG:`). It explains the error if an error comes next.
+    /// The most recent line of output, if it was a message (`[MSG:`). If the next line of output is an error, the
+    /// message explains it.
     message: Option<String>,
     said: Vec<Said>,
     /// Number of lines that the controller had read before this job.
     lines_before: u32,
-    /// For each tape mark: the number of lines given to the controller before it.
+    /// For each tape mark in the file: the number of lines before it that are not tape marks.
     marks: Vec<u64>,
-    /// The line of the last tape mark, if words came before the mark and no words have come since.
+    /// Line number of the most recent tape mark, if words came before the mark and none have come since. The next line
+    /// with words passes this mark on.
     between: Option<u64>,
-    /// For each tape mark that was given to the controller: the number of lines given before it.
+    /// For each tape mark that was given to the controller: the number of lines given before it, including tape marks.
     given_marks: Vec<u64>,
     /// Answered lines that may have opened a block of O words.
     openers: Vec<Opener>,
@@ -89,7 +91,8 @@ pub struct JobText {
     ended_at: Option<ProgramEnd>,
     /// Number of lines with words after the end of the program that were answered `ok`.
     behind_end: u64,
-    /// Whether a subprogram has begun after the end of the program. Its lines are not carried out where they stand.
+    /// Whether a subprogram has begun after the end of the program. Its lines are not executed where they stand but
+    /// when it is called, so they do not count in `behind_end`.
     among_subprograms: bool,
 }
 
@@ -208,7 +211,7 @@ impl JobText {
     }
 
     /// Number of tape marks: lines with `%` and only comments, which mark the ends of a punched tape. Only those
-    /// between two programs are passed on.
+    /// between two programs are passed on to the controller.
     pub fn tape_marks(&self) -> u64 {
         self.marks.len() as u64
     }
@@ -228,7 +231,7 @@ impl JobText {
         self.mentions_inches
     }
 
-    /// Line number of the last line with G21 so far.
+    /// Line number of the most recent line with G21 so far.
     pub fn metric_at(&self) -> Option<u64> {
         self.metric_at
     }
@@ -277,7 +280,7 @@ impl JobText {
         self.bytes.len().min(AHEAD)
     }
 
-    /// The next byte for the controller.
+    /// Removes and returns the next byte for the controller; `None` at the end of the job.
     pub fn next_byte(&mut self) -> Option<u8> {
         if self.bytes.is_empty() {
             self.fill();
@@ -474,7 +477,7 @@ fn is_remark(text: &str) -> bool {
     text.is_empty() || text.starts_with(['(', ';'])
 }
 
-/// Returns a character as shown to users.
+/// Returns a character as shown to users: a blank for a tab, `?` for other control characters.
 fn shown_character(character: char) -> char {
     match character {
         '\t' => ' ',
@@ -483,7 +486,7 @@ fn shown_character(character: char) -> char {
     }
 }
 
-/// Converts a character for the controller.
+/// Converts a character to the byte that the controller gets: `?` for characters that are neither ASCII nor blank.
 fn plain(character: char) -> u8 {
     match character {
         // Unicode spaces count as blanks, too.
@@ -538,7 +541,7 @@ mod tests {
         };
         assert_eq!(end("(a)\n%\nG0 X1\n%\nG0 X2\n\nX3\n%\nX4\n", &b"ok\r\n".repeat(8)), Some((4, true, 3)));
         assert_eq!(end("%\nG0 X1\n%\n(a)\n", &b"ok\r\n".repeat(2)), None);
-        // A program with two ends has ended at the first one.
+        // If a program has two ends, the first one counts.
         assert_eq!(end("%\nM30\n%\nX4\n", b"[MSG:Pgm End]\r\nok\r\nok\r\nok\r\n"), Some((2, false, 1)));
         assert_eq!(end("X1\n%\nM30\nX4\n", b"ok\r\nok\r\n[MSG:Pgm End]\r\nok\r\nok\r\n"), Some((2, true, 2)));
     }

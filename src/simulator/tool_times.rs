@@ -13,7 +13,7 @@ pub struct ToolTime {
     pub rapid_s: f64,
     /// G4, and the dwells of canned cycles, s.
     pub dwell_s: f64,
-    /// Waiting for the spindle: `$394`, `$539`, s.
+    /// Waiting for the spindle to spin up (`$394`) or to stop (`$539`), s.
     pub spin_up_s: f64,
 }
 
@@ -26,14 +26,14 @@ pub struct Times {
     tools: Vec<ToolTime>,
     line: u32,
     line_s: f64,
-    /// The long lines before `line`: line number and time in seconds.
+    /// The lines before `line` that took longer than [`LONG`]: line number and time in seconds.
     long: Vec<(u32, f64)>,
 }
 
 impl Times {
     /// Returns the row of a tool; creates it if needed.
     pub fn of(&mut self, tool: u32) -> &mut ToolTime {
-        // The tool in use is usually the last one.
+        // The tool in use is usually the last one in the list.
         let at = self.tools.iter().rposition(|row| row.tool == tool).unwrap_or_else(|| {
             self.tools.push(ToolTime { tool, ..ToolTime::default() });
             self.tools.len() - 1
@@ -41,7 +41,8 @@ impl Times {
         &mut self.tools[at]
     }
 
-    /// Adds to the time of a line (as the controller counts lines). Moves and waits come in the order of their lines.
+    /// Adds to the time of a line (as the controller counts lines). All times of a line must be added before those of
+    /// the next line.
     pub fn add_to_line(&mut self, line: u32, seconds: f64) {
         if line != self.line {
             self.long.extend(self.long_line());

@@ -25,7 +25,8 @@ pub struct StepRecord {
     pub rotary: [i32; AXES - LINEAR],
 }
 
-/// A value that a clone of its owner does not get, such as a file, which can have only one reader or writer.
+/// An optional value that is not cloned with its owner: the clone has `None`. For values such as a file, which can have
+/// only one reader or writer.
 #[derive(Debug)]
 pub struct Sole<T>(pub Option<T>);
 
@@ -41,7 +42,7 @@ impl<T> Default for Sole<T> {
     }
 }
 
-/// Records the step outputs.
+/// Records the step outputs: as digests and, on request, as a CSV file or a list.
 #[derive(Clone, Debug, Default)]
 pub struct Trace {
     digest: Digest,
@@ -128,7 +129,7 @@ impl Trace {
         self.history = History::default();
     }
 
-    /// Records rising step outputs.
+    /// Records one step event: the step outputs that rise at one tick.
     #[inline]
     pub fn step(&mut self, record: StepRecord) {
         self.digest.add(record.busy, record.steps, record.directions);
@@ -159,7 +160,7 @@ impl Trace {
         &self.digest
     }
 
-    /// Hash of the virtual times of all steps and output changes, and of these outputs.
+    /// Hash of the virtual times of all steps and output changes, and of the new output values.
     pub fn history(&self) -> u64 {
         self.history.hash
     }
@@ -177,14 +178,14 @@ impl Trace {
         }
     }
 
-    /// Closes the CSV file.
+    /// Closes the CSV file, if there is one. Returns the first error that occurred while it was written.
     pub fn finish(&mut self) -> io::Result<()> {
         self.csv.0.take().map_or(Ok(()), Csv::finish)
     }
 }
 
-/// The CSV file. Spindle, power, coolant and the digital outputs of the program (a sum of 1 for P0, 2 for P1, 4, 8) are
-/// written into the first row after a change and left empty in the others.
+/// The CSV file. Spindle, power, coolant and the digital outputs of the program (a bit mask, bit 0 is P0) are written
+/// into the first row after a change and left empty in all other rows.
 pub struct Csv {
     out: BufWriter<Box<dyn Write>>,
     hz: u64,
@@ -203,8 +204,8 @@ impl std::fmt::Debug for Csv {
 }
 
 impl Csv {
-    /// Writes the header into an empty file. `hz` is the step clock, `origin` the tick at which `t_s` is 0; `axes` axes
-    /// have a column.
+    /// Writes the header into an empty file. `hz`: step clock; `origin`: the tick at which `t_s` is 0; `axes`: number
+    /// of axes, each with a column.
     ///
     /// # Errors
     /// If writing fails.

@@ -39,7 +39,8 @@ const MARK: &str = "<meta charset=\"utf-8\">";
 /// The page that is served.
 pub struct Site {
     html: Vec<u8>,
-    /// The names of the loopback with the port; for port 80 also without the port, because browsers omit it.
+    /// The names of the loopback, each with the port. For port 80 also the names alone, because browsers omit that
+    /// port.
     hosts: Vec<String>,
 }
 

@@ -8,7 +8,7 @@ use oxmill_controller::messages::{Realtime, input};
 /// The signal that wakes `control`; any task can set it.
 pub type Wake = rtic_sync::signal::SignalWriter<'static, ()>;
 
-/// Status written by `step`.
+/// Status that `step` publishes to the other tasks.
 pub struct StepStatus {
     /// Segments begun since power-up (wrapping).
     pub segments_begun: AtomicU32,
@@ -16,7 +16,7 @@ pub struct StepStatus {
     pub at_rest: AtomicBool,
     /// Nonzero if a message queued now must not wait for the next scheduled run of `step`: the task that queues the
     /// message must then pend the step vector. Each run of `step` writes 0 or 1. So if the watchdog has written
-    /// [`STEP_ASKED`] and still finds this value, `step` has not run since.
+    /// [`STEP_ASKED`] and later finds that value unchanged, `step` has not run since.
     pub wants: AtomicU8,
 }
 
@@ -25,10 +25,10 @@ pub static STEP: StepStatus =
     StepStatus { segments_begun: AtomicU32::new(0), at_rest: AtomicBool::new(true), wants: AtomicU8::new(1) };
 
 /// Value of [`StepStatus::wants`] that `inputs` (the watchdog) writes to check whether a run of `step` follows. It is
-/// nonzero, so until `step` has run, a task that queues a message pends the step vector, too.
+/// nonzero, so until `step` has run, a task that queues a message still pends the step vector.
 pub const STEP_ASKED: u8 = 2;
 
-/// Status written by `serial`.
+/// Status that `serial` publishes to the other tasks.
 pub struct SerialStatus {
     /// Line bytes put into the queue, or gathered for a message to it, since power-up (wrapping).
     pub bytes_queued: AtomicU32,
@@ -43,7 +43,7 @@ pub struct SerialStatus {
     pub hosts_came: AtomicU8,
     /// Number of times that the active host disconnected, since power-up (wrapping).
     pub hosts_went: AtomicU16,
-    /// Commands that found no room in the queue and must not be lost; `control` takes them.
+    /// Commands for which the queue had no room and which must not be lost ([`Owed`]); `control` takes them.
     owed: AtomicU32,
 }
 
@@ -58,11 +58,11 @@ pub static SERIAL: SerialStatus = SerialStatus {
     owed: AtomicU32::new(0),
 };
 
-/// Status written by `inputs`.
+/// Status that `inputs` publishes to the other tasks.
 pub struct InputStatus {
     /// Mask of the pins that are low.
     pub low: AtomicU32,
-    /// Number of changes of each input that the filter rejected. `control`, which `inputs` preempts, resets them to 0.
+    /// Number of changes of each input that the filter rejected. `control` resets the counts to 0 on request.
     pub noise: [AtomicU16; input::COUNT],
 }
 
@@ -70,7 +70,7 @@ pub struct InputStatus {
 pub static INPUTS: InputStatus =
     InputStatus { low: AtomicU32::new(0), noise: [const { AtomicU16::new(0) }; input::COUNT] };
 
-/// Status written by `control`.
+/// Status that `control` publishes to the other tasks.
 pub struct ControlStatus {
     /// Value of [`SerialStatus::heard`] up to which everything has been executed and answered.
     free_at: AtomicU32,
@@ -102,7 +102,8 @@ pub struct Asked {
 /// See [`Asked`].
 pub static ASKED: Asked = Asked { serial: AtomicBool::new(false), control: AtomicBool::new(false) };
 
-/// Stops requested by any task since power-up (wrapping). A count rather than a flag, so that each stop is answered.
+/// Stops requested by any task since power-up (wrapping). A count instead of a flag, so that each request is executed
+/// and counted.
 static STOPS_ASKED: AtomicU16 = AtomicU16::new(0);
 
 /// Requests an immediate stop of the step task. The caller must pend the step vector right afterwards. The request
@@ -111,21 +112,23 @@ pub fn ask_for_stop() {
     STOPS_ASKED.fetch_add(1, Ordering::Relaxed);
 }
 
-/// For `serial`: keeps a command that found no room in the queue. Returns `false`, and does not keep the command, if
-/// its loss does no harm. 0x19 and a jog cancel are kept as resets, so this function requests a stop for them, as for a
-/// reset. The caller must pend the step vector afterwards, as for [`ask_for_stop`].
+/// For `serial`: keeps a command for which the queue had no room. Returns `false`, and does not keep the command, if
+/// its loss does no harm. A stop (0x19) and a jog cancel are kept as resets, so this function requests a stop of the
+/// step task for them; for a reset, `serial` has already done so. The caller must pend the step vector afterwards, as
+/// for [`ask_for_stop`].
 pub fn owe(command: Realtime) -> bool {
     let Some(owed) = Owed(SERIAL.owed.load(Ordering::Relaxed)).with(command) else { return false };
     if command.opens_epoch() && command != Realtime::Reset {
         ask_for_stop();
     }
-    // A separate load and store suffice: `control`, which takes the commands, does not preempt `serial`.
+    // A separate load and store suffice here: `control`, which takes the commands, cannot run in between, as it does
+    // not preempt `serial`.
     SERIAL.owed.store(owed.0, Ordering::Relaxed);
     true
 }
 
-/// Returns whether the serial task has commands for which the queue had no room (owed commands). It queues no further
-/// command until `control` has taken them, so that commands keep their order.
+/// Returns whether the serial task has commands for which the queue had no room (owed commands). The serial task queues
+/// no further command until `control` has taken these, so that commands keep their order.
 pub fn owes() -> bool {
     SERIAL.owed.load(Ordering::Relaxed) != 0
 }
@@ -142,7 +145,8 @@ pub fn stops_asked() -> u16 {
     STOPS_ASKED.load(Ordering::Relaxed)
 }
 
-/// For `control`: sets whether everything received up to the count `heard` has been executed and answered.
+/// For `control`: sets whether everything received until [`SerialStatus::heard`] had the value `heard` has been
+/// executed and answered.
 pub fn set_free(heard: u32, free: bool) {
     CONTROL.free_at.store(if free { heard } else { heard.wrapping_sub(1) }, Ordering::Relaxed);
 }
@@ -155,21 +159,21 @@ pub fn is_free() -> bool {
 /// Power to be output by the spindle's PWM.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Power {
-    /// Power level.
+    /// Power level, 0 to 65535 (full power).
     pub level: u16,
     /// Laser: while the machine moves, the power comes from the segments instead of `level`.
     pub from_segments: bool,
 }
 
 impl Power {
-    /// Returns the power set last.
+    /// Returns the power that [`Power::want`] has set most recently.
     #[inline(always)]
     pub fn wanted() -> Power {
         let word = CONTROL.power.load(Ordering::Relaxed);
         Power { level: word as u16, from_segments: word >> 16 != 0 }
     }
 
-    /// Sets the power. For `control`; also for `step`, which preempts `control`, to switch off a laser at a stop.
+    /// Sets the power. Called by `control`, and by `step` to switch off a laser at a stop.
     pub fn want(self) {
         CONTROL.power.store(u32::from(self.level) | u32::from(self.from_segments) << 16, Ordering::Relaxed);
     }

@@ -1,5 +1,5 @@
-//! Tests with wrong bits and bytes in the memory. Only the records that contain them are lost, and the damage is
-//! reported until it is confirmed.
+//! Tests with wrong bits and bytes in the memory. Only the records that contain them may be lost, and the damage must
+//! be reported until the user confirms it, by removing the report.
 
 use super::*;
 use std::ops::Range;
@@ -74,7 +74,7 @@ fn is_hit(span: &Range<u32>, change: &Store, addresses: &[u32]) -> bool {
     addresses.iter().any(|address| span.contains(address) && !filler.contains(address))
 }
 
-/// Returns the contents of a log after damage at these addresses.
+/// Returns the values that must be found after damage at these addresses.
 fn without(spans: &[(Range<u32>, Store)], addresses: &[u32]) -> BTreeMap<u16, Vec<u8>> {
     let mut model = BTreeMap::new();
     for (span, change) in spans {
@@ -102,8 +102,8 @@ fn a_wrong_byte_costs_one_record_and_is_told() {
                 change_byte(&mut flash, sector, address, bits);
                 let (stored, told) = found(&mut Log::open(flash.clone()).unwrap());
                 assert_eq!(stored, expected, "{spare:?}: {bits:#x} at {address}");
-                // A wrong byte in the first word after the end is not reported, because a power cut can leave such a
-                // word too.
+                // A wrong byte in the first word after the last record is not reported, because a power cut can leave
+                // such a word, too.
                 assert_eq!(told, !(end..end + 4).contains(&address), "{spare:?}: {bits:#x} at {address}");
                 assert!(Log::is_in(&mut flash).unwrap());
             }
@@ -111,7 +111,6 @@ fn a_wrong_byte_costs_one_record_and_is_told() {
     }
 }
 
-/// A wrong byte in the spare sector has no effect, as that sector has nothing to lose.
 #[test]
 fn a_wrong_byte_in_the_spare_sector_changes_nothing() {
     for spare in [Spare::Blank, Spare::Erased, Spare::Old] {
@@ -127,7 +126,7 @@ fn a_wrong_byte_in_the_spare_sector_changes_nothing() {
     }
 }
 
-/// With a header that is completely lost, the records are still found.
+/// If a header is completely lost, the records must still be found.
 #[test]
 fn a_lost_header_is_told() {
     let (log, spans) = image(Spare::Erased);
@@ -159,7 +158,7 @@ fn damage_leads_nowhere() {
     }
 }
 
-/// A text that imitates a record does not count as a record if damage leads the reader into it.
+/// A value that looks like a record must not be taken for one when damage makes the reader search within it.
 #[test]
 fn a_record_in_a_value_does_not_count() {
     let mut value = [b' '; 32];
@@ -225,7 +224,7 @@ fn damage_is_told_until_it_is_confirmed() {
     }
 }
 
-/// Without an erased spare sector damage cannot be cleared, and `needs_erase_soon` reports this.
+/// Without an erased spare sector the report of damage cannot be removed; `needs_erase_soon` is then true.
 #[test]
 fn a_confirmation_waits_for_the_spare_sector() {
     let (log, _) = image(Spare::Blank);
@@ -241,8 +240,8 @@ fn a_confirmation_waits_for_the_spare_sector() {
     assert!(!found(&mut Log::open(log.flash).unwrap()).1);
 }
 
-/// If the power is cut at any operation from the damage to its confirmation, nothing is lost, and the damage can be
-/// confirmed again.
+/// If the power is cut at any operation while a change and the confirmation of damage are stored, nothing is lost, and
+/// the damage can be confirmed again.
 #[test]
 fn a_power_cut_in_the_confirmation_loses_nothing() {
     for hit in [0, 5, HEADER, HEADER + 21, 300] {
@@ -291,14 +290,14 @@ fn any_word() -> impl Strategy<Value = u32> {
     prop_oneof![4 => first, 2 => any::<u32>(), 1 => Just(ERASED), 1 => Just(0), 1 => Just(MARK)]
 }
 
-/// Maximum number of reads for opening a log of this size: each word is read as the start of a record of the longest
-/// length, and 1000 reads are allowed for everything else.
+/// Maximum number of reads for opening a log of this size: in the worst case each word is read as the start of a record
+/// of the maximum length. Everything else takes at most 1000 reads.
 const OPENING: u32 = SIZE / 4 * (LONGEST_WORDS as u32 + 3) + 1000;
 
 proptest! {
     #![proptest_config(some_cases())]
 
-    /// Memory with any contents is opened with a limited number of reads, and works.
+    /// A log opens on memory with any contents, with a limited number of reads, and can then store changes.
     #[test]
     fn any_memory_is_opened(
         a in proptest::collection::vec(any_word(), SIZE as usize / 4),
@@ -341,7 +340,7 @@ proptest! {
             let (sector, end) = (log.sector, log.end);
             change(&mut log, &c).unwrap();
             if log.sector != sector {
-                // Compaction writes other records than the change itself, so all records are read again.
+                // Compaction has copied all valid records to the other sector, so read all of them again.
                 spans = records(&mut log);
             } else if log.end > end {
                 spans.push((end..log.end, c));

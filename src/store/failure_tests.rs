@@ -1,5 +1,5 @@
 //! Tests with writes and erases that fail while the power is on, and with repeated power cuts. Every change that the
-//! log has accepted is found again.
+//! log has accepted must be found again.
 
 use super::*;
 use proptest::prelude::*;
@@ -9,8 +9,8 @@ use proptest::prelude::*;
 enum Fault {
     /// The operation is refused and has no effect.
     Refused,
-    /// The operation is done in part, and fails. A write programs only the bits of this mask; the number of words that
-    /// an erase erases follows from it, too.
+    /// The operation is done in part, and fails. A write programs only the bits of this mask; the mask also determines
+    /// how many words an erase erases.
     Partly(u32),
     /// The operation is complete, but is reported as failed.
     Reported,
@@ -18,7 +18,8 @@ enum Fault {
     Cut(u32),
 }
 
-/// Flash on which operations fail according to a list.
+/// Flash on which operations fail according to a list of faults, each with the number of operations that succeed before
+/// it.
 #[derive(Clone, Debug)]
 struct Worn {
     sectors: [Vec<u32>; 2],
@@ -105,7 +106,8 @@ fn series() -> impl Strategy<Value = Vec<(Store, u8)>> {
         8 => (0_u16..7, proptest::collection::vec(any::<u8>(), 0..60)).prop_map(|(key, v)| put(key, &v)),
         1 => (0_u16..7, 0_u16..7).prop_map(|(a, b)| Store::Remove { from: a.min(b), until: a.max(b) }),
     ];
-    // The number beside each change decides whether there is time for an erase, and whether a power cycle follows.
+    // The number with each change decides whether there is time for an erase before the change, and whether a restart
+    // follows it.
     proptest::collection::vec((one, 0..12_u8), 1..150)
 }
 
@@ -128,7 +130,8 @@ fn faults() -> impl Strategy<Value = Vec<(u32, Fault)>> {
     proptest::collection::vec((0_u32..120, fault), 1..8)
 }
 
-/// If the write of any word of a compaction fails, in any way, changes that are accepted later are found again.
+/// After a compaction in which the write of any one word has failed, in any way, changes that are accepted later
+/// survive a restart.
 #[test]
 fn a_move_that_fails_takes_nothing_along() {
     let faults = [Fault::Refused, Fault::Reported, Fault::Partly(0x00FF_FFFF), Fault::Partly(0xFF00_0000)];
@@ -197,7 +200,8 @@ fn a_full_log_is_soon_looked_through() {
     assert_eq!(stored(&mut log).len(), 240);
 }
 
-/// The memory stores a record but reports a failure. After a restart the record counts, unless it is replaced.
+/// The memory stores a record, but reports a failure. A restart would find this record as valid, so the change that
+/// restores the old state must be written even if it seems to change nothing.
 #[test]
 fn a_record_that_was_reported_as_failed_is_replaced() {
     for back in [put(1, b"old"), Store::Remove { from: 1, until: 2 }] {
@@ -215,7 +219,8 @@ fn a_record_that_was_reported_as_failed_is_replaced() {
     }
 }
 
-/// Plays changes and faults. Each start finds all accepted changes, with or without the failed ones.
+/// Stores changes while operations fail. Each restart must find all accepted changes; a change that failed may be found
+/// or not.
 fn play(series: Vec<(Store, u8)>, faults: Vec<(u32, Fault)>) -> Result<(), TestCaseError> {
     let mut log = worn();
     log.flash.faults = faults;
@@ -247,7 +252,7 @@ fn play(series: Vec<(Store, u8)>, faults: Vec<(u32, Fault)>) -> Result<(), TestC
     Ok(())
 }
 
-/// Changes of more keys than one walk over the log finds.
+/// Changes of more keys than the [`KEYS`] that one walk over the log finds.
 fn many_keys() -> impl Strategy<Value = Vec<Store>> {
     let one = prop_oneof![
         20 => (0_u16..3 * KEYS as u16, proptest::collection::vec(any::<u8>(), 0..5)).prop_map(|(key, v)| put(key, &v)),

@@ -18,15 +18,15 @@
 //!   its mark is erased again.
 //!
 //! # Damage
-//! Flash may lose a bit, and a file may be overwritten. A record with a wrong crc is skipped, and the next record is
-//! looked for word by word. Any record with a right crc after the damage belongs to this log, because records begin at
-//! multiples of 4 and a sector is erased as a whole. (A text that a host can store never looks like a record, because
-//! its characters are neither the kind `PUT` nor the length of a `REMOVE`.) One wrong byte in a header is corrected by
-//! its crc.
+//! Flash may lose a bit, and a file that holds the log may be overwritten. A record with a wrong crc is skipped, and
+//! the next record is looked for word by word. Any record with a right crc after the damage belongs to this log,
+//! because records begin at multiples of 4 and a sector is erased as a whole. (A text that a host can store never looks
+//! like a record, because its characters are neither the kind `PUT` nor the length of a `REMOVE`.) One wrong byte in a
+//! header is corrected by means of its crc.
 //!
 //! A power cut leaves a partial record at the end: some words, the last with only some of its bits programmed, then
-//! only erased words. This does not count as damage, unless a complete record with one wrong byte would look the same.
-//! That is possible only if the cut hit the last word of a record.
+//! only erased words. This counts as damage only if a complete record with one wrong byte would look the same, which is
+//! possible only if the cut hit the last word of a record.
 //!
 //! Damage is reported as a record with the key [`STORE_DAMAGED`] until that record is removed. The report survives
 //! power cycles and compaction. Removing the record compacts the log into the spare sector. Opening a damaged log
@@ -39,7 +39,7 @@ use oxmill_controller::messages::{Record, STORE_DAMAGED, Store};
 
 /// A flash memory of two sectors. Addresses are bytes from the start of a sector, multiples of 4.
 pub trait Flash {
-    /// Error of the memory.
+    /// Why an operation failed.
     type Error;
     /// Returns the size of a sector in bytes.
     fn sector_size(&self) -> u32;
@@ -109,12 +109,12 @@ impl<E> From<E> for StoreError<E> {
     }
 }
 
-/// Number of free bytes below which an erase is urgent. A setting takes 12 bytes.
+/// An erase is urgent when fewer bytes than this are free in the sector in use. A setting takes 12 bytes.
 const RESERVE: u32 = 1024;
 const ERASED: u32 = u32::MAX;
 /// Size of a sector's header, in bytes: sequence, crc of the sequence, mark of a completed erase.
 const HEADER: u32 = 12;
-/// Address of the mark in a sector.
+/// Address of the mark in a sector's header.
 const MARK_AT: u32 = 8;
 /// Value of the mark of a sector that was erased completely.
 const MARK: u32 = u32::from_le_bytes(*b"wipe");
@@ -122,8 +122,8 @@ const MARK: u32 = u32::from_le_bytes(*b"wipe");
 const LONGEST: u32 = 100;
 /// Size of the longest record, in words.
 const LONGEST_WORDS: usize = 27;
-/// Maximum number of remembered gaps (damaged bytes between records). After further gaps, records are checked each time
-/// they are read.
+/// Maximum number of remembered gaps (damaged bytes between records). If there are more, records from the first
+/// unremembered gap on are checked again each time they are read.
 const GAPS: usize = 8;
 /// Number of keys whose records are found in one walk over the log.
 const KEYS: usize = 128;
@@ -146,9 +146,9 @@ pub struct Log<F> {
     end: u32,
     /// The words from `end` on are erased, so a record can be appended.
     appendable: bool,
-    /// The sector in use is damaged.
+    /// The sector in use contains damage that must be reported.
     unsound: bool,
-    /// Gaps between records.
+    /// Gaps between records, in the order of their addresses.
     gaps: heapless::Vec<Gap, GAPS>,
     /// Address from which on gaps are not listed, because the list is full.
     unmapped: u32,
@@ -156,10 +156,10 @@ pub struct Log<F> {
     spare_erased: bool,
 }
 
-/// Addresses of the records of consecutive keys.
+/// Addresses of the records of consecutive keys; [`NOWHERE`] for a key without a record.
 type Places = [u32; KEYS];
 
-/// Returns the keys that have a record, and their addresses. `from`: key of the first of the `places`.
+/// Returns the keys that have a record, each with the address of the record. `from`: key of the first of the `places`.
 fn stored(from: u16, places: &Places) -> impl Iterator<Item = (u16, u32)> {
     (from..=u16::MAX).zip(places.iter().copied()).filter(|(_, address)| *address != NOWHERE)
 }
@@ -171,8 +171,8 @@ struct Gap {
     end: u32,
 }
 
-/// CRC-32 of IEEE 802.3 without its final inversion. Computed bit by bit, because it is rarely needed and a table would
-/// be larger.
+/// CRC-32 of IEEE 802.3 without its final inversion. Computed bit by bit: it is rarely needed, and a table for faster
+/// computation would take more flash.
 const CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_JAMCRC);
 
 /// Returns the CRC of whole words.
@@ -191,8 +191,8 @@ fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
         if difference.to_le_bytes().iter().filter(|byte| **byte != 0).count() <= 1 {
             return Some((index, difference));
         }
-        // The CRC is linear, so running it backwards over the preceding word gives the bits that must be wrong in this
-        // preceding word if the error is in it.
+        // The CRC is linear. So running it backwards over one word converts these bits into those that must be wrong in
+        // the preceding word, if the error is there.
         for _ in 0..32 {
             difference = if difference >> 31 == 0 { difference << 1 } else { (difference ^ POLYNOMIAL) << 1 | 1 };
         }
@@ -232,7 +232,7 @@ impl Entry {
         words
     }
 
-    /// Returns the first key after the removed range.
+    /// For a record that removes keys: returns the first key after the removed range.
     fn until(&self) -> u16 {
         match self.value.as_slice() {
             [low, high, ..] => u16::from_le_bytes([*low, *high]),
@@ -277,8 +277,8 @@ impl Outline {
     }
 }
 
-/// Returns the sequence of a sector that holds a log, and whether its header is intact. One wrong byte in the sequence
-/// or its crc is corrected.
+/// Returns the sequence of a sector, and whether its header is intact; `None` if the sector holds no log. One wrong
+/// byte in the sequence or its crc is corrected.
 fn sequence_of<F: Flash>(flash: &mut F, sector: Sector) -> Result<Option<(u32, bool)>, F::Error> {
     let sequence = flash.read(sector, 0)?;
     let sum = flash.read(sector, 4)?;
@@ -300,7 +300,7 @@ impl<F: Flash> Log<F> {
     pub fn open(flash: F) -> Result<Self, F::Error> {
         let mut log = Self::over(flash);
         if !log.find_sector()? {
-            // There is no log that could be lost. The sector in use is erased only here.
+            // Only here is the sector in use erased: there is no log that could be lost.
             log.sector = Sector::A;
             log.sequence = 1;
             log.appendable = true;
@@ -330,7 +330,7 @@ impl<F: Flash> Log<F> {
         }
     }
 
-    /// Finds the sector in use and its records. Returns `false` if there is no log.
+    /// Finds the sector in use and its records. Returns `false` if neither sector holds a log.
     fn find_sector(&mut self) -> Result<bool, F::Error> {
         let a = sequence_of(&mut self.flash, Sector::A)?;
         let b = sequence_of(&mut self.flash, Sector::B)?;
@@ -361,7 +361,7 @@ impl<F: Flash> Log<F> {
         Ok(false)
     }
 
-    /// Finds the records of the sector, the gaps between them, and the end.
+    /// Finds the records of the sector in use, the gaps between them, and the end of the log.
     fn survey(&mut self) -> Result<(), F::Error> {
         let mut address = HEADER;
         self.end = HEADER;
@@ -371,7 +371,7 @@ impl<F: Flash> Log<F> {
                 continue;
             };
             for (word, at) in entry.words().iter().zip((address..).step_by(4)) {
-                // Padding bytes do not matter, but a wrong padding byte is reported as damage.
+                // A wrong padding byte does not invalidate the record, but it is reported as damage.
                 self.unsound |= self.flash.read(self.sector, at)? != *word;
             }
             if address > self.end {
@@ -389,8 +389,8 @@ impl<F: Flash> Log<F> {
         Ok(())
     }
 
-    /// Examines the words after the last record. Returns whether they are erased, and whether they are damaged other
-    /// than by a power cut.
+    /// Examines the words after the last record. Returns two values: whether they are all erased, and whether they show
+    /// damage that a power cut cannot explain.
     fn look_behind(&mut self) -> Result<(bool, bool), F::Error> {
         let mut until = self.end;
         for address in (self.end..self.flash.sector_size()).step_by(4) {
@@ -412,8 +412,8 @@ impl<F: Flash> Log<F> {
         };
         let (outline, size) = (Outline::read(first), until - self.end);
         let cut_short = size < outline.size() || size == outline.size() && crc(covered) & !last == 0;
-        // A wrong byte explains these words only if the corrected record has exactly as many words. Otherwise the crc
-        // fits by chance.
+        // One wrong byte explains these words only if the corrected record has exactly as many words. If it has not,
+        // the crc fits by chance.
         let one_byte = wrong_byte(&words).is_some_and(|(index, bits)| {
             let mended = if index == 0 { Outline::read(first ^ bits) } else { outline };
             mended.is_possible() && mended.size() == size
@@ -421,7 +421,7 @@ impl<F: Flash> Log<F> {
         Ok((false, !outline.is_possible() || !cut_short || one_byte))
     }
 
-    /// Returns whether a memory holds a log, by the rules of [`Log::open`].
+    /// Returns whether a memory holds a log that [`Log::open`] would find.
     ///
     /// # Errors
     /// If the memory cannot be read.
@@ -429,7 +429,7 @@ impl<F: Flash> Log<F> {
         Log::over(flash).find_sector()
     }
 
-    /// Returns the memory.
+    /// Returns the flash memory that holds the log.
     pub fn flash(&self) -> &F {
         &self.flash
     }
@@ -444,7 +444,8 @@ impl<F: Flash> Log<F> {
         self.flash
     }
 
-    /// Passes each valid record to `take`, and a record with the key [`STORE_DAMAGED`] if the log is damaged.
+    /// Passes each valid record to `take`, in the order of the keys. If the log is damaged, one of the records has the
+    /// key [`STORE_DAMAGED`].
     ///
     /// # Errors
     /// If the flash cannot be read.
@@ -465,7 +466,7 @@ impl<F: Flash> Log<F> {
         Ok(())
     }
 
-    /// Makes a change durable. A change that has no effect is not written.
+    /// Writes a change into the log, so that it survives a power cut. A change that has no effect is not written.
     ///
     /// # Errors
     /// [`StoreError::Full`] if there is no room and the spare sector is not erased; [`StoreError::Flash`] if the memory
@@ -478,18 +479,19 @@ impl<F: Flash> Log<F> {
                 Entry { kind: REMOVE, key: *from, value }
             }
         };
-        // Damage cannot be repaired in place, so removing the record that reports it compacts the log.
+        // Flash cannot be repaired in place. So a change that removes the report of damage compacts the log into the
+        // spare sector.
         let cleans = self.unsound && entry.kind == REMOVE && entry.replaces(STORE_DAMAGED);
-        // After a failed write (`appendable` is false), store the change even if it seems to have no effect: a restart
-        // could find other records than those that are read now.
+        // After a failed write (`appendable` is false), store the change even if it seems to have no effect: the failed
+        // record is ignored now, but a restart could find it as valid.
         if !cleans && self.appendable && self.holds(&entry)? {
             return Ok(());
         }
         if cleans || !self.appendable || self.end + entry.size() > self.flash.sector_size() {
             return self.compact_into_spare(&entry);
         }
-        // If the memory fails within the record, the words written so far remain after `end`, and no record can be
-        // appended there.
+        // If the memory fails while the record is written, the words written so far remain after `end`, and no other
+        // record can be appended there.
         self.appendable = false;
         self.end = self.append(self.sector, self.end, &entry)?;
         self.appendable = true;
@@ -501,8 +503,8 @@ impl<F: Flash> Log<F> {
         !self.spare_erased
     }
 
-    /// Returns whether the spare sector must be erased soon. Without an erase, few or no further records fit, or damage
-    /// cannot be cleared.
+    /// Returns whether the spare sector must be erased soon. Without an erase, few or no further records fit, or the
+    /// report of damage cannot be removed.
     pub fn needs_erase_soon(&self) -> bool {
         !self.spare_erased && (!self.appendable || self.unsound || self.end + RESERVE > self.flash.sector_size())
     }
@@ -517,7 +519,8 @@ impl<F: Flash> Log<F> {
         Ok(())
     }
 
-    /// Compacts the log: copies the valid records and the new one into the spare sector, which then becomes the log.
+    /// Compacts the log: copies the valid records and the new one (`coming`) into the spare sector, which then becomes
+    /// the sector in use.
     fn compact_into_spare(&mut self, coming: &Entry) -> Result<(), StoreError<F::Error>> {
         if !self.spare_erased {
             return Err(StoreError::Full);
@@ -539,7 +542,7 @@ impl<F: Flash> Log<F> {
             from = next;
         }
         if damage {
-            // The user has not confirmed the damage, so the new sector must report it as well.
+            // The report of damage has not been removed by the user, so the new sector must contain it as well.
             let entry = Entry { kind: PUT, key: STORE_DAMAGED, value: heapless::Vec::new() };
             end = self.copy(target, end, &entry)?;
         }
@@ -563,7 +566,8 @@ impl<F: Flash> Log<F> {
         Ok(())
     }
 
-    /// Appends a record to the sector that is being filled, if there is room. Returns the address after the record.
+    /// Appends a record to `target`, the sector being filled by compaction. Returns the address after the record, or
+    /// [`StoreError::Full`] if there is no room.
     fn copy(&mut self, target: Sector, end: u32, entry: &Entry) -> Result<u32, StoreError<F::Error>> {
         if end + entry.size() > self.flash.sector_size() {
             return Err(StoreError::Full);
@@ -603,7 +607,7 @@ impl<F: Flash> Log<F> {
         Ok(Outline::read(self.flash.read(self.sector, address)?))
     }
 
-    /// Reads the record at an address where a record is known to be.
+    /// Reads the record at an address where a valid record is known to be.
     fn entry(&mut self, address: u32) -> Result<Entry, F::Error> {
         let outline = self.outline(address)?;
         let mut entry = Entry { kind: outline.kind, key: outline.key, value: heapless::Vec::new() };
@@ -635,7 +639,7 @@ impl<F: Flash> Log<F> {
         Ok((entry.words().last() == Some(&sum)).then_some(entry))
     }
 
-    /// Returns the first record at or after an address.
+    /// Returns the address and the outline of the first record at or after an address.
     fn record_from(&mut self, mut address: u32) -> Result<Option<(u32, Outline)>, F::Error> {
         while address < self.end {
             if let Some(gap) = self.gaps.iter().find(|gap| gap.start == address) {
@@ -650,8 +654,8 @@ impl<F: Flash> Log<F> {
     }
 
     /// Returns the addresses of the valid records of `KEYS` consecutive keys, and the first later key that has a
-    /// record. `from`: the first of the keys. One walk over the log finds all of them. Searching the log for each
-    /// record's replacement would take seconds if the log is full.
+    /// record. `from`: the first of the keys. One walk over the log finds all of them. To search the rest of the log
+    /// for a replacement of each record would take seconds if the log is full.
     fn counting(&mut self, from: u16) -> Result<(Places, Option<u16>), F::Error> {
         let mut places = [NOWHERE; KEYS];
         let index = |key: u16| usize::from(key.saturating_sub(from)).min(KEYS);
@@ -676,7 +680,7 @@ impl<F: Flash> Log<F> {
         Ok((places, more))
     }
 
-    /// Returns whether storing an entry would have no effect.
+    /// Returns whether storing an entry would change nothing, because the log already has that state.
     fn holds(&mut self, coming: &Entry) -> Result<bool, F::Error> {
         if coming.kind == REMOVE {
             let mut from = Some(coming.key);

@@ -1,5 +1,5 @@
-//! The settings log on a flash memory in RAM. If the power is cut after any operation, each record is the old or the
-//! new one.
+//! Tests of the settings log on a flash memory in RAM. After a power cut at any operation, each key has its old or its
+//! new value.
 
 #[path = "damage_tests.rs"]
 mod damage;
@@ -19,12 +19,13 @@ fn some_cases() -> ProptestConfig {
     ProptestConfig { cases, ..ProptestConfig::default() }
 }
 
-/// Flash in RAM whose power can be cut. After `power` more operations, each further operation is done in part and
+/// Flash in RAM whose power can be cut: `power` more operations succeed, then each operation is done only in part and
 /// fails.
 #[derive(Clone, Debug)]
 struct Mock {
     sectors: [Vec<u32>; 2],
-    /// Whether the last erase was completed. If not, cells that read as ones are weak.
+    /// For each sector, whether its last erase was completed. If not, cells that read as ones may not hold what is
+    /// written.
     whole: [bool; 2],
     power: Option<u32>,
     operations: u32,
@@ -105,7 +106,7 @@ fn put(key: u16, bytes: &[u8]) -> Store {
     Store::Put(Record { key, value: heapless::Vec::from_slice(bytes).unwrap() })
 }
 
-/// Returns the stored records, and whether damage is reported.
+/// Returns the values of all keys, and whether damage is reported.
 fn found(log: &mut Log<Mock>) -> (BTreeMap<u16, Vec<u8>>, bool) {
     let mut all = BTreeMap::new();
     log.for_each(|r| assert!(all.insert(r.key, r.value.to_vec()).is_none(), "a key counts once")).unwrap();
@@ -219,7 +220,6 @@ fn what_stands_there_already_is_not_written_again() {
     assert_eq!(contents(&mut log).len(), 2);
 }
 
-/// A word that cannot be written spoils only its record.
 #[test]
 fn a_failed_write_spoils_its_record_only() {
     let mut log = Log::open(Mock::new()).unwrap();
@@ -277,7 +277,8 @@ fn cut_everywhere(changes: &[Store], torn_bits: u32) -> Result<(), TestCaseError
         let mut log = Log::open(flash).unwrap();
         let (stored, told) = found(&mut log);
         prop_assert!(stored == before || stored == after, "{stored:?} is neither {before:?} nor {after:?}");
-        // A power cut may be reported as damage only if the missing bits are those of a crc and lie in a single byte.
+        // A power cut may be reported as damage only if the bits that it left unprogrammed are in a crc and lie in a
+        // single byte.
         let one_byte = |missing: u32| missing.to_le_bytes().iter().filter(|byte| **byte != 0).count() == 1;
         let like_damage = torn.is_some_and(|(sector, address, missing)| {
             one_byte(missing) && (address == 4 || log.is_erased(sector, address + 4).unwrap())
@@ -291,8 +292,8 @@ fn cut_everywhere(changes: &[Store], torn_bits: u32) -> Result<(), TestCaseError
     Ok(())
 }
 
-/// If one byte of this partial record were corrected, its crc would fit by chance. But a record with the corrected byte
-/// would have another length, so this is not damage.
+/// Correcting one byte of the partial record that this power cut leaves would make its crc fit by chance. But the
+/// corrected record would have another length, so this must not count as damage.
 #[test]
 fn a_crc_that_fits_by_chance_is_no_damage() {
     let value = heapless::Vec::from_slice(&[203, 117, 14, 83, 92, 38, 228, 0, 129, 48]).unwrap();

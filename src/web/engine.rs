@@ -25,15 +25,15 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::time::Duration;
 
-/// A request for a simulation.
+/// A request for a simulation, which the module's caller sends as JSON.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Order {
     /// Name of the job, for its summary.
     pub name: String,
-    /// Name of the board; default: the desk's.
+    /// Name of the board; default: `desk`.
     pub board: Option<String>,
-    /// `grbl`, `oxmill`, `seed` or `grblhal`.
+    /// Name of the dialect: `grbl`, `oxmill`, `seed` or `grblhal`. If it is missing, the setting keeps its value.
     pub dialect: Option<String>,
     /// Numbers of settings and their values.
     pub settings: BTreeMap<u16, Number>,
@@ -61,7 +61,7 @@ pub struct Resume {
     pub line: u64,
     /// Z at which the tool travels to the position at which the job is resumed, in mm of program coordinates.
     pub clearance: Option<f64>,
-    /// Feed rate from this Z down to the workpiece, in mm/min.
+    /// Feed rate of the move from this Z down to that position, in mm/min.
     pub plunge: Option<f64>,
     /// Spin-up time of the spindle, in seconds.
     #[serde(default = "spin_up")]

@@ -64,7 +64,7 @@ use std::sync::Once;
 
 /// Number of this interface. It changes when callers have to change.
 pub const ABI: u32 = 2;
-/// Result of `oxmill_check_advance` at the end of the job.
+/// Result of `oxmill_check_advance` and `oxmill_stream_advance` at the end of the job.
 pub const DONE: u32 = 1001;
 /// Progress is reported in this many parts.
 const PARTS: u64 = 1000;
@@ -116,7 +116,7 @@ fn json(value: &impl serde::Serialize) -> Result<Vec<u8>, String> {
     serde_json::to_vec(value).map_err(|error| error.to_string())
 }
 
-/// Number of this interface.
+/// Returns [`ABI`], so that a caller can check that it fits this module.
 // SAFETY of every `no_mangle` here: the attribute is unsafe because two functions with the same name would clash; all
 // names here begin with the name of the project.
 #[unsafe(no_mangle)]
@@ -134,25 +134,25 @@ pub extern "C" fn oxmill_input(length: usize) -> *mut u8 {
     })
 }
 
-/// Address of the output.
+/// Returns the address of the output of the most recent call; it is valid until the next call.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_output() -> *const u8 {
     with(|instance| instance.output.as_ptr())
 }
 
-/// Length of the output.
+/// Returns the length of the output of the most recent call, in bytes.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_output_len() -> usize {
     with(|instance| instance.output.len())
 }
 
-/// Describes the firmware.
+/// Outputs version, boards, settings, errors and alarms of the firmware, as JSON.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_describe() -> u32 {
     answer(|_, _| json(&engine::describe()))
 }
 
-/// Starts checking a job.
+/// Starts checking a job. The input is an order, a 0 byte and the job; the output is the `name` of the order.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_check_begin() -> u32 {
     answer(|instance, input| {
@@ -165,7 +165,8 @@ pub extern "C" fn oxmill_check_begin() -> u32 {
     })
 }
 
-/// Advances the check of the job.
+/// Advances the check by up to `rounds` rounds ([`Check::advance`]). Returns the part of the job read, 0 to 1000, or
+/// [`DONE`].
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_check_advance(rounds: u32) -> u32 {
     with(|instance| {
@@ -181,7 +182,7 @@ fn part(done: u64, all: u64) -> u32 {
     (done.min(all) * PARTS / all.max(1)) as u32
 }
 
-/// Machine time of the job so far, in seconds.
+/// Returns the machine time since power-up, in seconds; 0 if no check has begun.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_check_seconds() -> f64 {
     with(|instance| instance.check.as_ref().map_or(0.0, Check::seconds))
@@ -196,7 +197,7 @@ pub extern "C" fn oxmill_check_summary() -> u32 {
     })
 }
 
-/// Prepares the rows of the path and returns their number.
+/// Prepares the rows of the checked job's path and returns their number; 0 if no path was kept.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_path() -> usize {
     with(|instance| {
@@ -206,31 +207,31 @@ pub extern "C" fn oxmill_path() -> usize {
     })
 }
 
-/// Address of the rows.
+/// Returns the address of the rows that [`oxmill_path`] has prepared, [`engine::ROW`] numbers each.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_path_rows() -> *const f32 {
     with(|instance| instance.rows.as_ptr())
 }
 
-/// Address of the lines of the rows.
+/// Returns the address of the file line of each row, with the bits [`engine::RAPID`] and [`engine::ARC`].
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_path_lines() -> *const u32 {
     with(|instance| instance.lines.as_ptr())
 }
 
-/// Address of the tools of the rows.
+/// Returns the address of the tool number of each row; 0 if no M6 has named a tool.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_path_tools() -> *const u32 {
     with(|instance| instance.tools.as_ptr())
 }
 
-/// Address of the spindle speeds (S) of the rows.
+/// Returns the address of the spindle speed (S) of each row; 0 while the spindle is off.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_path_speeds() -> *const u32 {
     with(|instance| instance.speeds.as_ptr())
 }
 
-/// Starts sending a job over a link.
+/// Starts sending a job twice: over an unlimited link, and over a link with the order's `baud`.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_stream_begin() -> u32 {
     answer(|instance, input| {
@@ -240,7 +241,8 @@ pub extern "C" fn oxmill_stream_begin() -> u32 {
     })
 }
 
-/// Advances the machines of both links by `milliseconds`.
+/// Advances the machines of both links by up to `milliseconds`. Returns the part of the job that the machine of the
+/// limited link has read, 0 to 1000, or [`DONE`].
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_stream_advance(milliseconds: u32) -> u32 {
     with(|instance| {
@@ -253,7 +255,7 @@ pub extern "C" fn oxmill_stream_advance(milliseconds: u32) -> u32 {
     })
 }
 
-/// Outputs the result of the job that was sent.
+/// Outputs how long the job takes over the limited link, and the lines at which it lost time, as JSON.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_stream_summary() -> u32 {
     answer(|instance, _| {
@@ -262,7 +264,7 @@ pub extern "C" fn oxmill_stream_summary() -> u32 {
     })
 }
 
-/// Outputs the rest of a job as a program.
+/// Outputs the rest of a job as a program, in JSON. The order says at which line it begins.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_resume() -> u32 {
     answer(|_, input| {
@@ -271,13 +273,14 @@ pub extern "C" fn oxmill_resume() -> u32 {
     })
 }
 
-/// Outputs what the settings of another controller become.
+/// Outputs, as JSON, the settings that the settings of another controller (the input) become, and the entries that are
+/// not taken.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_import() -> u32 {
     answer(|_, text| json(&settings_import::import(&String::from_utf8_lossy(text))?))
 }
 
-/// Powers a machine up and connects a host to it.
+/// Powers a machine up as the order in the input says, and connects a host to it. Outputs what the machine has sent.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_machine_begin() -> u32 {
     answer(|instance, input| {
@@ -286,7 +289,7 @@ pub extern "C" fn oxmill_machine_begin() -> u32 {
     })
 }
 
-/// Sends the input to the machine and advances time.
+/// Sends the input to the machine, advances time by `microseconds`, and outputs what the machine has sent.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_machine_turn(microseconds: u32) -> u32 {
     answer(|instance, input| {
@@ -295,7 +298,7 @@ pub extern "C" fn oxmill_machine_turn(microseconds: u32) -> u32 {
     })
 }
 
-/// Moves an input pin of the machine.
+/// Executes a line of the pin protocol, such as `probe 1`, and outputs `ok` or the fault.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_machine_pin() -> u32 {
     answer(|instance, input| {
@@ -310,7 +313,7 @@ pub extern "C" fn oxmill_panic_len() -> usize {
     PANIC.with_borrow(String::len)
 }
 
-/// Address of the text of a panic.
+/// Returns the address of the text of the panic; its length is [`oxmill_panic_len`].
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_panic() -> *const u8 {
     PANIC.with_borrow(|text| text.as_ptr())

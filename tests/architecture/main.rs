@@ -128,7 +128,7 @@ fn room_of(path: &[String], module: &[String]) -> Option<String> {
 
 /// Returns the rules that a file of the controller violates.
 fn faults(file: &Path, text: &str) -> Vec<String> {
-    // `extern crate alloc;` is allowed: on hosts, the memory lent to the controller comes from the heap.
+    // `extern crate alloc;` is allowed: on hosts, the controller's memory comes from the heap.
     let text = source::bare(text).replace("extern crate alloc;", "");
     let module = module_of(file);
     let mut faults = Vec::new();

@@ -261,7 +261,7 @@ pub fn calls_of_self(body: &[String]) -> Vec<String> {
     body.windows(4).filter(|w| receives(w) && is_name(&w[2]) && is(&w[3], "(")).map(|w| w[2].clone()).collect()
 }
 
-/// Returns all words of the text.
+/// Returns all names, keywords and numbers of the text, in order.
 pub fn words(text: &str) -> impl Iterator<Item = String> {
     lex(text).into_iter().filter(|t| t.starts_with(|c: char| c.is_alphanumeric() || c == '_'))
 }

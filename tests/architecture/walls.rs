@@ -31,8 +31,8 @@ fn crates_build_on_those_below_them() {
     }
 }
 
-/// Only the crate of the boards may have features for boards: to all other code, their contract hides the differences
-/// between boards.
+/// Only the crate of the boards may have conditions on features: its contract hides the differences between boards from
+/// the firmware.
 #[test]
 fn no_condition_of_the_firmware_names_a_board() {
     let mut read = 0;

@@ -121,12 +121,13 @@ struct Row {
     job: &'static str,
     what: &'static str,
     settings: &'static str,
-    /// Durations of the equivalent job with Grbl 1.1h and with grblHAL.
+    /// Results of the equivalent job with Grbl 1.1h and with grblHAL: the duration in seconds, or the steps made. Empty
+    /// if there is none.
     peers: [&'static str; 2],
 }
 
 impl Row {
-    /// Returns settings and program.
+    /// Returns the settings and the program of this job, as lines for the controller.
     fn job(&self) -> (String, String) {
         let mut text = Vec::new();
         let written = programs::bench::generate(self.job, &mut text);

@@ -32,7 +32,7 @@ fn described(board: &str) -> Described {
     Described::named(board).expect("a board with a file")
 }
 
-/// What the image of a board leaves out.
+/// Returns the table cell for what the image of a board lacks.
 fn left_out(board: &str) -> &'static str {
     let manifest = file("src/firmware/Cargo.toml");
     let image = described(board).image.name;
@@ -239,7 +239,7 @@ fn choice_table() -> String {
     table
 }
 
-/// What the boot loader of the chip does with the pins of each board.
+/// Returns the table of what the chip's boot loader does with the pins of each board.
 fn loader_table() -> String {
     let mut table = "| board | outputs with a pull-up | pins that it may drive |\n|---|---|---|\n".to_owned();
     let mut rows: Vec<(Vec<String>, [String; 2])> = Vec::new();
@@ -289,7 +289,4 @@ fn facts_of_the_page_of_boards_are_those_of_the_code() {
     assert!(chip.contains("pub const SAMPLE_HZ: u32 = 20_000;") && page.contains("20,000 times a second"));
     assert!(chip.contains("pub const USUAL_BAUD: u32 = 115_200;") && page.contains("115200 baud"));
     assert!(chip.contains("self.0.start(2_000.millis());") && page.contains("2 s nominal"));
-    // What safe_state does to the outputs of drivers, and what the start does.
-    assert!(chip.contains("The driver enable\n/// does not change, because an unpowered axis may drop."));
-    assert!(page.contains("Driver enable and supply of the motors do not change, because an unpowered axis may drop"));
 }

@@ -26,7 +26,7 @@ fn command(line: &str, whole: bool) -> Command<'_> {
     Command { words: words.filter(|word| !word.starts_with(['…', '[']) && *word != "...").collect(), whole }
 }
 
-/// Returns the commands of a page: lines of shell fences, and commands named in its text.
+/// Passes each command of a page to `seen`: the lines of shell fences, and the commands named in the text.
 fn commands(text: &str, mut seen: impl FnMut(Command<'_>)) {
     for (_, lines) in fences(text).iter().filter(|(kind, _)| kind == "sh") {
         lines

@@ -57,7 +57,7 @@ enum Side {
 }
 
 impl Side {
-    /// Returns a place at this distance outside of an edge.
+    /// Returns the x coordinate at this distance outside of an edge.
     fn out(self, edge: i32, distance: i32) -> i32 {
         if self == Side::Left { edge - distance } else { edge + distance }
     }
@@ -123,7 +123,8 @@ impl Svg {
         self.add(format_args!("<text x=\"{x}\" y=\"{y}\"{class}>{}{mosfet}</text>", wire.text));
     }
 
-    /// Draws the legend: the kinds that the board has, and what the signs mean. Returns the lower end.
+    /// Draws the legend: the kinds that the board has, and what the signs mean. Returns the y coordinate of its lower
+    /// end.
     fn legend(&mut self, y: i32, groups: &[Group], lines: &[&str]) -> i32 {
         let mut x = 20;
         for (kind, colour, name) in COLOURS {
@@ -179,14 +180,15 @@ fn signs(boards: &[Board], groups: &[Group]) -> Vec<String> {
     signs
 }
 
-/// Left and right edge of a control board, and heights.
+/// x coordinates of the left and right edge of a control board. The next three constants are heights, and the last is
+/// the y coordinate of the first group.
 const EDGES: (i32, i32) = (305, 635);
 const CAPTION: i32 = 24;
 const ROW: i32 = 22;
 const GAP: i32 = 10;
 const TOP: i32 = 96;
 
-/// Draws groups along an edge of the board. Returns the lower end.
+/// Draws groups along an edge of the board. Returns the y coordinate of their lower end.
 fn beside(svg: &mut Svg, groups: &[&Group], side: Side) -> i32 {
     let edge = if side == Side::Left { EDGES.0 } else { EDGES.1 };
     let mut y = TOP;
@@ -391,7 +393,7 @@ const ARDUINO_RIGHT: [(&str, i32); 17] = [
 /// Draws a Nucleo-64 with its headers.
 fn nucleo(title: &str, boards: &[Board]) -> String {
     const PITCH: i32 = 25;
-    /// Edges of the board, and the pins of its headers from the left to the right.
+    /// x coordinates of the board's edges. The next constants are those of the pins of its headers, from left to right.
     const EDGE: (i32, i32) = (187, 753);
     const CN7: (i32, i32) = (198, 216);
     const ARDUINO: (i32, i32) = (248, 692);

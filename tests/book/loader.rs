@@ -6,9 +6,9 @@ use crate::wiring::{Way, Wire, groups};
 use oxmill_tables::Board;
 
 struct Loader {
-    /// Pins of its UARTs and of CAN, with a pull-up.
+    /// Pins on which the loader switches a pull-up on: those of its UARTs and of CAN.
     up: &'static [&'static str],
-    /// Outputs of SPI (MISO) and CAN (TX).
+    /// Pins that the loader may drive: its outputs of SPI (MISO) and CAN (TX).
     driven: &'static [&'static str],
 }
 
@@ -25,7 +25,7 @@ fn loader(board: &Board) -> &'static Loader {
     }
 }
 
-/// Returns the cells of a board: outputs with a pull-up, and pins that may be driven.
+/// Returns the two cells of a board in the table: its outputs with a pull-up, and its pins that may be driven.
 pub fn cells(board: &Board) -> [String; 2] {
     let loader = loader(board);
     let groups = groups(board);
@@ -38,7 +38,7 @@ pub fn cells(board: &Board) -> [String; 2] {
     [listed(&is_pulled_up), listed(&|wire| loader.driven.contains(&wire.pin.as_str()))]
 }
 
-/// Returns the text of a function, in bold if something may start when the pin is high.
+/// Returns the text of a pin's function, in bold if a spindle, coolant or another load may start when the pin is high.
 fn short(wire: &Wire) -> String {
     let text = wire.text.split(',').next().unwrap_or_default();
     let starts =

@@ -50,7 +50,7 @@ fn pages(folder: &str) -> Vec<PathBuf> {
 /// Lock: only one test at a time writes pages.
 static PAGES: Mutex<()> = Mutex::new(());
 
-/// Returns whether to write what is generated.
+/// Returns whether to write what is generated, instead of comparing it (`OXMILL_WRITE_DOCS`).
 fn writes() -> bool {
     std::env::var_os("OXMILL_WRITE_DOCS").is_some()
 }

@@ -17,7 +17,7 @@ pub enum Kind {
     Host,
 }
 
-/// What a pin carries, seen from the board.
+/// Direction of the signal at a pin, seen from the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
     Output,
@@ -30,7 +30,7 @@ pub enum Way {
 /// A pin and its function.
 #[derive(Clone, Debug)]
 pub struct Wire {
-    /// Name of the function in the board's file; empty for links to the host, which no file chooses.
+    /// Name of the function in the board's file; empty for links to the host, whose pins are not in this file.
     pub key: &'static str,
     pub text: &'static str,
     pub way: Way,
@@ -58,7 +58,7 @@ pub struct Group {
     pub wires: Vec<Wire>,
 }
 
-/// Kind, title, way and functions of each group, with the texts of drawings.
+/// A group: its kind, title and signal direction, and its functions with their texts in drawings.
 type Plan = (Kind, &'static str, Way, &'static [(&'static str, &'static str)]);
 
 const PLANS: [Plan; 10] = [

@@ -208,7 +208,7 @@ fn refused_on_the_page(text: &str, error: Error) -> BTreeSet<String> {
     let section = text.split("## Not supported").nth(1).expect("a section");
     let list = section.split(&format!("`error:{}` for `", error.code())).nth(1).expect("a list").split('`').next();
     let words: Vec<&str> = list.unwrap_or_default().split_whitespace().collect();
-    // `M52 P1` and `M53 P0` are known words with an invalid value.
+    // The page also lists `M52 P1` and `M53 P0`: known M words with an invalid value. Their P words are removed here.
     words
         .windows(2)
         .map(|pair| pair[0])
@@ -218,7 +218,7 @@ fn refused_on_the_page(text: &str, error: Error) -> BTreeSet<String> {
         .collect()
 }
 
-/// Returns the whole numbers of words: fractions are removed.
+/// Returns the words without their fractions: G38 for G38.2.
 fn wholes(words: impl Iterator<Item = String>) -> BTreeSet<String> {
     words.map(|word| word.split('.').next().unwrap_or_default().to_owned()).collect()
 }
@@ -234,7 +234,7 @@ fn what_the_page_says_is_refused_is_what_the_firmware_refuses() {
         assert!(named.remove(known), "{known}");
     }
     let mut every: BTreeSet<String> = refused(Error::NotSupported).collect();
-    // Words of subprograms are known where they may stand.
+    // These are words of subprograms, which the firmware accepts in the lines in which they are allowed.
     every.retain(|word| !["G65", "G66", "M98", "M99"].iter().any(|known| word.starts_with(known)));
     for word in &named {
         assert!(every.contains(word), "the firmware does not refuse {word} by error:121");

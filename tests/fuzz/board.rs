@@ -30,13 +30,13 @@ const MOST_WORK: u64 = 100_000;
 /// Maximum number of ticks and wake-ups in a session. After these, time no longer advances.
 const MOST_MOMENTS: u32 = 60_000;
 
-/// Sources that can be delayed, as bits.
+/// Sources of events that can be delayed, as bits of [`Board::late`].
 pub mod late {
     pub const STEP: u8 = 1;
     pub const COMMANDS: u8 = 2;
     pub const STORE: u8 = 4;
     pub const INPUTS: u8 = 8;
-    /// The host does not read.
+    /// The host does not read the replies.
     pub const REPLIES: u8 = 16;
     pub const ALL: u8 = 31;
 }
@@ -48,7 +48,8 @@ pub fn shows() -> bool {
     *SHOWS
 }
 
-/// A byte of a line, and whether the line must be answered for sure.
+/// A byte of a line, and whether that line must be answered for sure. It need not be if the controller can have dropped
+/// it, for example at a reset.
 type Queued = (LineByte, bool);
 
 #[derive(Clone)]
@@ -247,7 +248,7 @@ impl Board {
         }
     }
 
-    /// Marks the last byte as damaged: bytes were lost.
+    /// Marks the most recently queued byte as damaged, as the link does after lost bytes.
     pub fn damage(&mut self) {
         if let Some((byte, _)) = self.lines.back_mut().filter(|(byte, _)| byte.byte != HOST_CHANGED) {
             byte.damaged = true;
@@ -328,7 +329,7 @@ impl Board {
 
     // Time
 
-    /// Returns whether the session has time left.
+    /// Returns whether time can still pass in this session ([`MOST_MOMENTS`]).
     pub fn has_time(&self) -> bool {
         self.moments < MOST_MOMENTS
     }
@@ -353,7 +354,8 @@ impl Board {
         assert!(!controller.is_locked() && controller.alarm().is_none(), "{what} in a lock, {:?}", controller.alarm());
     }
 
-    /// Runs a tick; returns whether the controller should run.
+    /// Runs a tick of the step generator. Returns whether the controller should run, because motion has ended or there
+    /// is a report.
     fn tick(&mut self) -> bool {
         let tick = self.stepper.tick();
         if tick.steps != 0 && self.is_true && self.reports.is_empty() {
@@ -412,7 +414,7 @@ impl Board {
 
     // Controller
 
-    /// Runs rounds until there is nothing to do.
+    /// Runs rounds until there is nothing to do, at most `most_rounds` of them.
     pub fn settle(&mut self) {
         for _ in 0..self.most_rounds {
             self.round_replies = 0;
@@ -452,7 +454,7 @@ impl Board {
         (self.store_fails, self.most_rounds, self.unended) = (store_fails, most_rounds, unended);
     }
 
-    /// Returns the output that has not been taken yet.
+    /// Returns the controller's output since the previous call.
     pub fn take_said(&mut self) -> String {
         String::from_utf8(std::mem::take(&mut self.said)).expect("ASCII")
     }

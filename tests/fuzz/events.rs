@@ -1,7 +1,7 @@
 //! All events that a controller can receive, in any order: bytes of lines, realtime commands, inputs, contacts, stops,
 //! late segments, miscounted steps, replies of a store that works or fails, hosts that connect and disconnect, jumps in
-//! time; each source can be delayed. The first byte chooses whether the step task and the inputs also send false
-//! events: stops that nobody requested, with any number and position, and replies to nothing.
+//! time; most sources of events can be delayed. The first byte chooses whether there are also false events: stops that
+//! nobody requested, with any number and position, and replies of the store to no request.
 //!
 //! Invariants, in addition to those of the board: `?` is answered by one report; the position at rest is that of the
 //! motors; a machine that has miscounted steps does not claim to know its position; after a reset with restored
@@ -41,7 +41,7 @@ enum Action<'a> {
     Pass(u8),
     Stall(u8),
     Leap(u32),
-    /// Delays the events of these sources.
+    /// From now on delays the events of these sources, which are bits of [`late`], and no others.
     Late(u8),
     Miscount(u8, i8),
     StoreFails(bool),
@@ -113,7 +113,7 @@ const NUMBERS: [u16; 24] =
 /// The direction mask: the only one of these settings that changes how positions are computed from the motors' step
 /// counts.
 const RENAMING: &str = "$3=";
-/// Commands from this number on set [`WATCHES`].
+/// A [`Line::Setting`] with this number or a higher one changes one of [`WATCHES`].
 const WATCHES_FROM: u8 = 240;
 /// Settings of what the machine monitors, and of its reactions to faults. None of them changes how positions are
 /// computed from the motors' step counts.
@@ -142,7 +142,7 @@ impl Line {
     }
 }
 
-/// Runs the target on an input.
+/// Runs the target on one input; panics if an invariant is violated.
 pub fn run(data: &[u8]) {
     let Some((first, data)) = data.split_first() else { return };
     let mut board = STARTED.with(Clone::clone);

@@ -81,7 +81,7 @@ struct Reader {
 /// Maximum number of control-flow edges in a call; the highest count when this was chosen: 15.
 pub const MOST_WORK: u64 = 64;
 
-/// Runs the target on an input.
+/// Runs the target on one input; panics if an invariant is violated.
 pub fn run(data: &[u8]) {
     let _ = all(&mut Unstructured::new(data));
 }

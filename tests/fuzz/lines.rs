@@ -26,7 +26,7 @@ struct Program {
     lines: usize,
 }
 
-/// Runs the target on an input.
+/// Runs the target on one input; panics if an invariant is violated.
 pub fn run(data: &[u8]) {
     let Some((first, text)) = data.split_first() else { return };
     let dialect = [Dialect::Oxmill, Dialect::Grbl, Dialect::Seed][usize::from(*first % 3)];

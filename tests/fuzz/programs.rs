@@ -12,7 +12,7 @@ use oxmill_controller::messages::Realtime;
 use oxmill_controller::protocol::realtime;
 use std::collections::BTreeMap;
 
-/// Steps/mm: few, so that the lines of a program run fast.
+/// Steps/mm. The number is small, so that the simulation of a program is fast.
 const STEPS_PER_MM: i64 = 4;
 /// Travel, mm.
 const TRAVEL: i32 = 60;
@@ -23,7 +23,8 @@ const SWITCHES: i32 = 20;
 /// Number of times that the target waits for an answer before it abandons the program, which can contain an endless
 /// loop.
 const MOST_WAITS: usize = 40;
-/// Maximum number of rounds without time passing before a line counts as a loop.
+/// Maximum number of rounds (passes of the pump) without time passing. A line that needs more counts as an endless
+/// loop.
 const MOST_ROUNDS: usize = 600;
 /// Maximum number of such loops in one input.
 const MOST_UNENDED: usize = 2;
@@ -68,7 +69,7 @@ fn homed(dialect: &str) -> Board {
     board
 }
 
-/// Runs the target on an input.
+/// Runs the target on one input; panics if an invariant is violated.
 pub fn run(data: &[u8]) {
     let Some((first, text)) = data.split_first() else { return };
     let mut board = HOMED.with(|boards| boards[usize::from(*first % 3)].clone());

@@ -93,7 +93,8 @@ const COMMANDS: [&str; 21] = [
     "O1CALL",
 ];
 
-/// Settings of what the machine monitors and how it reacts to faults: commands from [`WATCHES_FROM`] on.
+/// Settings of what the machine monitors and how it reacts to faults. A [`Line::Command`] with the number
+/// [`WATCHES_FROM`] or a higher one sends one of them.
 const WATCHES: [&str; 16] = [
     "$914=0", "$915=1", "$916=.02", "$918=1", "$922=.02", "$922=.1", "$923=.02", "$923=.1", "$924=1", "$924=5",
     "$925=2", "$926=4", "$927=0", "$928=0", "$928=1", "$928=5",
@@ -121,7 +122,7 @@ impl Line {
     }
 }
 
-/// Runs the target on an input.
+/// Runs the target on one input; panics if an invariant is violated.
 pub fn run(data: &[u8]) {
     let mut mill = STARTED.with(Clone::clone);
     let mut input = Unstructured::new(data);

@@ -90,7 +90,7 @@ struct Machine {
     is_busy: bool,
 }
 
-/// Maximum number of actions of an input: after each action everything is listed.
+/// Maximum number of actions of an input. It is small, because after each action everything is listed.
 const MOST_ACTIONS: usize = 16;
 /// Maximum number of times that a line is expected to wait for the operator.
 const MOST_WAITS: usize = 4;
@@ -108,7 +108,7 @@ thread_local! {
     });
 }
 
-/// Runs the target on an input.
+/// Runs the target on one input; panics if an invariant is violated.
 pub fn run(data: &[u8]) {
     let Some((first, data)) = data.split_first() else { return };
     let mut machine =
@@ -133,7 +133,8 @@ fn is_plain(text: &str) -> bool {
     text.bytes().all(|byte| byte.is_ascii_graphic() && !byte.is_ascii_lowercase() && !b"();\\/\"%".contains(&byte))
 }
 
-/// Returns the answers to a line.
+/// Returns the lines of an output that are answers: `ok`, `error:`, or the answer to a checked line, which begins with
+/// a colon.
 fn answers(said: &str) -> Vec<&str> {
     said.lines().filter(|said| *said == "ok" || said.starts_with("error:") || said.starts_with(':')).collect()
 }
@@ -291,7 +292,7 @@ impl Machine {
         let mut listed = Vec::new();
         for listing in LISTINGS {
             let said = self.board.ask(listing);
-            // What `$I` tells of the machine depends on settings.
+            // These lines of `$I` depend on settings, so they may change.
             let depends = |line: &str| ["[OPT:", "[NEWOPT:", "[MAX STEP RATE:"].iter().any(|of| line.starts_with(of));
             let kept = said.lines().filter(|line| *line != "ok" && !depends(line));
             listed.extend(kept.map(str::to_owned));

@@ -49,7 +49,7 @@ struct Run {
     shut: Option<u16>,
 }
 
-/// Runs the target on an input.
+/// Runs the target on one input; panics if an invariant is violated.
 pub fn run(data: &[u8]) {
     let mut run = Run {
         stepper: Stepper::new(),
@@ -182,7 +182,7 @@ impl Run {
         self.stepper.load(ToStep::Resume { stops });
     }
 
-    /// Runs all queued messages, loading before each tick while there are any.
+    /// Resumes, then runs all queued messages, and checks that the blocks have made exactly their steps.
     fn finish(&mut self) {
         self.resume();
         while self.ticks < 4 * MOST_TICKS && (!self.queue.is_empty() || !self.stepper.is_idle()) {

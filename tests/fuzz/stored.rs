@@ -16,7 +16,7 @@ const ERASED: u32 = u32::MAX;
 #[derive(Clone)]
 struct Memory {
     sectors: [[u32; WORDS]; 2],
-    /// Number of operations until the power fails.
+    /// Number of writes and erases until the power fails; `None`: it does not fail.
     power: Option<u32>,
 }
 
@@ -118,7 +118,7 @@ fn cut(
     log
 }
 
-/// Runs the target on an input.
+/// Runs the target on one input; panics if an invariant is violated.
 pub fn run(data: &[u8]) {
     let mut input = Unstructured::new(data);
     let _ = all(&mut input);
@@ -126,7 +126,7 @@ pub fn run(data: &[u8]) {
 
 fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
     let mut memory = Memory { sectors: [[ERASED; WORDS]; 2], power: None };
-    // Either a memory that was in use, or words of any kind.
+    // Either an erased memory, which the actions fill, or one that starts with words of any kind.
     if input.ratio(1, 2)? {
         for sector in &mut memory.sectors {
             let used = input.int_in_range(0..=WORDS)?;

@@ -3,8 +3,8 @@
 //! connected host (`boards/usb_host.rs`) and the link after it. The parts of the port that use registers and the driver
 //! library are tested on the virtual board.
 //!
-//! Invariants: a line that is read is a whole line of a host; bytes that a host sends after its end are not read; in
-//! the end the lines of a host that opens the port are read.
+//! Invariants: a line that is read is a whole line of a host; bytes that arrive from a host after it has closed the
+//! port are not read; at the end of the session, the lines of a host that opens the port are read.
 
 use super::board::shows;
 use super::hosts::MOST_WORK;
@@ -125,7 +125,7 @@ struct Board {
     read: Vec<Vec<u8>>,
 }
 
-/// Runs the target on an input.
+/// Runs the target on one input; panics if an invariant is violated.
 pub fn run(data: &[u8]) {
     let _ = all(&mut Unstructured::new(data));
 }

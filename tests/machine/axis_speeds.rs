@@ -8,8 +8,8 @@
 //!
 //! **Allowed.** Between τ and τ+T the path turns from one direction to another by the angle t, in any number of
 //! vertices.
-//! - Acceleration: `a T` for the axis, where a covers the acceleration along and across the path together; and the
-//!   share [`RAMP`] more.
+//! - Acceleration: `a T` for the axis, where a covers the acceleration along and across the path together. It may be
+//!   exceeded by the share [`RAMP`].
 //! - The junction rule passes a single vertex of turn t at `v² = a d s / (1 - s)`, where a is the acceleration across
 //!   the path, d the junction deviation and s = cos(t / 2). The axis speed then jumps by v times the difference of the
 //!   axis' two direction cosines. A turn made in several vertices is granted the jump of the *whole* turn once, not a
@@ -288,7 +288,7 @@ pub fn greatest_change(
     limits: &Limits,
     window: f64,
 ) -> Result<Change, String> {
-    // Chords without a length have no direction.
+    // Leave out chords of zero length: they have no direction.
     let mut real = Course { meant: Vec::new(), written: Vec::new(), ..*course };
     for (meant, written) in course.meant.iter().zip(&course.written) {
         if real.meant.last().is_none_or(|last| norm(minus(*meant, *last)) > 1e-9) {

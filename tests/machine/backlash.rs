@@ -12,7 +12,7 @@ use std::fmt::Write;
 use std::time::Duration;
 
 const STEPS: f64 = 400.0;
-/// Play of X, Y and Z: 20, 12 and 0 steps.
+/// Play of X, Y and Z, mm: 20, 12 and 0 steps.
 const PLAY: [f64; AXES] = [0.05, 0.03, 0.0];
 const RATE: [f64; AXES] = [6000.0, 5000.0, 3000.0];
 const ACCELERATION: [f64; AXES] = [600.0, 500.0, 300.0];
@@ -92,7 +92,7 @@ fn a_plunge_drags_no_drill() {
     assert!((places[plunge.start][0] - 19.5).abs() < 1e-9, "{:?}", places[plunge.start]);
 }
 
-/// A profile in X and Z does not stop to take up backlash: its circles take as long as without backlash.
+/// A profile in X and Z does not stop to take up backlash: its circles take as long as without compensation.
 #[test]
 fn a_profile_is_not_interrupted() {
     let mut seconds = Vec::new();
@@ -110,8 +110,8 @@ fn a_profile_is_not_interrupted() {
     assert!(seconds[1] < 1.02 * seconds[0], "{seconds:?}");
 }
 
-/// Moves shorter than the backlash, back and forth, end in the same place as without backlash, although the carriage
-/// has not reached the end of a move when the next one starts.
+/// Moves shorter than the backlash, back and forth, end at the same position as without compensation, although the
+/// carriage has not reached the end of a move when the next one starts.
 #[test]
 fn short_moves_back_and_forth_end_in_the_right_place() {
     for line in
@@ -358,7 +358,7 @@ fn a_reset_after_parking_finds_the_tool_where_it_is() {
             mill.run_for(Duration::from_millis(100));
             assert_eq!(mill.machine_position(), before);
         }
-        // The offset between homed and counted position is the same over the whole travel.
+        // Machine zero is still at the switches, 4 mm from the position at power-up.
         let reported = mill.machine_position();
         let place = mill.fittings().driven_mm();
         let home = [2.0 + 2.0; AXES];

@@ -498,9 +498,9 @@ fn against(rig: &Rig, exact: &Rig, steps_per_mm: f64) -> f64 {
     greatest_jump(&rig.trace, steps_per_mm) / (greatest_jump(&exact.trace, steps_per_mm) + 2.0 / steps_per_mm / WINDOW)
 }
 
-/// The machine brakes for a bend even if the bend arrives late. On the exact path no axis changes its speed by more
-/// than allowed. With a tolerance the tool misses the vertices that `greatest_change` needs, so the change of speed is
-/// compared with the one on the exact path over the same link.
+/// The machine brakes for a bend even if the bend's lines arrive late. On the exact path no axis changes its speed by
+/// more than allowed. With a tolerance the tool misses the vertices that `greatest_change` needs, so the change of
+/// speed is compared with the one on the exact path over the same link.
 #[test]
 fn over_a_late_link_no_axis_changes_its_speed_faster() {
     let cases = std::env::var("OXMILL_BLENDED").ok().and_then(|cases| cases.parse().ok()).unwrap_or(25);

@@ -27,7 +27,8 @@ fn a_hairs_breadth_is_no_faster_than_its_axis() {
     assert!(least > 0.99 * 0.5 / 80.0 / 100.0, "{least} s");
 }
 
-/// An axis that makes a real move in the same block as such a tiny move keeps its rate, too.
+/// If another axis makes a longer move in the same block as a move shorter than a step, that axis does not exceed its
+/// maximum rate either.
 #[test]
 fn beside_a_hairs_breadth_axes_keep_their_rates() {
     let mut rig = Rig::with("$0=1\n$11=0.01\n$100=80\n$101=400\n$110=6000\n$111=600\n$120=500\n$121=100\n");
@@ -100,7 +101,7 @@ fn corners_between_moves_shorter_than_a_digit() {
     assert!(speed < 3.0, "{speed} mm/s into the turn");
 }
 
-/// A program runs in which a move is split to take up backlash, on axes with extremely different step sizes.
+/// A move that is split to take up backlash is carried out even if the step sizes of the axes differ extremely.
 #[test]
 fn slack_on_the_longest_moves() {
     let settings = "$0=1\n$11=0\n$100=0.1\n$160=70\n$102=40000\n$110=60000\n$112=100\n$120=1000\n$122=100\n";

@@ -5,8 +5,8 @@
 //!   step time is rounded to a tick of the step clock, so a speed can be off by one tick of its interval. In addition a
 //!   limit may be exceeded by 1 % ([`TOLERANCE`]).
 //! - Below 8000 steps/s the generator works on a finer grid, and a step comes up to 7/16 of a step earlier in the path
-//!   than at higher rates; where the grid changes, an interval is longer or shorter by that. Below this rate a speed is
-//!   measured over 16 steps, with an allowance of 7/16 of a step.
+//!   than at higher rates; where the grid changes, an interval is longer or shorter by up to this share. Below this
+//!   rate a speed is measured over 16 steps, with an allowance of 7/16 of a step.
 //! - Acceleration is the change of that speed between two intervals, divided by the time between their middles. While
 //!   the acceleration is constant, the mean speed of an interval is the speed at its middle; otherwise the quotient is
 //!   a mean of accelerations that must all be allowed. Each interval is compared with the intervals 1, 2, 4, 8, ...
@@ -481,7 +481,8 @@ const UNCERTAIN: f64 = 0.5;
 /// The first excess.
 pub fn check_jerk(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits, jerk: [f64; AXES]) -> Result<(), String> {
     let moves = moves(trace, lines, limits)?;
-    // Time, position on the path, move; the machine is at rest before and after.
+    // For each dominant step: time, s, position on the path, mm, and index of the move. The machine is at rest before
+    // the first and after the last.
     let mut places: Vec<(f64, f64, usize)> = Vec::new();
     let mut corners = Vec::new();
     let mut way = 0.0;
@@ -531,7 +532,8 @@ pub fn check_jerk(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits, jer
     Ok(())
 }
 
-/// Checks a start from rest before the first of `times` (seconds since the first step), with an allowance of one step.
+/// Checks a start from rest, with an allowance of one step. `times`: seconds from the first step to each step. For a
+/// stop, they are counted back from the last step.
 fn check_rest(m: &Move, times: impl Iterator<Item = f64>) -> Result<(), String> {
     let acceleration = m.acceleration * (1.0 + TOLERANCE);
     let first = (2.0 * acceleration * m.pitch).sqrt();
@@ -618,7 +620,7 @@ mod tests {
     }
 
     /// Thirty lines of 14 um, in three versions: driven as one move; too fast; and with a few lines driven as a
-    /// separate move, which rounding makes longer than it is.
+    /// separate move, which rounding makes longer than these lines are.
     #[test]
     fn joined_lines_are_measured_over_several_steps() {
         let limits = Limits { steps_per_mm: [250.0; 3], acceleration: [9000.0; 3], ..limits() };

@@ -120,7 +120,7 @@ fn drilling() {
     assert_near(high, [3.0 * INCH, 0.0, 0.1 * INCH], HALF_STEP);
 }
 
-/// Returns X of the first hole.
+/// Returns X of the first hole, mm.
 fn first_hole(all: &[[f64; AXES]], bottom: f64) -> f64 {
     all.iter().find(|place| place[2] == bottom).map_or(f64::NAN, |place| place[0])
 }

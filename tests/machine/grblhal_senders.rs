@@ -25,7 +25,7 @@ struct Known {
     /// Fields of `[OPT:..]`.
     options: Vec<String>,
     words: Vec<String>,
-    /// Values of `$$`, and rows of `$ES` and `$ESH`.
+    /// Values of `$$`, rows of `$ES`, and the numbers of the rows of `$ESH`.
     values: BTreeMap<u16, f64>,
     rows: BTreeMap<u16, Vec<String>>,
     details: BTreeSet<u16>,
@@ -48,7 +48,7 @@ fn numbers(text: &str) -> Result<Vec<f64>, String> {
     text.split(',').map(number).collect()
 }
 
-/// Whether a text consists of at least one of these characters.
+/// Returns whether a text is not empty and consists of such characters only.
 fn is_of(text: &str, may_be: impl Fn(char) -> bool) -> bool {
     !text.is_empty() && text.chars().all(may_be)
 }
@@ -274,7 +274,8 @@ impl Session {
         self.known.states[before].clone()
     }
 
-    /// Streams a program with gSender's count of unanswered characters. `look` is called after each line sent.
+    /// Streams a program with at most [`IN_FLIGHT`] unanswered characters, as gSender does. `look` is called after each
+    /// line sent.
     fn stream(&mut self, program: &[String], mut look: impl FnMut(&mut Session, usize)) {
         let (first, mut sent) = (self.known.oks, 0);
         for line in program {

@@ -195,7 +195,7 @@ fn corners_are_passed_no_faster() {
 }
 
 /// After the corner Z moves, too, which has lower limits of jerk and acceleration. The machine must keep them, even if
-/// a hold or a lower feed acts shortly before the corner.
+/// a hold or a lower feed override acts shortly before the corner.
 #[test]
 fn a_corner_is_minded_by_what_brakes_before_it() {
     let limits = Limits { acceleration: [500.0, 400.0, 60.0], ..MACHINE };
@@ -240,8 +240,8 @@ fn a_late_ramp_lands_at_the_end() {
     }
 }
 
-/// The steps are so coarse that a ramp has only a few: still, the corner after the ramp must be passed no faster than
-/// planned.
+/// The steps are so coarse that a ramp has only a few of them. Still, the machine must pass the corner after the ramp
+/// no faster than planned.
 #[test]
 fn corners_behind_coarse_steps_are_minded() {
     for (scale, steps, jerk) in [(2000.0, 5.0, [500_000.0, 0.0, 10_000.0]), (3000.0, 20.0, [100_000.0, 0.0, 1000.0])] {

@@ -40,8 +40,8 @@ fn line(angle: f64, chord: f64, decimals: usize) -> [String; 2] {
     [at(count), (1..=count).map(at).collect()].map(|moves| format!("G21 G90 G1 F6000\n{moves}"))
 }
 
-/// A line in tiny chords takes the time of a single move, because the look-ahead does not depend on the number of its
-/// moves.
+/// A line in tiny chords takes the time of a single move. The controller joins such chords, so their number does not
+/// limit the distance that the look-ahead covers.
 #[test]
 fn a_line_in_tiny_chords_takes_the_time_of_one() {
     for (angle, decimals) in [(0.0, 3), (90.0, 4), (33.0, 3), (40.0, 3), (21.3, 4), (71.0, 5)] {

@@ -46,7 +46,8 @@ fn belts_draw_the_same_picture() {
     let [x, y, z] = cartesian.machine().position();
     let [a, b, belt_z] = belts.machine().position();
     assert_eq!((a, b, belt_z), (x + y, x - y, z));
-    // Every position on the belts' path lies on the carriages' path, within a step and the rounding of both.
+    // Every position of the machine with belts lies on the path of the Cartesian one, within a step and the rounding of
+    // both.
     let path: Vec<[f64; 2]> =
         cartesian.trace().kept().iter().map(|r| [0, 1].map(|i| f64::from(r.position[i]))).collect();
     let mut near = 0_usize;
@@ -151,7 +152,7 @@ fn a_crooked_gantry_comes_home_square() {
 
 #[test]
 fn a_gantry_is_not_pulled_apart() {
-    // 5 % of 100 mm of travel: one motor moves by at most 5 mm alone.
+    // 5 % of 100 mm of travel: one motor moves by at most 5 mm without the other.
     let mut mill = machine(&gantry(0.0, 30.0), &format!("{CARVER}{SQUARED}"));
     let said = run(&mut mill, "$H");
     assert!(said.contains("ALARM:10\r\n"), "{said}");
@@ -174,7 +175,8 @@ fn a_second_switch_is_a_limit_of_its_axis() {
     assert!(mill.take_output().contains("|Pn:X"));
 }
 
-/// The range applies to each motor, which with belts moves by X + Y, and to every point of an arc, not only to its end.
+/// The maximum coordinate of 50 m applies to each motor (with belts, one moves by X + Y and the other by X - Y), and to
+/// every point of an arc, not only to its end.
 #[test]
 fn what_leads_out_of_range_is_refused() {
     let settings = "$100=1\n$101=1\n$110=1000000\n$111=1000000\n$120=10000\n$121=10000\nG1 F6000000\n";

@@ -93,7 +93,7 @@ fn piece() -> impl Strategy<Value = Piece> {
     ]
 }
 
-/// Returns direction `index`, in steps of 15 degrees, × 1000.
+/// Returns the unit vector of direction `index` (in steps of 15 degrees), × 1000.
 fn direction(index: i64) -> (i64, i64) {
     const QUARTER: [(i64, i64); 6] = [(1000, 0), (966, 259), (866, 500), (707, 707), (500, 866), (259, 966)];
     let (x, y) = QUARTER[index.rem_euclid(6) as usize];
@@ -226,8 +226,7 @@ proptest! {
             }
             rig.send(&[touch]);
             if held && touch == b'!' {
-                // The time is long enough for any ramp here to end, so nothing moves from then on until the cycle
-                // start.
+                // In this time any ramp of these machines ends, so nothing moves afterwards until the cycle start.
                 rig.run_for(1.2);
                 let place = rig.place;
                 rig.run_for(0.2);

@@ -146,8 +146,8 @@ fn angle(a: [f64; AXES], b: [f64; AXES]) -> f64 {
     (0..AXES).map(|i| a[i] * b[i]).sum::<f64>().clamp(-1.0, 1.0).acos()
 }
 
-/// Returns the maximum v² at each vertex by the rule for turns: `a (L / t + d s / (1 - s))` for every span of vertices
-/// that is L long and turns by t; spans range from one vertex to half a circle.
+/// Returns the maximum v² at each vertex by the rule for turns (symbols: [`super::axis_speeds`]): `a (L / t + d s / (1
+/// - s))` for every span of vertices that is L long and turns by t; spans range from one vertex to half a circle.
 fn speeds2_of_turns(chords: &[[f64; AXES]], lengths: &[f64], limits: &Limits, feed: f64) -> Vec<f64> {
     let mut most = vec![feed * feed; chords.len() + 1];
     for first in 1..chords.len() {

@@ -10,7 +10,8 @@ const PATIENCE: f64 = 600.0;
 const MOST_UNCHECKED: usize = 3;
 /// Maximum position error, mm: a step plus the resolution of the report.
 const TOLERANCE: f64 = 0.0011;
-/// A machine of usual speed with fine steps, and work positions in the reports.
+/// Settings of a machine with usual rates, steps of 0.001 mm, work positions in the reports (`$10=0`) and no spin-up
+/// time.
 const SETTINGS: [&str; 12] = [
     "$0=2",
     "$10=0",

@@ -190,7 +190,7 @@ impl State {
         assert!(name.contains(wanted) || self == State::Dwell && name.contains("<Idle|"), "{self:?}: {said}{name}");
     }
 
-    /// Returns whether a job or jog moves in this state, with room to brake.
+    /// Returns whether a job or jog moves in this state, so that the machine can brake for a fault.
     fn brakes(self) -> bool {
         matches!(
             self,
@@ -293,7 +293,7 @@ fn turns(mill: &Simulator) -> bool {
     mill.outputs().is_some_and(|outputs| outputs.spindle != SpindleDirection::Off && outputs.power != 0)
 }
 
-/// One row of the table: a fault in a state, with the result.
+/// One combination of fault, reaction and state, and the machine after it.
 struct Case {
     fault: Fault,
     reaction: u8,
@@ -337,7 +337,7 @@ impl Case {
     }
 
     fn retracts(&self) -> bool {
-        // The position of a faulty driver cannot be used for parking.
+        // After a driver fault the position is not trusted, so the tool is not parked.
         self.reaction % 3 == 2 && self.state.brakes() && self.fault != Fault::Driver
     }
 
@@ -706,7 +706,7 @@ fn a_spindle_that_is_given_time_costs_no_time() {
 
 #[test]
 fn the_heavier_of_two_faults_is_told_and_acts() {
-    // An emergency stop outranks a driver fault that comes while the machine brakes for it.
+    // An emergency stop outranks a driver fault that comes while the machine brakes for the emergency stop.
     let mut mill = milling("$925=1\n$926=1\n");
     pin(&mut mill, "estop 1");
     mill.run_for(Duration::from_millis(5));

@@ -6,7 +6,7 @@ use oxmill_controller::messages::{Realtime, Record, Store};
 use oxmill_simulator::{Options, Simulator, boards};
 use std::time::Duration;
 
-/// Step clock of the rig.
+/// Step clock of the rig, Hz.
 pub const HZ: u64 = boards::DESK.step_clock_hz as u64;
 /// When the simulator's trace has this many pulses, `run_until` counts and removes them.
 const GATHER: usize = 4096;
@@ -27,7 +27,7 @@ impl Rig {
         Rig { mill, trace: Vec::new(), keep_trace: true, place: [0; AXES] }
     }
 
-    /// Seconds since power-up.
+    /// Returns the virtual time since power-up, s.
     pub fn seconds(&self) -> f64 {
         self.mill.clock().now() as f64 / HZ as f64
     }

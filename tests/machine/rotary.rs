@@ -70,8 +70,8 @@ fn f_is_along_x_y_and_z_or_degrees_per_minute() {
     near(time_of("$J=A90 F600"), 9.0);
 }
 
-/// If A turns during an arc or helix, the arc still takes the time of F along X, Y and Z: here a quarter of a circle of
-/// radius 20 mm at 600 mm/min, and a helix of three turns, 5 mm each, in any plane.
+/// If A turns during an arc or helix, the arc still takes the time that F gives along X, Y and Z: here a quarter of a
+/// circle of radius 20 mm at 600 mm/min, and a helix of three turns, 5 mm each, in any plane.
 #[test]
 fn an_arc_takes_it_along_and_keeps_its_feed() {
     let quarter = 20.0 * core::f64::consts::FRAC_PI_2 / 10.0;
@@ -85,7 +85,7 @@ fn an_arc_takes_it_along_and_keeps_its_feed() {
     near(time_of("G93 G2 X20 Y-20 J-20 A90 F12"), 5.0);
 }
 
-/// The axis' own maximum rate holds whatever F is.
+/// A's maximum rate limits the move, however large F is.
 #[test]
 fn its_own_rate_bounds_the_path() {
     let mut mill = mill();
@@ -112,8 +112,8 @@ fn it_turns_evenly_along_an_arc() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, rng_seed: RngSeed::Fixed(930), ..ProptestConfig::default() })]
 
-    /// On a line each axis is within a step of its share of the distance, at every step. The ends are exact whatever
-    /// the number of lines.
+    /// On a line each axis is within a step of its share of the distance, at every step. Each line ends within half a
+    /// step of its exact position, however many lines precede it.
     #[test]
     fn it_interpolates_with_the_others(
         ways in prop::collection::vec(prop::array::uniform4(-2000_i32..2000), 1..6), feed in 60_u32..6000,
@@ -178,7 +178,7 @@ fn three_axes_are_as_without_it() {
     }
 }
 
-/// A path tolerance applies to X, Y and Z only: lines along which A turns stay exact, whatever word makes A turn.
+/// A path tolerance applies to X, Y and Z only: lines along which A turns stay exact, however little A turns.
 #[test]
 fn a_path_tolerance_leaves_moves_with_it_exact() {
     let digest = |path: &str, a: &str| {
@@ -197,7 +197,7 @@ fn a_path_tolerance_leaves_moves_with_it_exact() {
 /// A move of a chain: distances in 0.1 um and 0.1 millidegree, and F in mm/min, or in moves per second with G93.
 type Link = ([i32; 4], u32);
 
-/// Returns the program that repeats these moves, and its nominal duration, s.
+/// Returns a program of 1500 moves that repeats `links`, and its nominal duration, s.
 fn chain(links: &[Link], inverse_time: bool) -> (String, f64) {
     let (mut text, mut seconds) = (String::from(if inverse_time { "G93\n" } else { "G94\n" }), 0.0);
     for (way, feed) in links.iter().cycle().take(1500) {
@@ -211,15 +211,16 @@ fn chain(links: &[Link], inverse_time: bool) -> (String, f64) {
     (text, seconds)
 }
 
-/// Generates moves of X, mostly shorter than a step, some with A, and some with up to `most_y` of Y.
+/// Generates moves along X, mostly shorter than a step. Some also turn A, and if `most_y` is not 0, some also move Y.
 fn links(feed: core::ops::Range<u32>, most_y: i32) -> impl Strategy<Value = Vec<Link>> {
     let way = (1..25, 0..=most_y, 0..100, prop_oneof![4 => Just(1), 1 => Just(10)], 0..4);
     let way = way.prop_map(|(x, y, a, far, kind)| [x * far, y * far * (kind & 1), 0, a * far * (kind >> 1)]);
     prop::collection::vec((way, feed), 2..7)
 }
 
-/// Returns the ratio of a chain's duration to the nominal one, and the length of one step of X as a share of the chain.
-/// This share is the tolerance for the time before the first step and after the last, which the trace does not cover.
+/// Returns the ratio of a chain's duration to the nominal one, and the length of one step of X as a share of the
+/// chain's length along X. This share is the tolerance for the time before the first step and after the last, which the
+/// trace does not cover.
 fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> (f64, f64) {
     let (text, meant) = chain(links, inverse_time);
     let mut mill = mill();
@@ -231,8 +232,8 @@ fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> (f64, f64) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, rng_seed: RngSeed::Fixed(931), ..ProptestConfig::default() })]
 
-    /// Moves too short for a step, together with the next move that makes a step, take the time that they have by F,
-    /// whatever A does and however long each move takes. Y does not move, because lines that go back and forth in Y
+    /// Moves too short for a step, together with the next move that makes a step, take the time that F gives them,
+    /// whatever A does, and with equal or different feeds. Y does not move, because lines that go back and forth in Y
     /// would be joined to a straight one, which is shorter.
     #[test]
     fn chains_of_moves_shorter_than_a_step_take_their_time(even in links(30..31, 0), odd in links(30..120, 0)) {

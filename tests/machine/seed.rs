@@ -5,7 +5,7 @@ use super::host::{CARVER, CARVER_STEPS, assert_near};
 use super::oracle::{AXES, Circle};
 use super::rig::Rig;
 
-/// Half a step of the machine.
+/// Half a step of the machine, mm.
 const HALF_STEP: f64 = 0.5 / CARVER_STEPS + 1e-9;
 
 /// Carries out each line and compares the position of the machine at rest after it; `None`: not compared.

@@ -16,7 +16,8 @@ type Point = [f64; 2];
 /// the error of the oracle's polygon.
 const MOST_OFF: f64 = 0.002 + std::f64::consts::SQRT_2 * 4.0 / 7.0 / CARVER_STEPS + 5e-4;
 
-/// A curve by its words, in thousandths; it has no I and J if it continues the previous one.
+/// A curve by its words, in thousandths of a millimetre. `leaving` (I and J) is `None` if the curve continues the
+/// previous one smoothly.
 #[derive(Clone, Debug)]
 struct Words {
     target: [i32; 2],

@@ -135,8 +135,8 @@ fn line(pieces: u32) -> Vec<[f64; AXES]> {
         .collect()
 }
 
-/// A remnant of a move in a right angle turns it into two corners of 45 degrees. For the motors nothing changes, so the
-/// machine must not be faster.
+/// A move of about 0.001 mm in a right angle turns the angle into two corners of 45 degrees. For the motors nothing
+/// changes, so the machine must not be faster.
 #[test]
 fn a_remnant_in_a_right_angle_makes_it_no_faster() {
     let settings = settings(&limits(1000.0), 0.0);
@@ -275,7 +275,7 @@ struct Job {
     pieces: u32,
     /// Rotations of the plane: within itself, about X and about Z.
     tilt: [f64; 3],
-    /// Rise of Z along the path.
+    /// Rise perpendicular to the plane before it is tilted, mm per mm of path.
     rise: f64,
     style: Style,
 }
@@ -408,7 +408,7 @@ fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
 }
 
-/// Draws a case that depends on its number only.
+/// Draws a random value that depends on the case number only.
 fn drawn<S: Strategy>(strategy: &S, case: u64) -> S::Value {
     let mut seed = [0; 32];
     seed[..8].copy_from_slice(&case.to_le_bytes());

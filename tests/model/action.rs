@@ -100,7 +100,7 @@ impl Line {
     }
 }
 
-/// An input.
+/// An input pin. [`PINS`] lists all of them with their names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pin {
     Limit(usize),
@@ -139,7 +139,7 @@ pub enum Action {
     /// A realtime command.
     Byte(u8),
     Pin(Pin, bool),
-    /// Virtual time, s.
+    /// Lets this much virtual time pass, s.
     Pass(f64),
     /// The host disconnects, and another connects after this time, s.
     Absent(f64),
@@ -185,7 +185,7 @@ impl Action {
     }
 }
 
-/// The settings that affect which actions are allowed.
+/// The settings in which conversations differ.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setup {
     /// `$900=0`.
@@ -194,7 +194,7 @@ pub struct Setup {
     pub hard_limits: bool,
     /// `$22`.
     pub homing: bool,
-    /// `$20`, which needs `homing`. With it, machine coordinates are trusted from power-up (`$902=0`).
+    /// `$20`, which needs `homing`. Because of `$902=0`, soft limits act even before the machine is homed.
     pub soft_limits: bool,
     /// `$918=1`.
     pub tool_changes: bool,
@@ -460,7 +460,7 @@ fn job_with_a_slow_spindle() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
-/// Generates actions that select tools, load them or not, and query them.
+/// Generates actions that select tools, load them or not, and query the tool by `$G`.
 fn tools() -> impl Strategy<Value = Vec<Action>> {
     let tool = || {
         prop_oneof![

@@ -110,7 +110,7 @@ impl Seen {
         self.report.trim_matches(['<', '>']).split('|').find_map(|field| field.strip_prefix(name)?.strip_prefix(':'))
     }
 
-    /// Returns the first difference from the model.
+    /// Returns what the model expects where the two first differ; `None` if they agree.
     fn differs(&self, model: &Model) -> Option<String> {
         if !is_said(&model.said, &self.said, !model.setup.grbl) {
             return Some(format!("the answers {:?}", model.said));

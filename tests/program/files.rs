@@ -31,7 +31,7 @@ fn files_that_are_no_jobs_are_named() {
             assert!(said.contains(what) && output.stdout.is_empty(), "{command:?} {said}");
         }
     }
-    // Redirected output has this encoding on Windows.
+    // On Windows, output that is redirected to a file can be in UTF-16.
     let (job, settings) = (file("job_of_settings.nc", "G21\n"), file("settings_utf16.txt", ""));
     fs::write(&settings, &utf16).expect("a file can be written");
     for option in ["--settings", "--machine"] {
@@ -82,7 +82,7 @@ fn no_file_is_written_over_another() {
     let job = file("kept.nc", program);
     let settings = file("kept.txt", "$100=80\n");
     let linked = Path::new(env!("CARGO_TARGET_TMPDIR")).join("linked.svg");
-    // Remove the link of an earlier run of the test: otherwise it could not be made again.
+    // Remove the link that an earlier run of this test has left: otherwise the link could not be made again.
     let _ = fs::remove_file(&linked);
     fs::hard_link(&job, &linked).expect("a link can be made");
     let roundabout = job.parent().expect("a folder").join(".").join("kept.nc");
@@ -127,7 +127,7 @@ fn an_output_that_cannot_be_written_is_found_before_the_machine_starts() {
     assert_eq!(fs::read_to_string(trace).expect("text"), "as it was");
 }
 
-/// An output device that accepts nothing, like a full disk.
+/// `/dev/full` accepts no output, like a full disk.
 #[cfg(target_os = "linux")]
 #[test]
 fn the_summary_is_printed_though_an_output_fails() {

@@ -26,7 +26,7 @@ fn json(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout).expect("one JSON object")
 }
 
-/// Writes a file for this test.
+/// Writes a file into the tests' temporary folder, and returns its path.
 fn file(name: &str, text: &str) -> PathBuf {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     fs::write(&path, text).expect("a file can be written");
@@ -226,7 +226,7 @@ fn nothing_falls_into_a_subprogram_behind_the_end() {
     let (summary, errors) = errors_of("called.nc", called);
     assert_eq!((errors, &summary["position_mm"]), (vec![], &serde_json::json!([1.0, 0.0, -6.0])));
     assert_eq!(summary["notes"], serde_json::json!([]));
-    // The subprogram is missing, or has no end.
+    // The subprogram is missing or has no end, or M99 ends a program that nothing has called.
     for (name, program, line, code) in [
         ("missing.nc", "G21 G0 X1\nM98 P1001\nG0 X2\nM30\nO1002\nG1 Z-3 F100\nM99\n%\n", 2, 203),
         ("endless.nc", "G21 G0 X1\nM98 P1001\nG0 X2\nM30\nO1001\nG1 Z-3 F100\n%\n", 2, 203),

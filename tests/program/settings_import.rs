@@ -178,7 +178,8 @@ fn a_configuration_of_fluidnc_becomes_settings() {
     }
 }
 
-/// Of settings that the machine cannot have together, one is left out: with both, the board would lock motion.
+/// If the configuration has two settings that exclude each other, the import leaves one out: with both, the board would
+/// lock motion.
 #[test]
 fn a_gantry_of_fluidnc_needs_cartesian_axes() {
     let gantry = "axes:\n  y:\n    steps_per_mm: 80\n    soft_limits: true\n    motor1:\n      step_pin: gpio.1\n";
@@ -244,7 +245,7 @@ fn the_settings_are_written_for_a_board() {
             assert!(output.status.code() != Some(2) && refused.is_empty(), "{name} {dialect}: {refused}");
         }
     }
-    // Nothing is written over the input, and nothing without a setting.
+    // The input is not overwritten, and without a single setting nothing is written.
     let input = file("import_same.txt", GRBL);
     assert_eq!(run(&["settings", "import", text(&input), "-o", text(&input)]).status.code(), Some(2));
     assert_eq!(fs::read_to_string(&input).expect("the dump"), GRBL);

@@ -4,7 +4,7 @@
 pub struct Difference {
     pub group: &'static str,
     pub n: u64,
-    /// The different answers; `None` if they depend on timing.
+    /// This controller's answers; `None` if they depend on timing and are not compared.
     pub answers: Option<&'static [&'static str]>,
     #[allow(dead_code, reason = "for the reader")]
     pub why: &'static str,

@@ -15,7 +15,7 @@ use std::time::Duration;
 
 /// Time without output after which the recording host assumed that there was no answer.
 const SILENCE: Duration = Duration::from_millis(300);
-/// Interval between checks for an answer.
+/// Interval between two checks for an answer.
 const LOOK: Duration = Duration::from_millis(20);
 /// Maximum number of checks for an answer; a homing cycle takes the longest.
 const PATIENCE: u32 = 20_000;
@@ -45,7 +45,7 @@ fn power_up(group: &str) -> Simulator {
     mill
 }
 
-/// Repeats the actions of the recording host and returns the output.
+/// Does for one record what the recording host did: sends or sets a pin, and waits. Returns the machine's output.
 fn hold(mill: &mut Simulator, record: &Record) -> String {
     let mut said = mill.take_output();
     let listen = |mill: &mut Simulator, said: &mut String, time| {

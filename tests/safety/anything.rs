@@ -115,7 +115,7 @@ fn line(random: &mut Random) -> String {
             .unwrap();
         }
         10 | 11 => {
-            // No resolution, rates or accelerations, so that a session stays short.
+            // No setting of resolution, rate or acceleration is among these, so that a session stays short.
             let setting = random.of(&[
                 "0", "1", "2", "3", "4", "5", "6", "10", "11", "12", "13", "20", "21", "22", "23", "26", "27", "30",
                 "31", "32", "40", "41", "42", "43", "44", "45", "46", "56", "58", "900", "901", "902", "903", "999",

@@ -76,7 +76,7 @@ fn reference(job: &Job) -> Reference {
     let mut moments: Vec<u64> = (0..end / (HZ / 250)).map(|n| n * (HZ / 250)).collect();
     for (index, begin) in begins.iter().enumerate() {
         let next = begins.get(index + 1).copied().unwrap_or(begin + HZ / 10_000);
-        // A moment within the first millisecond of the segment, at another fraction for each segment.
+        // A time within the first millisecond of the segment, at a different fraction for each segment.
         let length = (next - begin).min(HZ / 1000);
         moments.push(begin - run.begin + length * (index as u64 * 37 % 100) / 100);
     }

@@ -12,7 +12,7 @@ struct Case {
     axis: usize,
     /// Position of the plate, in steps.
     at: i32,
-    /// Whether the plate closes in negative direction.
+    /// Whether the contact closes when the axis moves in negative direction.
     negative: bool,
 }
 

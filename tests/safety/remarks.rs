@@ -54,8 +54,8 @@ impl Conversation {
         }
         let stop = (random.below(2) == 0).then(|| STOPS[random.below(STOPS.len() as u64) as usize]);
         let mut at = random.below(text.len() as u64) as usize;
-        // A stop byte beyond ASCII in the middle of a character could form another character with it, so move it to the
-        // character's start.
+        // A stop byte beyond ASCII in the middle of a character could form another character with the bytes around it,
+        // so move the stop byte to the character's start.
         while stop.is_some_and(|stop| !stop.is_ascii() || stop == b'~') && !text.is_char_boundary(at) {
             at -= 1;
         }

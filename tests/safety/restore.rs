@@ -53,8 +53,8 @@ fn any_set(random: &mut Random, listed: &Set) -> Set {
             set.insert(number, value);
         }
     }
-    // A length of the pulse that leaves room for the steps. No limit switches are wired, so neither inverted limit
-    // inputs (`$5`) nor hard limits (`$21`).
+    // A pulse (`$0`) of 1 to 30.9 us, so that a usable step rate remains. No limit switches are wired, so limit inputs
+    // are not inverted (`$5`) and hard limits are off (`$21`).
     set.insert(0, 100 * (10 + random.below(300) as i64));
     set.insert(5, 0);
     set.insert(21, 0);
@@ -80,7 +80,8 @@ fn read(listing: &[String]) -> Set {
         .collect()
 }
 
-/// Sends settings one by one. A setting must not be named twice in a row, unless it is the one that is being sent.
+/// Sends settings one by one. Lock messages must not name the same setting twice in a row, unless it is the setting
+/// that is being sent.
 fn send_all(bench: &mut Bench, lines: &[String]) {
     let mut named = None;
     for line in lines {

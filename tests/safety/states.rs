@@ -203,7 +203,7 @@ const TOO_LONG: &str = "X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1
                         X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1\
                         X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1X1";
 
-/// Everything that distinguishes two situations.
+/// Everything by which the search tells two situations apart.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 struct Key {
     state: String,
@@ -318,8 +318,8 @@ impl Machine {
         }
     }
 
-    /// Returns to Idle as an operator would: releases the pins, sends `~`, then `$X` or `$C`. Sends a reset only in
-    /// states from which the table has no other way.
+    /// Returns to Idle as an operator would: releases the pins, sends `~`, then `$X` or `$C`. Sends a reset only in the
+    /// two states that nothing else ends (`Critical` and `Sleep`).
     fn way_to_idle(&mut self, what: &str) {
         for text in ["door 0", "hold 0", "start 0", "reset 0", "limit x 0", "probe 0", "estop 0", "fault 0"] {
             self.bench.pin(text);

@@ -17,7 +17,7 @@ const TOUCHED: f64 = -25.0;
 const LONGER: f64 = 5.0;
 /// Interval between checks, s.
 const LOOK: f64 = 0.002;
-/// Position tolerance, mm: the distance covered between two checks of the probe in the slow pass.
+/// Position tolerance, mm: ten times the distance covered between two checks of the setter in the slow pass (`$343`).
 const EXACT: f64 = 0.02;
 
 #[derive(Clone)]

@@ -86,8 +86,8 @@ fn a_reset_acts_behind_any_number_of_lines_where_it_is_all_that_helps() {
     }
 }
 
-/// If lines wait for an operator or for the end of a motion, a reset behind them does not act. Closing the port helps:
-/// the machine holds its motion and drops unread lines, and the next host's reset acts.
+/// If lines wait for an operator or for the end of a motion, a reset sent after these lines does not act. Closing the
+/// port helps: the machine holds its motion and drops unread lines, and the next host's reset acts.
 #[test]
 fn closing_the_port_makes_room_for_a_reset() {
     for (name, lines, byte) in [("moving", "", 0), ("held", "", b'!'), ("door open", "", 0x84), ("homing", "$H\n", 0)] {

@@ -80,16 +80,16 @@ fn unescape(line: &str) -> Option<Vec<u8>> {
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// Makes a folder.
+    /// Creates an empty folder below the system's temporary folder.
     ///
     /// # Panics
-    /// If it cannot be made.
+    /// If the folder cannot be created.
     #[expect(clippy::new_without_default, reason = "a folder is made, not a value")]
     pub fn new() -> Self {
         static MADE: AtomicU32 = AtomicU32::new(0);
         let number = MADE.fetch_add(1, Ordering::Relaxed);
         let path = env::temp_dir().join(format!("oxmill-test-{}-{number}", process::id()));
-        // Left behind by an earlier process with the same ID.
+        // An earlier process with the same ID can have left this folder behind.
         let _ = fs::remove_dir_all(&path);
         fs::create_dir_all(&path).expect("a folder");
         Self(path)

@@ -35,7 +35,7 @@ pub struct Program {
 }
 
 impl Program {
-    /// Chooses a target and returns the words for it.
+    /// Chooses a target in the axes of a bit mask (bit 0: X), moves `place` there, and returns the words for it.
     fn target(&mut self, random: &mut Random, axes: u64) -> String {
         let mut words = String::new();
         for (axis, letter) in ['X', 'Y', 'Z'].into_iter().enumerate() {
@@ -53,7 +53,8 @@ impl Program {
         words
     }
 
-    /// Appends the next lines.
+    /// Appends a line, or several that belong together, such as a loop. Appends nothing if a drilling cycle is drawn
+    /// while G91 is active.
     pub fn lines(&mut self, random: &mut Random, lines: &mut VecDeque<String>) {
         let axes = 1 + random.below(7);
         match random.below(20) {

@@ -9,7 +9,7 @@ pub fn names() -> impl Iterator<Item = &'static str> {
     with_hardware().chain([QEMU_BOARD])
 }
 
-/// Returns the names of the boards with hardware.
+/// Returns the names of all boards except QEMU's.
 pub fn with_hardware() -> impl Iterator<Item = &'static str> {
     oxmill_tables::BOARDS.iter().map(|(name, _)| *name)
 }
@@ -19,8 +19,8 @@ pub fn described(board: &str) -> Result<Board, crate::Failure> {
     Board::named(board).ok_or_else(|| format!("{board} has no pin table"))
 }
 
-/// Returns the image of a board, which is also the feature that the board is built with. The name of an image gives
-/// that image.
+/// Returns the image of a board, which is also the feature that the board is built with. `board` may also be the name
+/// of an image: then that image is returned. For an unknown name it is QEMU's image.
 pub fn image(board: &str) -> &'static str {
     let own = IMAGES.into_iter().find(|image| *image == board);
     own.or_else(|| Board::named(board).map(|board| board.image.name)).unwrap_or(QEMU_BOARD)

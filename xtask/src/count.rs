@@ -13,7 +13,7 @@ use crate::{Failure, QEMU_BOARD, TARGET, boards, qemu, root, run};
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Read};
 
-/// Instructions and cycles.
+/// Cost: instructions and estimated cycles.
 type Cost = (u64, u64);
 
 /// How the costs of a row's calls are reduced to one figure.
@@ -32,7 +32,7 @@ enum Figure {
 /// The costs of all calls of each row, and the cost of each instruction of one row, by its address.
 type Traced = (HashMap<String, Vec<Cost>>, HashMap<u32, Cost>);
 
-/// A row of the table.
+/// A row of the table: a unit of work, figures to compare with, and its limit.
 struct Row {
     key: &'static str,
     title: &'static str,
@@ -98,7 +98,7 @@ const ROWS: [Row; 23] = [
 ];
 
 /// Names of the rows of the step task. The firmware compiles the step task's package for speed in every profile; the
-/// benchmark program does not.
+/// benchmark program does not, so its figures for these rows hold only for the fast profile.
 const OF_THE_STEP_TASK: [&str; 5] = ["batch_3", "batch_1", "segment", "single", "stop"];
 
 /// Builds the program, runs it and checks the figures. With the profile of the small boards the figures are printed

@@ -4,9 +4,9 @@
 use crate::Failure;
 use crate::flashable::Stretch;
 
-/// Number of bytes before the first target.
+/// Size of the prefix of a file, bytes; the target follows.
 const PREFIX: usize = 11;
-/// Number of bytes before the first element of a target.
+/// Size of the prefix of a target, bytes; its elements follow.
 const TARGET_PREFIX: usize = 274;
 /// Size of a target's name field, bytes.
 const NAME: usize = 255;
@@ -14,9 +14,9 @@ const NAME: usize = 255;
 /// format, the signature, and the length of the suffix.
 const SUFFIX: [u8; 12] = [0xFF, 0xFF, 0x11, 0xDF, 0x83, 0x04, 0x1A, 0x01, b'U', b'F', b'D', 16];
 
-/// Returns a file with one target. Its elements are the stretches, highest address first, so the stretch with the
-/// vector table is last. Tools write elements in file order: until the last one is written, a blank chip has no vector
-/// table and cannot start the half-written program.
+/// Returns a file with one target, the flash. Its elements are the stretches, highest address first, so the stretch
+/// with the vector table is last. Tools write elements in file order: until the last one is written, a blank chip has
+/// no vector table and cannot start the half-written program.
 pub fn file(name: &str, stretches: &[Stretch]) -> Vec<u8> {
     let mut ordered: Vec<&Stretch> = stretches.iter().collect();
     ordered.sort_by_key(|stretch| std::cmp::Reverse(stretch.address));
@@ -74,7 +74,7 @@ pub fn parse(file: &[u8]) -> Result<Vec<Stretch>, Failure> {
     if rest.is_empty() { Ok(elements) } else { Err(fail("has something behind its elements")) }
 }
 
-/// Returns the bytes after `parts`, which must come first.
+/// Returns the bytes after `parts`; `None` if `bytes` does not begin with `parts`.
 fn strip<'a>(bytes: &'a [u8], parts: &[&[u8]]) -> Option<&'a [u8]> {
     parts.iter().try_fold(bytes, |rest, part| rest.strip_prefix(*part))
 }

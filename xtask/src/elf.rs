@@ -5,7 +5,7 @@ use object::read::elf::{ElfFile32, ElfSection32, ProgramHeader, SectionHeader};
 use object::{LittleEndian, Object, ObjectSection, ObjectSegment, ObjectSymbol, SymbolKind};
 use std::ops::Range;
 
-/// A 32-bit little-endian file.
+/// A 32-bit little-endian ELF file.
 pub type Elf<'a> = ElfFile32<'a, LittleEndian>;
 
 /// A function that the symbol table names.

@@ -28,7 +28,7 @@ pub struct Stretch {
     pub bytes: Vec<u8>,
 }
 
-/// Returns the image's stretches before and after the settings sectors.
+/// Returns the image's stretches before and after the settings sectors; `None` if segments overlap or are cut off.
 pub fn stretches(elf: &Elf<'_>, settings: &Range<u32>) -> Option<Vec<Stretch>> {
     let mut segments = elf::segments(elf)?;
     segments.sort_by_key(|(stored, _)| *stored);

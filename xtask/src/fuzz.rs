@@ -15,15 +15,15 @@ use std::sync::Mutex;
 const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-pc -Clink-arg=-Wl,--wrap=__sanitizer_cov_trace_pc -Ccodegen-units=1";
-/// Optional flags: record both sides of each comparison. With them libFuzzer finds values that random inputs would
-/// miss, but recording takes two thirds of the time.
+/// Optional flags: record the values on both sides of each comparison. With them libFuzzer finds values that random
+/// inputs would miss, but recording takes two thirds of the run time.
 const COMPARISONS: &str = " -Cllvm-args=-sanitizer-coverage-trace-compares";
-/// Minimum number of edges of a working target.
+/// Minimum number of edges that a working target reaches; with fewer the run fails.
 const LEAST_EDGES: u64 = 100;
-/// Maximum input length of a search by time, bytes.
+/// Maximum input length, bytes, in a search that is limited by time.
 const LONGEST: u64 = 2048;
 /// For each target: its share of all executions in per mille (a faster target has a larger share), and its maximum
-/// input length in bytes in a search by number of executions. Short inputs allow many executions.
+/// input length in bytes in a search that is limited by the number of executions. Short inputs allow many executions.
 const SHARES: [(&str, u64, u64); 9] = [
     ("hosts", 320, 96),
     ("lines", 240, 128),
@@ -36,7 +36,7 @@ const SHARES: [(&str, u64, u64); 9] = [
     ("session", 2, 192),
 ];
 
-/// Amount of fuzzing.
+/// Limit of a search: a time or a number of executions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Amount {
     /// This many seconds for all targets together, with [`COMPARISONS`] recorded.
@@ -49,7 +49,7 @@ enum Amount {
 }
 
 impl Amount {
-    /// Returns libFuzzer's options for `target`'s part of the amount.
+    /// Returns libFuzzer's options for the part of the time or executions that `target` gets.
     fn options(self, target: &str, targets: &[&str], workers: u64) -> Vec<String> {
         match self {
             Amount::Seconds(seconds) => {
@@ -121,9 +121,9 @@ pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
     report(rows.into_inner().expect("no thread panics"))
 }
 
-/// Runs the inputs of the tree in full length, because a search truncates long ones, and counts their work. Then runs
-/// the inputs that earlier searches have found: if one still fails, its fault has not been corrected; an input that
-/// passes is deleted.
+/// Runs the inputs of the tree in full length, because a search truncates long ones. This build also limits the work of
+/// each call. Then runs the inputs that earlier searches have found: if one still fails, its fault has not been
+/// corrected; an input that passes is deleted.
 fn replay(program: &Path, target: &str) -> Result<(), Failure> {
     let mut inputs = files(&seeds(target)?)?;
     inputs.extend(files(&finds(target)?)?);
@@ -155,12 +155,12 @@ fn number(text: &str) -> Result<u64, Failure> {
 /// Results of a target.
 struct Row {
     executions: u64,
-    /// Edges, as counted by libFuzzer.
+    /// Number of edges reached, from `cov:` in libFuzzer's output.
     edges: u64,
-    /// Features, as counted by libFuzzer.
+    /// Number of features reached, from `ft:` in libFuzzer's output; libFuzzer keeps inputs that reach new ones.
     features: u64,
     found: Vec<PathBuf>,
-    /// End of the target's output.
+    /// Lines of the target's output that report a panic or an error of libFuzzer.
     said: String,
 }
 
@@ -254,8 +254,8 @@ fn seeds(target: &str) -> Result<PathBuf, Failure> {
     unpacked("seeds", target, &text)
 }
 
-/// Unpacks inputs that once showed a fault that has been corrected; most targets have none. `minimise` does not touch
-/// them.
+/// Unpacks the inputs in `tests/fuzz/finds`: each once showed a fault, which has been corrected. Most targets have
+/// none. `minimise` leaves these files unchanged.
 fn finds(target: &str) -> Result<PathBuf, Failure> {
     let path = root().join("tests/fuzz/finds").join(format!("{target}.txt"));
     let text = if path.exists() { fs::read_to_string(&path) } else { Ok(String::new()) };
@@ -319,7 +319,8 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(entries.filter_map(|entry| Some(entry.ok()?.path())).collect())
 }
 
-/// Writes to the tree the smallest set of inputs with the coverage of all inputs kept so far.
+/// Replaces each corpus of the tree by a small set of inputs that reaches the same code as all inputs kept so far:
+/// those of the tree and those that earlier searches added to `target/fuzz/corpus`.
 fn minimise() -> Result<(), Failure> {
     let program = build(false)?;
     for target in &all_targets()? {

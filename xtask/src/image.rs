@@ -13,10 +13,10 @@ use std::path::{Path, PathBuf};
 /// Minimum size of the code, bytes: an image with less cannot contain the controller.
 const LEAST_CODE: u64 = 16 * 1024;
 
-/// Maximum size of `.data` (statics that do not start as 0), bytes. If `.data` is larger, it contains a part of the
-/// controller, which should be in the memory that the firmware lends to the controller.
+/// Maximum size of `.data` (statics that do not start as 0), bytes. A larger `.data` contains some of the controller's
+/// memory. That memory must start as all 0, because the initial values of `.data` also fill flash.
 const MOST_DATA: u64 = 2 * 1024;
-/// Number of bytes at the start of a function in which it reserves stack for its variables.
+/// Number of bytes at the start of a function that are searched for the instructions that reserve its stack.
 const PROLOGUE: u32 = 32;
 
 /// Returns the interrupt handler of the step task, as in `firmware!` of `src/firmware/main.rs`.
@@ -39,7 +39,7 @@ const STEP_CALLS: [Allowed; 6] = [
     },
 ];
 
-/// A checked image.
+/// An image that has passed all checks.
 pub struct Image {
     /// The ELF file.
     pub path: PathBuf,
@@ -158,8 +158,8 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     if let Some((name, frame)) = largest_frame(&elf).filter(|(_, frame)| *frame > stack / 8 * 5) {
         return fail(&format!("has a function that takes {frame} of the {stack} bytes of stack: {name}"));
     }
-    // Only the flash after the last section counts as free: the linker fills the rest of the vector table's sector only
-    // with the sections that its script assigns to that sector.
+    // Only the flash after the last section counts as free. The rest of the vector table's sector does not count,
+    // because the linker fills it only with sections that its script assigns to that sector.
     let top = in_flash.iter().map(|s| s.end).max().unwrap_or(chip.code);
     let memory = elf.sections().filter_map(|section| elf::memory(&section));
     let in_ram: Vec<Range<u32>> = memory.filter(|s| (chip.ram..chip.ram + chip.ram_size).contains(&s.start)).collect();
@@ -217,7 +217,7 @@ impl Chip {
 }
 
 impl Chip {
-    /// Returns the range of the two settings sectors and everything else before the program.
+    /// Returns the range from the start of the settings sectors to the start of the program.
     fn settings_sectors(&self) -> Range<u32> {
         self.settings..self.code
     }

@@ -29,7 +29,7 @@ const LARGEST_EXAMPLE: u64 = 1024;
 /// streamed run must have the same order as the simulator.
 const ONE_AXIS_AT_A_TIME: &str = "axes";
 
-/// Result of the step outputs.
+/// What the step outputs have done in a run: digests of their times and of their order, and net steps.
 #[derive(Debug, PartialEq, Eq)]
 struct Steps {
     time: String,
@@ -52,11 +52,11 @@ fn job_files(folder: &str, below: u64) -> Vec<PathBuf> {
     files
 }
 
-/// The part of `cargo test-target` that compares with the simulator.
+/// Compares all jobs on QEMU with the simulator: `cargo xtask jobs`, and a part of `cargo test-target`.
 pub fn compare_all() -> Result<(), Failure> {
     let image = image::build(QEMU_BOARD)?;
-    // The jobs of tests/jobs are run preloaded and streamed. Of the examples only the small ones are run, and only
-    // preloaded, because they take minutes of machine time.
+    // The jobs of tests/jobs are run preloaded and streamed. The examples take minutes of machine time, so only the
+    // small ones are run, and only preloaded.
     let made = job_files("tests/jobs", u64::MAX);
     let mut examples = job_files("examples", LARGEST_EXAMPLE);
     // This example needs the dialect of `$900=2`, but the jobs here run with the default settings.

@@ -64,7 +64,7 @@ pub fn all() -> Result<(), Failure> {
     hold_on(deepest.used <= deepest.size / 4 * 3, || "more than three quarters of the stack are used".into())
 }
 
-/// Maximum stack use, bytes.
+/// Maximum stack use so far, and size of the stack, bytes.
 struct Stack {
     used: u32,
     size: u32,
@@ -82,7 +82,7 @@ impl Lines {
         self.host.write_all(bytes).map_err(|error| error.to_string())
     }
 
-    /// Reads until a text has arrived.
+    /// Reads from the host port until `wanted` has arrived; returns everything that was read.
     fn expect(&mut self, wanted: &str) -> Result<String, Failure> {
         read_until(&mut self.host, LIMIT, |text| text.contains(wanted))
     }
@@ -145,7 +145,7 @@ fn failure(lines: &mut Lines, way: &[u8], message: &str, record: &[&str]) -> Res
     lines.stand.write_all(way).map_err(|error| error.to_string())?;
     let welcome = lines.expect("to unlock]\r\n")?;
     hold_on(welcome.contains("Grbl 1.1h") && welcome.contains(message), || format!("after the failure: {welcome}"))?;
-    // A host that has not noticed the failure continues its job.
+    // A host that has not noticed the failure continues its job: this line must be rejected.
     lines.send(b"G1X-5\n")?;
     lines.expect("error:9\r\n")?;
     let report = lines.report()?;
@@ -179,7 +179,7 @@ fn played(name: &str, log: &str) -> Result<String, Failure> {
     let mut replay = cargo();
     replay.args(["run", "--quiet", "--locked", "--package", "oxmill", "--", "replay"]).arg(&file);
     let output = replay.output().map_err(|error| error.to_string())?;
-    // Exit status 1: an alarm that the board also had.
+    // Exit status 1: the replay has an alarm, which the board also had.
     hold_on(matches!(output.status.code(), Some(0 | 1)), || {
         format!("the replay parts: {}", String::from_utf8_lossy(&output.stderr))
     })?;
@@ -207,7 +207,7 @@ fn recorded_failure(lines: &mut Lines) -> Result<(), Failure> {
     hold_on(log.contains(&format!("ended {end}]")), || format!("no {end} in {log}"))?;
     let said = played("panic_in_mid_job.log", &log)?;
     hold_on(said.contains(&format!("arrives at the place and line of the failure ({end})")), || said)?;
-    // A program overwrites the recording.
+    // The next program overwrites the recording of the failure.
     lines.send(b"N1G0Y1\n")?;
     lines.expect("ok\r\n")?;
     wait_until_idle(&mut lines.host)?;
@@ -409,7 +409,7 @@ fn reset_in_motion(lines: &mut Lines) -> Result<(), Failure> {
     hold_on(answers.contains("ALARM:3"), || format!("answers: {answers}"))?;
     let (first, status, second) = (lines.report()?, lines.wait_for("<Alarm|")?, lines.report()?);
     hold_on(first == second, || format!("steps after a reset: {first} {second}"))?;
-    // The reported position is that of the pulses: 250 steps/mm.
+    // The reported position must match the pulses that were output: 250 steps/mm.
     let steps: f64 = second
         .split("steps=")
         .nth(1)

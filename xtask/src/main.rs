@@ -78,7 +78,7 @@ usage:
   cargo xtask count profile ROW  in which functions a row of it (`line`, `text`, ...) spends them
 boards: ";
 
-/// Environment variable with the name of the board whose pin table the build script of the firmware takes.
+/// Environment variable that names the board whose pin table the firmware's build script puts into the image.
 const BOARD: &str = "OXMILL_BOARD";
 
 /// Error message for the user.
@@ -138,8 +138,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// Checks a change within a minute, if the rest has been built: the format, and the lints and unit tests of the
-/// packages that change most. `names`: if there is one, only tests whose names contain it.
+/// Checks a change: the format, and the lints and unit tests of the packages that change most. Takes less than a minute
+/// if their dependencies have been built. `names` is empty or has one text: then only tests whose names contain it run.
 fn quick(names: &[&str]) -> Result<(), Failure> {
     let rooms = ["--package=oxmill-controller", "--package=oxmill-store", "--package=oxmill-simulator"];
     run(cargo().args(["fmt", "--all", "--check"]))?;
@@ -159,7 +159,7 @@ fn board_names() -> String {
     boards::names().collect::<Vec<_>>().join(", ")
 }
 
-/// Returns the name if there is such a board.
+/// Returns `board` if there is a board of this name, otherwise an error with the names of all boards.
 fn known(board: &str) -> Result<&str, Failure> {
     if boards::names().any(|name| name == board) {
         Ok(board)
@@ -175,7 +175,7 @@ fn bench(files: &[&str]) -> Result<(), Failure> {
     run(cargo().args(["bench", "--quiet", "--locked", "--bench", "motion", "--"]).args(files))
 }
 
-/// Writes a generated program.
+/// Writes the program of `examples/` or the job of the benchmark with this name to standard output.
 fn generate(name: &str) -> Result<(), Failure> {
     match programs::generate(name, &mut std::io::stdout().lock()) {
         Ok(true) => Ok(()),

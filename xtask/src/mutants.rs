@@ -17,7 +17,7 @@ struct Edit {
 }
 
 impl Edit {
-    /// Returns the file's text with the fault.
+    /// Returns the file's text after the replacement. Fails unless the text to be replaced occurs exactly once.
     fn applied(&self, path: &Path) -> Result<String, Failure> {
         let text = fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
         if text.matches(self.find).count() != 1 {
@@ -324,7 +324,7 @@ pub fn run(names: &[&str]) -> Result<(), Failure> {
             let text = edit.applied(&path).map_err(|why| format!("{}: {why}", mutant.name))?;
             fs::write(&path, text).map_err(|error| error.to_string())?;
         }
-        // A fault that does not compile is invalid.
+        // If the fault did not compile, the tests would fail as well, and the fault would count as detected.
         if !tests(&tree, &["--no-run"])? {
             return Err(format!("{} does not compile", mutant.name));
         }
@@ -343,7 +343,7 @@ fn copy_all(tree: &Path) -> Result<(), Failure> {
     COPIED.iter().try_for_each(|name| tree::copy(&root().join(name), &tree.join(name)))
 }
 
-/// Runs tests in the copy; returns whether they pass.
+/// A function that runs tests in the copy of the tree at this path; it returns whether they pass.
 type Suite = fn(&Path) -> Result<bool, Failure>;
 
 /// Returns all faults, each with the tests that must detect it.

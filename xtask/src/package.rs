@@ -14,8 +14,8 @@ const BOARD: &str = "blackpill_f411";
 /// Paths that no package may contain.
 const UNWANTED: [&str; 5] = ["target/", "node_modules/", "docs/", ".ci/", ".github/"];
 
-/// Manifest of a workspace that consists of the packages alone. It takes the dependencies of the packages on each other
-/// from itself and not from a registry.
+/// Manifest of a workspace that consists of the packages alone. A line for each package is added below
+/// `[patch.crates-io]`, so that packages use each other from this workspace and not from a registry.
 const MANIFEST: &str = "[workspace]\nmembers = [\"*\"]\nresolver = \"3\"\n\n\
                         [profile.release]\nopt-level = \"s\"\nlto = \"fat\"\ncodegen-units = 1\n\n[patch.crates-io]\n";
 
@@ -62,7 +62,8 @@ fn packed() -> Result<Vec<(PathBuf, Vec<String>)>, Failure> {
         fs::remove_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     }
     let mut package = cargo();
-    // The crates are not in a registry, so their dependencies on each other cannot be resolved there.
+    // The crates are not in a registry, so cargo cannot resolve their dependencies on each other there: they are
+    // neither built (`--no-verify`) nor packed with a lock file.
     package.args(["package", "--quiet", "--workspace", "--no-verify", "--exclude-lockfile", "--allow-dirty"]);
     run(package.args(OWN.iter().flat_map(|name| ["--exclude", name])))?;
     let entries = fs::read_dir(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
@@ -87,7 +88,7 @@ fn names(package: &Path) -> Result<Vec<String>, Failure> {
     }
 }
 
-/// Returns what is wrong with the files of a package.
+/// Returns what is wrong with the files of a package; `None` if nothing is.
 fn fault(names: &[String]) -> Option<String> {
     let has = |end: &str| names.iter().any(|name| name.ends_with(end));
     if !has("Cargo.toml") || !has(".rs") {

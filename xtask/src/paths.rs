@@ -1,6 +1,6 @@
-//! Configures cargo for releases: paths of the machine do not get into the results, so the same sources give the same
-//! bytes in any folder. Builds for boards also get the compiler flags for their cargo profile (built for speed or for
-//! size).
+//! Configures cargo for releases: paths of the build computer do not get into the results, so the same sources give the
+//! same bytes in any folder. Builds for boards also get the compiler flags for their cargo profile (built for speed or
+//! for size).
 //!
 //! rustc replaces each machine-dependent folder by a fixed name: the workspace, cargo's copies of dependencies, and the
 //! sources of the standard library.
@@ -43,14 +43,14 @@ fn cargo_with(more: &[&str]) -> Result<Command, Failure> {
     let flags: Vec<String> =
         names.map(|(from, to)| flag(&from, &to)).chain(more.iter().map(ToString::to_string)).collect();
     let mut cargo = cargo();
-    // The separator of this variable.
+    // In this variable the byte 0x1F separates the flags.
     cargo.env("CARGO_ENCODED_RUSTFLAGS", flags.join("\x1f"));
     Ok(cargo)
 }
 
 /// The compiler that cargo uses.
 pub struct Compiler {
-    /// Version of the compiler.
+    /// Version of the compiler, such as `1.95.0`.
     pub version: String,
     /// Target for which it compiles by default.
     pub host: String,
@@ -72,7 +72,7 @@ impl Compiler {
     }
 }
 
-/// Returns the output of rustc.
+/// Runs rustc with these arguments and returns its standard output.
 fn ask(arguments: &[&str]) -> Result<String, Failure> {
     let mut rustc = Command::new(std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into()));
     let output = rustc.current_dir(root()).args(arguments).output();
@@ -83,13 +83,13 @@ fn ask(arguments: &[&str]) -> Result<String, Failure> {
     String::from_utf8(output.stdout).map_err(|error| format!("rustc: {error}"))
 }
 
-/// Returns cargo's own folder.
+/// Returns cargo's own folder: `CARGO_HOME`, or `.cargo` in the home folder.
 pub fn cargo_home() -> Result<PathBuf, Failure> {
     let home = || Some(std::env::home_dir()?.join(".cargo"));
     std::env::var_os("CARGO_HOME").map(PathBuf::from).or_else(home).ok_or_else(|| "no CARGO_HOME and no HOME".into())
 }
 
-/// Returns the folders that can occur in a build, each with its replacement name.
+/// Returns the folders whose paths can get into a build's results, each with the name that replaces it.
 fn names(
     workspace: &Path,
     cargo_home: &Path,
@@ -112,7 +112,7 @@ fn names(
     }))
 }
 
-/// Returns the argument for rustc.
+/// Returns rustc's argument that replaces the folder `from` by the name `to`.
 fn flag(from: &Path, to: &str) -> String {
     format!("--remap-path-prefix={}={to}", from.display())
 }

@@ -17,7 +17,7 @@ pub struct Qemu(Child);
 
 impl Drop for Qemu {
     fn drop(&mut self) {
-        // Fails if QEMU has already ended.
+        // Ignored, because the call fails if QEMU has already ended.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -65,7 +65,8 @@ pub fn trace<T>(elf: &Path, read: impl FnOnce(ChildStdout) -> Result<T, Failure>
     require()?;
     let mut qemu = Command::new(PROGRAM);
     qemu.args(["-M", "mps2-an386", "-display", "none", "-monitor", "none", "-serial", "null"]);
-    // One instruction per translation block; this option was renamed in version 8.1.
+    // One instruction per translation block, so that each instruction is logged. This option was renamed in version
+    // 8.1.
     let help = Command::new(PROGRAM).arg("-help").output().map_err(|error| error.to_string())?;
     if String::from_utf8_lossy(&help.stdout).contains("one-insn-per-tb") {
         qemu.args(["-accel", "tcg,one-insn-per-tb=on"]);
@@ -122,7 +123,7 @@ pub fn live(elf: &Path) -> Result<Running, Failure> {
     running(qemu)
 }
 
-/// The board, the host's connection, the test stand's connection.
+/// A running board, the connection to its host port, and the connection to its test stand.
 pub type Running = (Qemu, TcpStream, TcpStream);
 
 fn running(mut qemu: Command) -> Result<Running, Failure> {
@@ -134,7 +135,8 @@ fn running(mut qemu: Command) -> Result<Running, Failure> {
     Ok((qemu, connect(host)?, connect(stand)?))
 }
 
-/// What RAM contains at power-up; boards/qemu_mps2 has the same marks for it.
+/// What RAM contains at power-up. A mark before it tells the firmware which of these it is; boards/qemu_mps2 has the
+/// same marks.
 #[derive(Clone, Copy)]
 pub enum Preload {
     /// A job.

@@ -1,5 +1,6 @@
 //! Checks on the linked image that the step interrupt cannot reach a panic, software floating point or software
-//! division. Only this check reveals a compiler that cannot prove an index in range, or a careless `u64` division.
+//! division. If the compiler cannot prove that an index is in range, or if code divides a `u64`, only this check shows
+//! it.
 //!
 //! The walk follows every branch and call from the vector's handler. The target of a call through a register cannot be
 //! read from the code; each function that makes such calls must be listed by name, with all possible targets.
@@ -81,7 +82,8 @@ impl<'a> Program<'a> {
     }
 }
 
-/// Names all functions that `handler` can reach; fails if one of them is forbidden or a call is not known.
+/// Returns the names of all functions that `handler` can reach. Fails if one of them is forbidden, or if a function
+/// that is not in `allowed` calls an address in a register.
 pub fn check(elf: &Elf<'_>, handler: &str, allowed: &[Allowed]) -> Result<Vec<String>, Failure> {
     let program = Program::new(elf);
     let root = program.functions.values().find(|f| f.name == handler);
@@ -166,7 +168,7 @@ fn name_at(program: &Program<'_>, address: u32) -> String {
     program.function(address).map_or_else(|| format!("{address:#010x}"), |(symbol, _)| demangled(symbol.name))
 }
 
-/// Returns the demangled name.
+/// Returns a name of the symbol table as a Rust path, without its hash.
 pub fn demangled(name: &str) -> String {
     format!("{:#}", rustc_demangle::demangle(name))
 }
@@ -179,7 +181,7 @@ mod tests {
         super::check(&elf::parse(file)?, handler, allowed)
     }
 
-    /// A function: name and half words of code; calls are put in by [`call`].
+    /// A function: its name, and its code as half words. [`call`] makes those of a call.
     type Function = (&'static str, Vec<u16>);
 
     const ORIGIN: u32 = 0x1000;

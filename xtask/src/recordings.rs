@@ -29,8 +29,8 @@ const POLL: u32 = 100;
 /// Maximum duration of a group.
 const LIMIT: Duration = Duration::from_secs(600);
 
-/// Replays the groups in which no pin is moved. If `only` has texts, replays those of these groups whose names begin
-/// with one of them.
+/// Replays the groups that change no input pin. If `only` is not empty, replays only those whose names begin with one
+/// of its texts.
 pub fn replay_all(only: &[&str]) -> Result<(), Failure> {
     let folder = root().join("tests/transcripts");
     let mut files: Vec<_> = fs::read_dir(&folder)
@@ -98,7 +98,7 @@ fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Res
     }
     for (record, ends) in records.iter().zip(marks.windows(2)) {
         let said = said.get(ends[0]..ends[1]).ok_or_else(|| format!("{group} {}: nothing was said", record.n))?;
-        // If several reports arrived while waiting for Idle, compare the last one.
+        // If several reports arrived while waiting for Idle, compare only the most recent one.
         let from = if record.kind == "idle" { said.rfind('<').unwrap_or(0) } else { 0 };
         tally.judge(group, record, &said[from..]);
     }

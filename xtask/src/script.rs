@@ -1,7 +1,7 @@
 //! Script of what a host does, as byte codes: `boards/qemu_mps2/script.rs` executes them inside the machine in QEMU,
 //! and `tests/virtual_board/soak.py` beside a virtual board.
 
-/// A script.
+/// The byte codes of a script.
 #[derive(Default)]
 pub struct Script(Vec<u8>);
 
@@ -16,14 +16,14 @@ impl Script {
         &self.0
     }
 
-    /// Sends bytes at once.
+    /// Sends these bytes, at most 65,535, without waiting between them.
     pub fn send(&mut self, bytes: &[u8]) {
         self.0.push(b'S');
         self.0.extend((bytes.len() as u16).to_le_bytes());
         self.0.extend(bytes);
     }
 
-    /// Waits until this many answers have arrived since the last record ended.
+    /// Waits until this many answers (`ok` or `error:`) have arrived since the previous record ended.
     pub fn answers(&mut self, count: u32) {
         self.code(b'A', count);
     }
@@ -38,12 +38,13 @@ impl Script {
         self.code(b'I', pause_ms);
     }
 
-    /// Ends a record.
+    /// Ends a record: the test stand reports how many bytes the firmware has sent so far.
     pub fn end_record(&mut self) {
         self.0.push(b'R');
     }
 
-    /// Ends a record, with a full report of the test stand.
+    /// Ends a record: the test stand reports the number of bytes sent, the machine time, the motors' steps and the
+    /// stack use.
     pub fn note(&mut self) {
         self.0.push(b'N');
     }

@@ -15,7 +15,7 @@ use std::collections::VecDeque;
 use std::fs;
 use std::time::{Duration, Instant};
 
-/// Maximum number of unanswered lines when the next one is sent: together they fit into the receive queue.
+/// Maximum number of lines that are sent and not yet answered: this many fit into the receive queue together.
 const ON_THEIR_WAY: usize = 4;
 /// Number of lines generated per second of the run. A machine cannot carry out that many, so the script does not end
 /// early.
@@ -46,7 +46,7 @@ enum End {
 
 /// Maximum duration of a run, s: a script counts milliseconds in 32 bits.
 const LONGEST: u64 = u32::MAX as u64 / 1_000;
-/// Duration of a run, ms, in which every random event should occur.
+/// Duration of a run, ms, from which on it must contain holds, overrides, stops and resets in motion.
 const LONG_MS: u64 = 600_000;
 
 /// Numbers of events in the whole job.
@@ -203,8 +203,8 @@ impl Note {
     }
 }
 
-/// `cargo xtask soak qemu|BOARD [--minutes N|--seconds N] [--wall N] [--seed N]`. On a virtual board the run ends at
-/// the first rest after `--wall` seconds.
+/// `cargo xtask soak qemu|BOARD [--minutes N|--seconds N] [--wall N] [--seed N]`. On a virtual board the run ends when
+/// the machine first rests after `--wall` seconds of real time.
 pub fn run(arguments: &[&str]) -> Result<(), Failure> {
     let (board, rest) = arguments.split_first().ok_or("soak on what? `qemu`, or a board")?;
     let (mut seconds, mut seed, mut wall) = (60, 1, None);

@@ -27,10 +27,12 @@ const BOARDS: [(&str, &[&str]); 13] = [
     ("blackpill_f411_grblhal", ON_OTHER_PINS),
 ];
 
-/// Long cases, which this board runs only if the command names it. A run of all boards has `uart lines` on a Nucleo.
+/// Long cases that `blackpill_f411` runs only if the command names this board. In a run of all boards, `uart lines`
+/// runs on `nucleo_f446re`.
 const LEFT_OUT_ON_F411: &[&str] = &["-bursts of overrides", "-late starts", "-tight pulses", "-uart lines"];
 
-/// Long cases that run only if this board is named. Most of them run on the first board, on the same timers and streams.
+/// Long cases that `nucleo_f446re` runs only if the command names this board. Most of them run on `blackpill_f411`,
+/// which uses the same timers and DMA streams.
 const LEFT_OUT_ON_F446: &[&str] = &[
     "-bursts of overrides",
     "-late starts",
@@ -67,7 +69,8 @@ const ON_F401: &[&str] = &[
     "restart on request",
 ];
 
-/// Cases for the image of control boards: other ports, a clock of its own, USB with a newer core.
+/// Cases for the image of control boards with an F446. It differs from the Nucleo's in its ports, its clock rate (168
+/// instead of 180 MHz) and its USB, whose core is newer than the Black Pills'.
 const ON_CONTROL_F446: &[&str] = &[
     "boot",
     "crystals",
@@ -92,7 +95,8 @@ const ON_CONTROL_F446: &[&str] = &[
     "restart on request",
 ];
 
-/// Cases for the image of control boards with an F407. This board has two ports with directions alone.
+/// Cases for the image of control boards with an F407. Two ports of `robin_nano_v3` carry direction outputs, but no
+/// step outputs.
 const ON_CONTROL_F407: &[&str] = &[
     "boot",
     "crystals",
@@ -115,8 +119,8 @@ const ON_CONTROL_F407: &[&str] = &[
 const ON_OTHER_PINS: &[&str] =
     &["boot", "pulses", "trips", "probe", "inverted outputs", "outputs of programs", "inputs of programs"];
 
-/// Cases for the board with a switch of the motors' supply. Its spindle has another channel of the timer than on all other
-/// boards of this list.
+/// Cases for the board that can switch off the supply of its motors. Its spindle PWM is on channel 3 of the timer; the
+/// other boards with cases in [`BOARDS`] use channel 2.
 const ON_SKR2: &[&str] = &[
     "boot",
     "pulses",
@@ -180,7 +184,8 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     if failed.is_empty() { Ok(()) } else { Err(format!("the virtual board failed:\n{}", failed.join("\n"))) }
 }
 
-/// Runs a script on one board; with `wall`, the run ends at the first rest after this many seconds of real time.
+/// Runs a script on one board; with `wall`, the run ends when the machine first rests after this many seconds of real
+/// time.
 /// Returns the board's output and the notes of its test stand.
 pub fn soak(board: &str, elf: &Path, script: &Path, wall: Option<u64>) -> Result<(String, String), Failure> {
     if !BOARDS.iter().any(|(name, _)| *name == board) {

@@ -9,7 +9,7 @@ use std::process::Command;
 /// Name of the npm program: a script on Windows.
 const NPM: &str = if cfg!(windows) { "npm.cmd" } else { "npm" };
 
-/// Rust target of the module.
+/// Rust target of the WebAssembly module.
 pub const MODULE: &str = "wasm32-unknown-unknown";
 
 /// Builds the module and the page into `target/web`.
@@ -35,7 +35,7 @@ pub fn pictures() -> Result<(), Failure> {
     run(in_page("node").arg("tests/pictures.mjs"))
 }
 
-/// Builds the module.
+/// Builds the WebAssembly module and copies it to `target/web/oxmill.wasm`.
 fn module() -> Result<(), Failure> {
     let built = run(cargo_without_paths()?.args([
         "build",
@@ -57,7 +57,7 @@ fn module() -> Result<(), Failure> {
     Ok(())
 }
 
-/// Installs the page's tools in the versions of the lock file, unless they are installed.
+/// Installs the page's tools in the versions of the lock file, unless the installed tools are newer than this file.
 fn tools() -> Result<(), Failure> {
     if !exists(NPM) {
         return Err("Node.js with npm is missing: the page is written in TypeScript".into());
@@ -97,7 +97,8 @@ mod tests {
         last.split(|c: char| !c.is_ascii_digit()).next().and_then(|digits| digits.parse().ok()).unwrap_or(0)
     }
 
-    /// `.ci/run` compares the Node.js of the machine with what `package.json` says.
+    /// `.ci/run` compares the installed Node.js with the version in `package.json`, so that version must be the one
+    /// that the page's tools need.
     #[test]
     fn the_page_asks_for_the_node_that_its_tools_need() {
         assert_eq!(["*", ">=18", "6.* || >= 10.*", ">= 10.17.0", "^20.1"].map(newest_of), [0, 18, 10, 10, 20]);

@@ -10,9 +10,10 @@ use std::path::PathBuf;
 use std::process::Command;
 
 const TARGET: &str = "thumbv7m-none-eabi";
-/// A Nucleo, whose host is on `USART2`, and a Black Pill, whose host is here on `USART1` and not on USB. Each with the
-/// frequency of its oscillator in MHz, and with a wrong one: labwired does not model the timer with which the firmware
-/// measures the frequency.
+/// A Nucleo, whose host is on `USART2`, and a Black Pill, whose host is here on `USART1` and not on USB. Each has the
+/// frequency of its oscillator in MHz and a wrong frequency. The frequency is written into the image, because labwired
+/// does not model the timer with which the firmware measures it. An image with the wrong frequency is a fault that the
+/// checks must detect.
 const BOARDS: [(&str, u8, u8); 2] = [("nucleo_f411re", 8, 25), ("blackpill_f411", 25, 8)];
 
 /// Checks every belief on both boards; or, depending on the options, puts faults into the image, each of which must be
@@ -37,7 +38,7 @@ fn build(board: &str, mhz: u8, wrong_mhz: u8) -> Result<PathBuf, Failure> {
     let profile = boards::FAST;
     run(cargo_for("build", profile, TARGET)?.args(["--locked", "--package", "oxmill-firmware", "--features", board]))?;
     let built = root().join("target").join(TARGET).join(profile).join("oxmill-firmware");
-    // Every board links to the same file name.
+    // Every board links to the same file name, so each board's image is copied to a name of its own.
     let folder = root().join("target/witness");
     let fail = |error: std::io::Error| format!("{}: {error}", built.display());
     let image = fs::create_dir_all(&folder).and_then(|()| fs::read(&built)).map_err(fail)?;

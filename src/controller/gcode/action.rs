@@ -31,7 +31,7 @@ pub struct Action<const N: usize> {
     pub speed: f32,
     /// The new state of the coolant, if the line changes it before the motion.
     pub coolant: Option<Coolant>,
-    /// M6 asks for a tool other than the one in the spindle.
+    /// The line has an M6, and the selected tool is not the one in the spindle.
     pub tool_change: bool,
     /// Duration of a dwell before the motion.
     pub dwell: Option<Duration>,
@@ -43,10 +43,11 @@ pub struct Action<const N: usize> {
     /// The stored position or tool that changes at the commit. For a tool, the change is a new offset or its removal
     /// from the table.
     pub store: Option<StoredOffset>,
-    /// The motion.
+    /// Motion of the line; [`MotionCommand::None`] if nothing moves.
     pub motion: MotionCommand<N>,
     /// Value of the last decimal place of the axis words, in mm: 0.001 for `X1.234`. It is at most 0.01 mm or 0.001
-    /// inch, because programs often omit trailing zeros, and 0 if the words are exact.
+    /// inch, because programs often omit trailing zeros, and 0 if the words are exact. `motion` uses it to estimate by
+    /// how much the program has rounded its points.
     pub digit: f32,
     /// What the program does after the motion.
     pub flow: Flow,
@@ -57,7 +58,7 @@ pub struct Action<const N: usize> {
     pub(super) stored: Option<PerAxis<Coordinate, N>>,
     pub(super) position: PerAxis<Coordinate, N>,
     pub(super) rotated: RotationChange,
-    /// If the line was refused for unused words: their letters.
+    /// Letters of the words that no command uses, if the line was refused for this reason.
     pub(super) unused: [Letters; REASONS as usize],
 }
 
@@ -84,7 +85,7 @@ pub(super) struct Afterwards {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Notice {
-    /// G43 of a tool while the table has no entry.
+    /// G43 while no length of any tool is known: the offset is 0.
     NoTools,
     /// G187, G8 P, G5.1 Q or G5 P, which have no effect.
     LookAhead,
@@ -97,7 +98,7 @@ pub enum Notice {
 }
 
 impl Notice {
-    /// The text of the message, for people.
+    /// English text of the message.
     pub const fn text(self) -> &'static str {
         match self {
             Notice::NoTools => {
@@ -179,13 +180,13 @@ impl<const N: usize> Action<N> {
         }
     }
 
-    /// Returns what the line does with the outputs and inputs of programs (M62 to M68).
+    /// Returns the use of a program output or input by the line (M62 to M68); `None` if it has none of these words.
     #[inline]
     pub fn pins(&self) -> Option<ProgramPins> {
         if FULL_IMAGE { self.after.pins } else { None }
     }
 
-    /// Returns the message to send about the line.
+    /// Returns the message to send to the host when the line is executed.
     pub fn notice(&self) -> Option<Notice> {
         self.after.notice
     }
@@ -219,7 +220,7 @@ impl<const N: usize> Action<N> {
         }
     }
 
-    /// An action without effects, which holds no state of an interpreter.
+    /// An action without effects. Its modal state is that after power-up, not the state of an interpreter.
     pub const NOTHING: Self = Self {
         line_number: 0,
         spindle: None,
@@ -254,8 +255,8 @@ impl<const N: usize> Action<N> {
         unused: [Letters::of(b""); REASONS as usize],
     };
 
-    /// Resets this action to one that changes nothing of `state`. The action is changed in place, because a new one
-    /// would be copied here with all its bytes, including the room for an arc.
+    /// Resets this action to one that changes nothing of `state`. The action is changed in place, because a new action
+    /// would be copied here with all its bytes, even those that only an arc needs.
     pub(super) fn begin(&mut self, state: &Interpreter<N>) {
         self.line_number = 0;
         self.uses_machine_place = false;
@@ -294,46 +295,46 @@ impl<const N: usize> Action<N> {
     }
 }
 
-/// Use of a program's outputs and inputs.
+/// Use of an output or input of programs by one line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ProgramPins {
-    /// M62 to M65.
+    /// M62 to M65: switches a digital output.
     Digital {
-        /// P.
+        /// P: number of the output, from 0.
         number: u32,
-        /// M62, M64.
+        /// Whether the output is switched on (M62, M64) or off (M63, M65).
         on: bool,
-        /// M62, M63: with the next motion.
+        /// Whether the output is switched when the next motion begins (M62, M63), or at rest (M64, M65).
         with_motion: bool,
     },
-    /// M67, M68.
+    /// M67, M68: sets an analog output.
     Analog {
-        /// E.
+        /// E: number of the analog output.
         number: u32,
-        /// Q.
+        /// Q: value of the output.
         value: Decimal,
-        /// M67: with the next motion.
+        /// Whether the output is set with the next motion (M67) or without waiting for one (M68).
         with_motion: bool,
     },
-    /// M66 P.
+    /// M66 P: waits for a digital input.
     Wait {
-        /// P.
+        /// P: number of the input, from 0.
         number: u32,
-        /// L.
+        /// L: the condition that ends the wait.
         until: InputWait,
-        /// Q.
+        /// Q: maximum duration of the wait.
         longest: Duration,
     },
-    /// M66 E.
+    /// M66 E: reads an analog input.
     ReadAnalog {
-        /// E.
+        /// E: number of the analog input.
         number: u32,
     },
 }
 
 impl ProgramPins {
-    /// Whether the line waits until the motion before it has ended. M64 and M65 switch the output, and M66 P reads the
-    /// input, at the position that the program has reached.
+    /// Whether the line waits until the previous motion has ended. So M64 and M65 switch the output, and M66 P reads
+    /// the input, at the position where that motion ends.
     pub fn act_at_rest(self) -> bool {
         matches!(self, ProgramPins::Wait { .. } | ProgramPins::Digital { with_motion: false, .. })
     }
@@ -342,7 +343,7 @@ impl ProgramPins {
 /// Condition that M66 waits for, selected by L.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InputWait {
-    /// L0: nothing.
+    /// L0: no condition; the input is read at once.
     Nothing,
     /// L1: the input becomes active.
     Rise,
@@ -393,25 +394,25 @@ pub enum MotionCommand<const N: usize> {
         target: PerAxis<Coordinate, N>,
         /// Speed of the move.
         feed: Feed,
-        /// The move ends at the loss of contact instead of at contact.
+        /// Whether the move ends at the loss of contact (G38.4, G38.5) instead of at contact.
         away: bool,
-        /// If the probe does not change, an alarm follows.
+        /// Whether an alarm follows if the probe does not change before the target (G38.2, G38.4).
         alarm: bool,
     },
     /// A canned cycle.
     Cycle(Cycle<N>),
 }
 
-/// An arc from `start` to `target` round a centre. The axes outside its plane move evenly during the arc. Start and
-/// target are equally far from the centre, within the greatest of these tolerances: 0.005 mm, 0.1 % of the radius (0.5
-/// mm at most), and the rounding of the words (see `arc`).
+/// An arc from `start` to `target` round a centre. The axes outside its plane move at constant speed during the arc.
+/// Start and target are equally far from the centre, within the greatest of these tolerances: 0.005 mm, 0.1 % of the
+/// radius (0.5 mm at most), and the rounding of the words (see `arc`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArcMove<const N: usize> {
     /// Start point.
     pub start: PerAxis<Coordinate, N>,
     /// End point. If it equals `start` in the plane, the arc is a full circle.
     pub target: PerAxis<Coordinate, N>,
-    /// The plane.
+    /// Axes of the arc's plane, and the axis normal to it.
     pub axes: PlaneAxes,
     /// Distance from the start to the centre, along the first axis of the plane.
     pub i: Coordinate,
@@ -489,9 +490,9 @@ pub enum Flow {
     /// Continue with the next line.
     #[default]
     None,
-    /// M0.
+    /// M0, M60: the program pauses.
     Pause,
-    /// M1.
+    /// M1: the program pauses if the settings enable the optional stop.
     OptionalPause,
     /// M2, M30: spindle and coolant stop, overrides return to 100 %.
     End,
@@ -500,17 +501,17 @@ pub enum Flow {
 /// What the line does with the states saved by M70 and M73, or with the control points of G5.2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Keeping {
-    /// Nothing.
+    /// The line has none of these words.
     Leave,
-    /// M70, M73.
+    /// M70, M73: saves the state.
     Save {
-        /// M73.
+        /// M73: the state is restored when the current call returns.
         until_return: bool,
     },
-    /// M71.
+    /// M71: discards the saved state of the current call level.
     Forget,
-    /// M72.
+    /// M72: restores a saved state, and drops the states of deeper call levels.
     Restore,
-    /// G5.2.
+    /// G5.2: adds control points.
     Add([Addition; FULL_IMAGE as usize]),
 }

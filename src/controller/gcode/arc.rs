@@ -1,6 +1,6 @@
-//! Shape of an arc in its plane. Finds the centre of an arc with R, and checks that the ends of an arc with I, J, K are
-//! equally far from its centre. All of this is integer arithmetic in units of 0.1 nm, done while a line is checked;
-//! `motion::arc` computes the chords later.
+//! Geometry of an arc in its plane. Finds the centre of an arc with R, and checks that the ends of an arc with I, J, K
+//! are equally far from its centre. The check of a line computes this in integers, in units of 0.1 nm; `motion::arc`
+//! divides the arc into chords later.
 //!
 //! ```text
 //!        second                     chord: start to target
@@ -23,7 +23,8 @@ pub(super) const RADIUS_TOLERANCE: Coordinate = Coordinate(DECIMAL_ONE / 200);
 const RADIUS_TOLERANCE_MAX: i64 = DECIMAL_ONE / 2;
 /// The tolerance that grows with the radius is the radius divided by this: 0.1 %.
 const RADIUS_TOLERANCE_PART: i64 = 1000;
-/// A chord may always exceed twice the radius by this much, 0.4 nm, because converting inches rounds each value.
+/// In all dialects, a chord may exceed twice the radius by this much, 0.4 nm, because the conversion from inches rounds
+/// each value.
 pub(super) const DIAMETER_TOLERANCE: Coordinate = Coordinate(4);
 
 /// A vector in the plane of an arc, in units of 0.1 nm.
@@ -107,15 +108,15 @@ pub(super) fn centre_by_radius(
 }
 
 /// Returns by how much a chord may exceed twice the radius if all words of the arc are rounded to `digit`, the value of
-/// their last decimal place. R is off by up to half a digit, and each end of the chord by up to half a digit along both
-/// axes: 1 + sqrt(2) digits in all.
+/// their last decimal place. Twice R is off by up to one digit. Each end of the chord is off by up to half a digit
+/// along both axes, both ends together by up to sqrt(2) digits. The sum is 1 + sqrt(2) digits.
 pub(super) fn rounding_of_diameter(digit: Coordinate) -> Coordinate {
     Coordinate(digit.0 * 12 / 5)
 }
 
-/// Returns by how much the radii at start and end may differ if all words of the arc are rounded to `digit`. Each end
-/// and the centre are off by up to half a digit along both axes, and the centre affects both radii: 2 sqrt(2) digits in
-/// all.
+/// Returns by how much the radii at start and end may differ if all words of the arc are rounded to `digit`. Start, end
+/// and centre are each off by up to half a digit along both axes, which is sqrt(2) / 2 digits. The centre affects both
+/// radii, so the sum is 2 sqrt(2) digits.
 pub(super) fn rounding_of_radii(digit: Coordinate) -> Coordinate {
     Coordinate(digit.0 * 14 / 5)
 }

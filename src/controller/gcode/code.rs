@@ -22,7 +22,7 @@ impl Code {
     /// different error numbers for these two.
     pub fn of(value: Decimal) -> Code {
         let ones = ones(value.0.unsigned_abs());
-        // The rest is less than `DECIMAL_ONE` (10^7), so it fits `u32`.
+        // The fraction is less than `DECIMAL_ONE` (10^7), so it fits `u32`.
         let rest = (value.0.unsigned_abs() - ones * DECIMAL_ONE as u64) as u32;
         let hundredths = (rest + Self::HUNDREDTH / 2) / Self::HUNDREDTH;
         let negative = value.0 < 0;

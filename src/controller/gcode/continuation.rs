@@ -1,6 +1,6 @@
-//! Compares two interpreters: would all following lines mean the same to both? If not, it names a part of the state
-//! that differs. `oxmill resume` uses this to prove that the rest of a job is complete. Also checks whether an
-//! interpreter is in the plain state from which a recording can be replayed.
+//! Compares two interpreters: would all following lines mean the same to both? If not, names a part of the state that
+//! differs. `oxmill resume` uses this to prove that the rest of a job is complete. Also checks whether an interpreter
+//! is in a state simple enough to begin a recording that can be replayed.
 
 use super::control_points::ControlPoints;
 use super::modal::{FeedMode, Modal, MotionMode, SplineKind};
@@ -35,7 +35,7 @@ impl<const N: usize> Interpreter<N> {
         parts.into_iter().find_map(|(differs, part)| differs.then_some(part))
     }
 
-    /// Whether the program is at `place` and no state is set other than modal and stored state.
+    /// Whether the program is at `place`, and its only state is the modal state, the stored offsets and the tool table.
     pub fn is_plain(&self, place: &PerAxis<Coordinate, N>) -> bool {
         let offsets = [&self.offsets.g92, &self.offsets.g92_kept, &self.offsets.tool_length];
         self.position == *place
@@ -51,22 +51,23 @@ impl<const N: usize> Interpreter<N> {
             && self.modal.tool == self.spindle_tool
     }
 
-    /// Returns the control points of a curve that has begun and waits for its G5.3.
+    /// Returns the control points of a curve that G5.2 has started and G5.3 has not yet run; `None` without such a
+    /// curve.
     fn waiting_points(&self) -> Option<&ControlPoints> {
         let waits = self.modal.motion == MotionMode::Spline(SplineKind::Nurbs);
         self.control_points.first().filter(|points| waits && points.begin_at(in_xy(&self.position)))
     }
 
-    /// Returns the vector from the present position to the first control point of a G5 without I and J; `None` if no G5
-    /// ended here.
+    /// Returns the vector from the present position to the first control point that a G5 without I and J would have;
+    /// `None` if the most recent G5 did not end here.
     fn next_way(&self) -> Option<[Coordinate; 2]> {
         let last = self.tangent.iter().flatten().find(|tangent| tangent.place == in_xy(&self.position));
         last.map(|tangent| tangent.way)
     }
 }
 
-/// Returns the modal state without the parts that affect no later line. The last F of G94 has no effect with G93, nor
-/// with G94 while F is undefined.
+/// Returns the modal state without the parts that affect no later line. The speed that an F with G94 or G95 has set
+/// affects no later line in G93, or while F is undefined.
 fn meant(modal: &Modal) -> Modal {
     let is_speed = modal.feed_mode != FeedMode::InverseTime && modal.feed > Decimal::ZERO;
     let feed_per_second = if is_speed { modal.feed_per_second } else { 0.0 };

@@ -1,4 +1,5 @@
-//! The control points of a G5.2 curve, each with its weight, until G5.3 runs the curve.
+//! The control points of a G5.2 curve, each with its weight. Lines with G5.2 add them one by one, then G5.3 moves along
+//! the curve.
 
 use crate::image::FULL_IMAGE;
 use crate::lent::Lent;
@@ -14,7 +15,7 @@ pub(super) const ORDER: u8 = 3;
 /// The change that a line makes to the control points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Addition {
-    /// If present, the control points so far are dropped, and this one is the first of a new curve.
+    /// Start point of a new curve, if the line starts one. It replaces all earlier control points.
     pub start: Option<WeightedPoint>,
     pub point: Option<WeightedPoint>,
     pub order: u8,

@@ -32,8 +32,8 @@ pub struct CycleWords {
     pub peck: Coordinate,
     /// P: dwell at the bottom.
     pub dwell: Duration,
-    /// Machine coordinate at which the series of cycles began, minus the tool length offset. So a longer tool returns
-    /// to a higher machine coordinate.
+    /// Machine coordinate at which the series of cycles began, minus the tool length offset at that time. G98 adds the
+    /// offset in force, so a longer tool returns to a higher machine coordinate.
     pub level: Coordinate,
 }
 
@@ -49,7 +49,7 @@ impl CycleWords {
     };
 }
 
-/// Step of a cycle after its bottom has been reached.
+/// Step of a cycle after the tool has reached the bottom of the hole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum After {
     Dwell,
@@ -99,11 +99,11 @@ pub enum CycleStep<const N: usize> {
     Feed(PerAxis<Coordinate, N>, f32),
     /// Dwell at the bottom.
     Dwell(Duration),
-    /// The spindle stops.
+    /// The spindle stops at the bottom of the hole (G86, G88).
     SpindleOff,
-    /// The program pauses.
+    /// The program pauses until the operator continues it (G88).
     Pause,
-    /// The spindle turns again.
+    /// The spindle restarts, in the direction that it had before the cycle stopped it.
     SpindleOn(SpindleDirection),
 }
 
@@ -120,7 +120,7 @@ pub(super) enum CyclePhase {
     Cut,
     /// Rapid out of the hole to R.
     Out,
-    /// Rapid to where the next peck begins: down from R, or back from the bottom of the last peck.
+    /// Rapid to where the next peck begins: down from R (G83), or up from the bottom of the previous peck (G73).
     Return,
     /// Steps after the bottom; the number counts the completed entries of [`CycleKind::after_bottom`].
     After(u8),
@@ -143,7 +143,7 @@ pub struct Cycle<const N: usize> {
     pub(super) r: Coordinate,
     pub(super) bottom: Coordinate,
     pub(super) clear: Coordinate,
-    /// Depth of a peck.
+    /// Depth of one peck.
     pub(super) peck: Coordinate,
     /// Bottom of the latest peck.
     pub(super) reached: Coordinate,
@@ -195,8 +195,8 @@ impl<const N: usize> Cycle<N> {
     }
 
     /// Returns the next step, or `None` at the end of the cycle. `clearance` is the distance by which the tool backs
-    /// off after a peck, and the height above the bottom of the last peck at which the rapid down ends. Neither of
-    /// these moves ends above R.
+    /// off after a peck (G73), and the height above the bottom of the previous peck at which the rapid down ends (G83).
+    /// Neither of these moves ends above R.
     pub fn step(&mut self, clearance: Coordinate) -> Option<CycleStep<N>> {
         let r = self.r;
         let (next, depth, is_feed) = match self.next {

@@ -1,5 +1,5 @@
-//! Results of processing O words: what to do with a line of the host, and what comes next in the held text (the
-//! recorded lines of subroutines, loops and macros).
+//! Results of processing O words: [`Direction`] for a line of the host, and [`Held`] for the next line of the held text
+//! (the recorded lines of subroutines, loops and macros).
 
 /// What to do with a line of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -12,12 +12,12 @@ pub enum Direction {
     LeftOut,
     /// Run the subroutine that the line calls: [`Interpreter::next_held`](super::Interpreter::next_held).
     Call,
-    /// Run held text: the loop that ends with this line, the line itself, or the program that has waited for the
-    /// subprogram that ends here. The line has been recorded.
+    /// Run held text, to which the line has been added: the loop that ends with this line, this line itself, or the
+    /// program that has waited for the subprogram that ends with this line.
     Run,
 }
 
-/// Next item of held text.
+/// Result of reading the next line of held text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Held {
     /// The next held line has been read: check and execute it.

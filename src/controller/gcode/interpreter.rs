@@ -64,7 +64,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Ends the modal states that a program in the new dialect might be unable to end, because the dialect lacks the
-    /// word. Abandons the present program, and drops saved states and the measured length of the tool.
+    /// word for it. Abandons the present program, and drops saved states and the measured length of the tool.
     pub fn change_dialect(&mut self) {
         self.end_cycles();
         if matches!(self.modal.motion, MotionMode::Spline(_)) {
@@ -88,8 +88,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(action)
     }
 
-    /// Checks a line like `check`, and writes the result to `action`, which is not valid after an error. The line's
-    /// assignments to parameters wait for its commit; the next check discards them.
+    /// Checks a line like `check`, and writes the result to `action`, which is not valid after an error. Assignments to
+    /// parameters take effect when the line is committed; without a commit, the next check discards them.
     #[inline]
     pub fn check_into(&mut self, line: &[u8], dialect: Dialect, action: &mut Action<N>) -> Result<(), Error> {
         let mut parsed = Parsed::empty();
@@ -141,7 +141,7 @@ impl<const N: usize> Interpreter<N> {
         self.remember_motion(action);
     }
 
-    /// Applies the changes of a line to everything except modal state and position.
+    /// Applies the line's changes to offsets, tools, rotation, scaling and saved states.
     #[inline(never)]
     fn commit_beside_motion(&mut self, action: &Action<N>) {
         self.offsets.g92 = action.g92;

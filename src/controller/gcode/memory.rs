@@ -1,4 +1,5 @@
-//! Memory lent to the interpreter: see `crate::memory`.
+//! Memory of the interpreter's large parts: held text and parameters, tool table, saved states, control points. On
+//! boards it is static, on hosts it is on the heap (see `crate::memory`).
 
 use super::computed::ComputedMemory;
 #[cfg(not(feature = "alloc"))]
@@ -9,7 +10,7 @@ use super::tools::ToolTable;
 use crate::image::FULL_IMAGE;
 use crate::lent::Lent;
 
-/// Memory lent to one interpreter.
+/// References to the memory of one interpreter; on hosts, boxes.
 #[derive(Debug)]
 pub struct ProgramMemory<const N: usize> {
     pub(super) computed: ComputedMemory,
@@ -18,7 +19,8 @@ pub struct ProgramMemory<const N: usize> {
     pub(super) control_points: [Lent<PointList>; FULL_IMAGE as usize],
 }
 
-/// Owner of the interpreter's memory on a board, with `HELD` bytes for held text.
+/// Static storage for the memory of one interpreter on a board. `HELD`: number of bytes for the held text, the recorded
+/// lines of subroutines, loops and macros.
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
 pub struct ProgramStorage<const N: usize, const HELD: usize> {
@@ -38,7 +40,7 @@ impl<const N: usize, const HELD: usize> ProgramStorage<N, HELD> {
         control_points: [const { PointList::new() }; FULL_IMAGE as usize],
     };
 
-    /// Lends the memory to an interpreter for ever.
+    /// Returns references to this storage, for one interpreter. They stay valid for the whole run time.
     pub fn lend(&'static mut self) -> ProgramMemory<N> {
         ProgramMemory {
             computed: self.computed.lend(),

@@ -1,15 +1,15 @@
-//! G-code: turns the text of one line into one [`Action`], or into an error and nothing else. This file lists the
-//! modules and defines [`Dialect`], which decides what the words mean.
+//! G-code: turns the text of one line into either one [`Action`] or an error. This file lists the modules and defines
+//! [`Dialect`], which decides what the words mean.
 //!
 //! ```text
 //!  bytes ──parse──▶ Parsed ──check──▶ Action ──commit──▶ modal state, offsets, program position
 //!         (words,            (meaning, in the             (only when the caller
 //!          groups)            order of Grbl)               carries the line out)
 //! ```
-//! Guarantees: a refused line changes nothing, and checking changes nothing either; every byte sequence gets an answer
+//! Guarantees: neither a refused line nor the check of a line changes anything; every byte sequence gets an answer
 //! without panic or overflow; positions are exact integers, so nothing drifts. Done elsewhere: filtering of bytes and
-//! limiting of the line length (`protocol`), executing actions (`controller`), shape of arcs and speeds (`motion`),
-//! travel limits.
+//! limiting of the line length (`protocol`), executing actions (`controller`), chords of arcs and the speeds of moves
+//! (`motion`), travel limits.
 
 mod action;
 mod arc;
@@ -77,13 +77,13 @@ pub type Reason = heapless::Vec<u8, { if REASONS { 128 } else { 0 } }>;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Dialect {
     /// As Grbl 1.1h, without the extensions: only the first eight digits of a number count, there are six coordinate
-    /// systems, T is forgotten after its line, axis words are refused under a modal G80, and M7, M56, G90.1 and turns
-    /// of an arc do not exist.
+    /// systems, T is forgotten after its line, axis words are refused under a modal G80, and the words M7, M56, G90.1
+    /// and P for the turns of an arc do not exist.
     Grbl,
     /// All words of Grbl with Grbl's meaning, and further words.
     #[default]
     Oxmill,
-    /// As Oxmill, with two exceptions. Axis words after G80 move the axes in the mode of the last G0 or G1. An arc
-    /// whose end point is off its circle ends where the ray from the centre to that point crosses the circle.
+    /// As Oxmill, with two exceptions. Axis words after G80 move the axes in the mode of the most recent G0 or G1. An
+    /// arc whose end point is off its circle ends where the ray from the centre to that point crosses the circle.
     Seed,
 }

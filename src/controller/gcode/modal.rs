@@ -59,22 +59,22 @@ pub enum SplineKind {
     Nurbs,
 }
 
-/// Canned cycles.
+/// Kind of canned cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CycleKind {
-    /// G73: pecks, the tool backs off a little after each.
+    /// G73: drills in pecks; the tool backs off a little after each peck.
     ChipBreak,
-    /// G81: one feed move.
+    /// G81: drills in one feed move.
     Drill,
-    /// G82: with a dwell at the bottom.
+    /// G82: as G81, with a dwell at the bottom.
     DrillDwell,
-    /// G83: pecks, the tool leaves the hole after each.
+    /// G83: drills in pecks; the tool leaves the hole after each peck.
     Peck,
-    /// G85: retracts at the feed rate.
+    /// G85: bores, and retracts at the feed rate.
     Bore,
-    /// G86: retracts with the spindle stopped.
+    /// G86: bores, and retracts with the spindle stopped.
     BoreStop,
-    /// G88: the program pauses with the spindle stopped.
+    /// G88: bores, stops the spindle at the bottom, and pauses the program before the retract.
     BoreManual,
     /// G89: as G85, with a dwell at the bottom.
     BoreDwell,
@@ -99,7 +99,7 @@ impl CycleKind {
 /// Condition that ends a probing move, and whether an alarm occurs if the condition is not met.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProbeMode {
-    /// Ends at the loss of contact (G38.4, G38.5) instead of at contact.
+    /// Whether the move ends at the loss of contact (G38.4, G38.5) instead of at contact.
     pub away: bool,
     /// Whether an alarm occurs if the contact does not change (G38.2, G38.4).
     pub alarm: bool,
@@ -224,12 +224,12 @@ impl Units {
 /// Path control, modal group 13.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PathControl {
-    /// G61: through all points. G64 without a tolerance is the same.
+    /// G61: the path passes through all programmed points. G64 without a tolerance has the same effect.
     #[default]
     ExactPath,
-    /// G61.1, exact stop: through all points, with a stop at each.
+    /// G61.1: the path passes through all programmed points and stops at each (exact stop).
     ExactStop,
-    /// G64 P: near all points.
+    /// G64 P: the path passes near the programmed points, within this tolerance.
     Within(PathTolerance),
 }
 
@@ -253,12 +253,12 @@ impl PathControl {
     }
 }
 
-/// Overrides of the operator that the program has disabled, modal group 9.
+/// Which of the operator's overrides the program has disabled, modal group 9.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OverridesHeld {
-    /// The feed override is disabled (M49, M50 P0).
+    /// Whether the feed override is disabled (M49, M50 P0).
     pub feed: bool,
-    /// The spindle override is disabled (M49, M51 P0).
+    /// Whether the spindle override is disabled (M49, M51 P0).
     pub spindle: bool,
 }
 
@@ -292,7 +292,7 @@ impl CoordinateSystem {
         CoordinateSystem::G59_2,
         CoordinateSystem::G59_3,
     ];
-    /// Number of systems in Grbl.
+    /// Number of systems in Grbl's dialect, G54 to G59: the first ones of `ALL`.
     pub const OF_GRBL: usize = 6;
 
     /// The word that selects the system.
@@ -311,7 +311,7 @@ impl CoordinateSystem {
     }
 }
 
-/// The modal state.
+/// The modal state: the mode of each group, and T, F and S in force.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Modal {
     /// Motion mode.
@@ -321,45 +321,45 @@ pub struct Modal {
     pub straight: MotionMode,
     /// Work coordinate system.
     pub coordinate_system: CoordinateSystem,
-    /// Plane of arcs.
+    /// Plane of arcs and canned cycles (G17 to G19).
     pub plane: Plane,
-    /// Unit of lengths.
+    /// Unit of lengths (G20, G21).
     pub units: Units,
-    /// G99: canned cycles end at R. With G98 (`false`) they end at the level where their series began, or at R if R is
-    /// higher.
+    /// Whether G99 is in force: canned cycles end at R. With G98 (`false`) they end at the level where their series
+    /// began, or at R if R is higher.
     pub retract_to_r: bool,
     /// Distance mode.
     pub distance: Distance,
     /// Distance mode of arc centres.
     pub arc_distance: ArcDistance,
-    /// Meaning of F.
+    /// Meaning of F (G93 to G95).
     pub feed_mode: FeedMode,
-    /// Spindle.
+    /// Direction of the spindle (M3, M4), or off (M5).
     pub spindle: SpindleDirection,
-    /// Coolant.
+    /// Coolant outputs that are on (M7 to M9).
     pub coolant: Coolant,
-    /// M56 P0: parking is disabled.
+    /// Whether parking is disabled (M56 P0).
     pub no_parking: bool,
-    /// Path control.
+    /// Path control (G61, G61.1, G64).
     pub path: PathControl,
-    /// M48 to M51.
+    /// Overrides that the program has disabled (M48 to M51).
     pub overrides_held: OverridesHeld,
     /// T: the number of the selected tool.
     pub tool: u32,
     /// F, exact: mm/min with G94, moves per minute with G93, mm per revolution with G95; 0 while undefined.
     pub feed: Decimal,
-    /// F of G94 in mm/s, as moves use it; with G95 it is multiplied by S. It is stored because most lines keep the F in
-    /// force and so need not convert it again.
+    /// F of G94 in mm/s, the unit of moves. With G95 it is F in mm per revolution divided by 60, which is multiplied by
+    /// S for each move. The value is stored because most lines keep the F in force and so need not convert it again.
     pub feed_per_second: f32,
-    /// F was written in inches per minute, and was converted. A move of rotary axes alone needs this flag, because it
-    /// takes the number as it was written: in degrees per minute.
+    /// Whether F was written in inches per minute and was converted. A move of rotary axes alone needs this flag,
+    /// because it takes the number as it was written: in degrees per minute.
     pub feed_in_inches: bool,
     /// S, in revolutions per minute.
     pub speed: f32,
 }
 
 impl Modal {
-    /// The state after power-up.
+    /// The modal state after power-up and, except for the tool, after a reset.
     pub const INITIAL: Modal = Modal {
         motion: MotionMode::Rapid,
         straight: MotionMode::Rapid,
@@ -393,7 +393,7 @@ impl Modal {
         feed.to_f32()
     }
 
-    /// Resets all modes that a word unknown to Grbl may have set.
+    /// Resets all modes that a word outside Grbl's dialect may have set.
     pub(super) fn forget_extended(&mut self) {
         self.retract_to_r = false;
         self.arc_distance = ArcDistance::default();
@@ -417,8 +417,8 @@ impl Modal {
         self.distance = Distance::default();
         self.arc_distance = ArcDistance::default();
         if self.feed_mode == FeedMode::InverseTime || FULL_IMAGE && self.feed_mode == FeedMode::PerRevolution {
-            // F of G93 is a number of moves per minute, F of G95 a distance. G94 would take either for a speed, so F
-            // becomes undefined.
+            // F of G93 is a number of moves per minute, F of G95 a distance per revolution. G94 would take either
+            // number for a speed, so F becomes undefined.
             self.feed = Decimal::ZERO;
         }
         self.feed_mode = FeedMode::default();

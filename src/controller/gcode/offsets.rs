@@ -8,7 +8,7 @@ use crate::error::Error;
 use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
-/// The axis that the tool length offset acts along in Grbl.
+/// The axis of the tool length offset in Grbl's dialect, and of measured tool lengths in all dialects.
 pub(super) const TOOL_AXIS: Axis = Axis::Z;
 
 /// Position or offset that is kept over power-off.
@@ -39,14 +39,14 @@ pub struct Offsets<const N: usize> {
     angles: [Angle; CoordinateSystem::ALL.len()],
     g28: PerAxis<Coordinate, N>,
     g30: PerAxis<Coordinate, N>,
-    /// G92, forgotten at reset.
+    /// Offset by G92 or G52; a reset clears it.
     pub g92: PerAxis<Coordinate, N>,
     /// The offset that G92.3 restores after a G92.2.
     pub(super) g92_kept: PerAxis<Coordinate, N>,
     /// Whether a G92 or G52 is in force: one has been given, even with the value 0, and has been neither cleared nor
     /// suspended.
     pub g92_acts: bool,
-    /// Tool length offset, forgotten at reset.
+    /// Tool length offset. A reset clears it, except the measured length of the tool in the spindle.
     pub tool_length: PerAxis<Coordinate, N>,
 }
 
@@ -57,7 +57,7 @@ impl<const N: usize> Default for Offsets<N> {
 }
 
 impl<const N: usize> Offsets<N> {
-    /// The offsets of a new machine.
+    /// The offsets of a new machine: all are zero.
     pub const fn new() -> Self {
         let zero = PerAxis::all(Coordinate::ZERO);
         Self {
@@ -176,7 +176,8 @@ impl<const N: usize> Offsets<N> {
         Ok(plane)
     }
 
-    /// Returns the machine position where the coordinates of a system are zero. G92 is rotated with the system.
+    /// Returns the machine position at which the work coordinates of a system are zero. The offset by G92 is along the
+    /// rotated axes of the system.
     pub(super) fn zero_of(&self, system: CoordinateSystem) -> PerAxis<Coordinate, N> {
         let mut zero = self.total(system);
         if let Ok(Some(rotated)) = self.rotated_plane(system, &self.g92, &self.tool_length, None) {

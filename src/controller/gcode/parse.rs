@@ -1,4 +1,4 @@
-//! The first step of G-code: sorts the words of a line into modal words, M words, axis words and values. Refuses
+//! The first step of checking a line: sorts its words into modal words, M words, axis words and values. Refuses
 //! repeated letters, two words of one group, and values out of range. Nothing here depends on the modal state.
 
 use super::Dialect;
@@ -14,32 +14,32 @@ use crate::image::FULL_IMAGE;
 use crate::messages::SpindleDirection;
 use crate::units::Decimal;
 
-/// Maximum tool number in Grbl.
+/// Maximum tool number in Grbl's dialect.
 pub(super) const TOOL_MAX_OF_GRBL: i32 = 255;
 /// Maximum tool number in the other dialects.
 pub(super) const TOOL_MAX: i32 = 99_999;
-/// Letters of words other than axis, G and M words, in Grbl.
+/// Letters of words other than axis, G and M words, in Grbl's dialect.
 const VALUES_OF_GRBL: Letters = Letters::of(b"FIJKLNPRST");
 /// Letters of words other than axis, G and M words, in the other dialects.
 const VALUES: Letters = Letters::of(if FULL_IMAGE { b"DEFHIJKLNOPQRST".as_slice() } else { b"EFHIJKLNOPQRST" });
 /// Letters that Mach uses for the centre of a rotation.
 const CENTRE_OF_MACH: Letters = Letters::of(if FULL_IMAGE { b"AB".as_slice() } else { b"" });
-/// Words whose value must not be negative.
+/// Letters of words whose value must not be negative.
 const NOT_NEGATIVE: Letters = Letters::of(b"DEFHNPTS");
 
 /// The words of a line that Grbl does not have.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Extended {
-    /// The line has any of these words, other than G50, G51, G68, G69 and M6.
+    /// Whether the line has any of these words except G50, G51, G68, G69 and M6.
     pub any: bool,
     pub path: Option<PathControl>,
-    /// The path control word is G64.
+    /// Whether the path control word is G64, which can have tolerances (P and Q).
     pub is_path_tolerance: bool,
     /// G68 (`true`) or G69 (`false`).
     pub rotation: Option<bool>,
     /// G51 (`true`) or G50 (`false`).
     pub scaling: Option<bool>,
-    /// P is negative, which is allowed only with G5.
+    /// Whether P is negative. Only G5 allows that.
     pub is_p_negative: bool,
     /// G5.3.
     pub ends_control_points: bool,
@@ -57,7 +57,7 @@ pub(super) struct Extended {
     pub probe_once: bool,
     /// G54.1, G154.
     pub system_by_number: bool,
-    /// G8, G187, by number.
+    /// G8, G103 or G187, by number.
     pub look_ahead: Option<u8>,
     /// M29.
     pub rigid_tapping: bool,
@@ -147,19 +147,20 @@ impl<const N: usize> Parsed<N> {
         }
     }
 
-    /// Adds the words of a line. Assignments of the line wait in `state` for the commit.
+    /// Adds the words of a line. Assignments to parameters are stored in `state` and take effect when the line is
+    /// committed.
     pub fn read(&mut self, line: &[u8], dialect: Dialect, state: &mut Interpreter<N>) -> Result<(), Error> {
         let axes = state.axes();
         for word in Words::of(line, dialect, state) {
             let Word { letter, value, places } = word?;
             match letter {
                 b'G' => self.take_g(Code::of(value), dialect)?,
-                // An axis that this machine does not have.
+                // The letter of an axis that this machine does not have.
                 _ if N > LINEAR && Axis::from_letter(letter).is_some_and(|axis| axis.index() >= axes) => {
                     if axes > LINEAR {
                         return Err(Error::OneRotaryAxis);
                     }
-                    // The letter can be the centre of a rotation.
+                    // With G68, A and B can give the centre of the rotation, as in Mach.
                     self.take_value(letter, value, dialect)?;
                 }
                 b'M' => self.take_m(Code::of(value), dialect)?,
@@ -301,7 +302,7 @@ impl<const N: usize> Parsed<N> {
         if !values.has(letter) {
             return match letter {
                 ASSIGNMENT => Ok(()),
-                // The dialect is not Grbl's, because that one has no rotations.
+                // The dialect cannot be Grbl's, because in Grbl's dialect G68 is an unknown word.
                 b'A' | b'B' if FULL_IMAGE && self.extended.rotation == Some(true) => {
                     if self.values.has(letter) {
                         return Err(Error::WordRepeated);

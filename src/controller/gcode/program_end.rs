@@ -1,8 +1,9 @@
-//! Decides on lines after the end of a program (M2, M30): they belong to the next program, or to subprograms (`O1001`
-//! .. `M99`), which are held for calls by M98 and G65 (see `computed/subprograms.rs`) and never executed one after
-//! another. A build without them refuses their lines. An O number (`O1001` .. `M30`) begins the next program only if it
-//! follows a tape mark, a reset, `$X`, or a rest of the machine right after the end of the program. Among subprograms,
-//! a rest is enough only if the O number is that of the program before them, because then the same file begins again.
+//! Decides on lines after the end of a program (M2, M30): each line belongs to the next program, or to a subprogram
+//! (`O1001` .. `M99`). Subprograms are held for calls by M98 and G65 (see `computed/subprograms.rs`); their lines are
+//! not executed as they arrive. A build without subprograms refuses these lines. A *rest* is a pause in which the
+//! machine is idle and the host sends no line of a program. An O number (`O1001` .. `M30`) begins the next program only
+//! if it follows a tape mark, a reset, `$X`, or a rest right after the end of the program. Among subprograms, a rest is
+//! enough only if the O number is that of the program before them: then the host sends the same file again.
 //!
 //! ```text
 //!  Program ──M2, M30──▶ End ──O number──▶ Subprogram ──words outside of a subprogram, an error, $X,──▶ Refused
@@ -11,11 +12,11 @@
 //!     ├──words after a rest───────────────────┤                                                        │
 //!     └──%, reset, another host───────────────┴──────────────────────── $X (not one that ends an alarm)┘
 //! ```
-//! A program that is held for the call of an unknown subprogram is dropped like a subprogram, although its place is
-//! still `Program`. Whatever drops a program or a subprogram, the host can still send the rest of its lines. So these
-//! lines are refused. Neither a rest nor the `$X` that ends an alarm ends a refusal: the operator may only have looked
-//! at the machine before the sender goes on. An M99 does not end a refusal either, because it can be followed by more
-//! lines of the same subprogram, which a GOTO reaches.
+//! A program that is held because it calls an unknown subprogram is dropped in the same cases as a subprogram, although
+//! its place is still `Program`. After a program or subprogram has been dropped, the host can still send its remaining
+//! lines, so these lines are refused. Neither a rest nor the `$X` that ends an alarm ends the refusal: the operator may
+//! only have looked at the machine before the sender continues. An M99 does not end the refusal either, because more
+//! lines of the same subprogram, which a GOTO can reach, may follow it.
 
 use super::program_number::{has_program_number, has_return, may_have_program_number};
 use super::state::{Interpreter, ProgramPlace};
@@ -24,8 +25,8 @@ use crate::error::Error;
 use crate::image::FULL_IMAGE;
 
 impl<const N: usize> Interpreter<N> {
-    /// Whether the next line of the host has to be examined by [`Interpreter::look_behind_end`], because a program has
-    /// ended and no other one has begun, or because a program is held.
+    /// Whether [`Interpreter::look_behind_end`] has to examine the host's next line, because a program has ended and no
+    /// other program has begun, or because a program is held.
     #[inline]
     pub fn is_behind_end(&self) -> bool {
         self.place != ProgramPlace::Program || self.is_holding()
@@ -36,7 +37,8 @@ impl<const N: usize> Interpreter<N> {
         self.place
     }
 
-    /// Restores an earlier place, because the lines read since then did not belong to the host's program.
+    /// Restores an earlier place. Call this after lines that do not belong to the host's program, such as startup
+    /// lines.
     pub fn return_to(&mut self, place: ProgramPlace) {
         self.place = place;
     }
@@ -51,8 +53,8 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Executes `$X`: the next line begins a program. But if the host is in the middle of a held program or among
-    /// subprograms, the rest of them is refused, up to another `$X`. `is_locked`: the `$X` ends an alarm, so it does
-    /// not end a refusal. `rested`: no more subprograms are expected.
+    /// subprograms, their remaining lines are refused, up to another `$X`. `is_locked`: the `$X` ends an alarm, so it
+    /// does not end a refusal. `rested`: the `$X` follows a rest, so no more subprograms are expected.
     #[cfg_attr(not(feature = "full"), allow(unused_variables, reason = "there are no subprograms"))]
     pub fn unlock(&mut self, is_locked: bool, rested: bool) {
         self.computed.end_modal_call();
@@ -65,8 +67,9 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Examines a line after the end of a program or of a held program. `rested`: the machine has been idle for a
-    /// while, so an O number is that of the next program, and the rest of the held program will not come.
+    /// Examines a line that follows the end of a program, or that arrives while a program is held. `rested`: the line
+    /// follows a rest, so an O number in it is that of the next program, and no more lines of the held program will
+    /// come.
     ///
     /// # Errors
     /// [`Error::OutOfPlace`] for lines that belong to no program.
@@ -97,7 +100,7 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    /// Takes note that a line with the end of the program was refused: for the lines after it, the program has ended.
+    /// Records that a line with M2 or M30 was refused. For the lines after it, the program has ended all the same.
     pub fn note_end(&mut self) {
         self.computed.end_modal_call();
         if self.place == ProgramPlace::Program {
@@ -105,9 +108,9 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Takes note of a line that block delete (`/`) skips. An M2 or M30 in the line ends the program all the same.
-    /// After the end of a program, an O number in the line begins a subprogram whose lines are refused, unless the
-    /// machine has `rested`.
+    /// Records that block delete (`/`) has skipped a line. An M2 or M30 in the line ends the program all the same.
+    /// After the end of a program, an O number in the line begins a subprogram whose lines are refused, unless the line
+    /// follows a rest (`rested`).
     pub fn skipped_line(&mut self, line: &[u8], rested: bool) {
         if may_end_program(line) {
             self.note_end();
@@ -116,8 +119,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Takes note that a line of the running text was refused, and with it the line of the host that runs the text. If
-    /// the text is a held program, that program is over, and what follows it is refused.
+    /// Records that a line of the running text was refused, and with it the line of the host that runs the text. If the
+    /// text is a held program, this program ends, and the lines after it are refused.
     #[cfg(feature = "full")]
     #[cold]
     #[inline(never)]
@@ -129,10 +132,10 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Takes note of a refused line. An M2 or M30 in the line, even a computed one, ends the program all the same.
+    /// Records that a line was refused. An M2 or M30 in the line, even a computed one, ends the program all the same.
     /// After the end of a program, the line begins a refused subprogram if the line has an O number anywhere, or if its
-    /// text is unknown (`None`: too long, damaged, or with an open remark). M99 means that a subprogram has been taken
-    /// for the program, unless the line belongs to a subroutine or loop that is being recorded.
+    /// text is unknown (`None`: too long, damaged, or with an open comment). An M99 in the line means that a subprogram
+    /// has been taken for the program, unless a subroutine or loop is being recorded.
     #[cold]
     #[inline(never)]
     pub fn refused_line(&mut self, line: Option<&[u8]>) {
@@ -155,7 +158,7 @@ fn switches_off(line: &[u8]) -> bool {
     matches!(line, b"M5" | b"M05" | b"M9" | b"M09" | b"M5M9" | b"M9M5")
 }
 
-/// Whether a line has the end of the program (M2, M30), or may have it.
+/// Whether a line has, or may have, an M2 or M30. It may have one if the number of an M word is computed.
 fn may_end_program(line: &[u8]) -> bool {
     may_have_m_word(line, &[2, 30])
 }
@@ -166,7 +169,7 @@ mod tests {
     use crate::gcode::{Dialect, Direction};
     use crate::image::FULL_IMAGE;
 
-    /// Returns what becomes of each of these lines, on a machine that never rests: `+` executed, `.` held, `-` refused.
+    /// Returns what happens to each line if no line follows a rest: `+` executed, `.` held, `-` refused.
     fn taken(lines: &[&str]) -> std::string::String {
         let mut interpreter = Interpreter::<3>::default();
         let take = |line: &&str| {

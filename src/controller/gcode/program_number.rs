@@ -32,7 +32,7 @@ pub(super) fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
     ((1..=8).contains(&number.len()) && behind_digits(number).is_empty()).then_some(number)
 }
 
-/// Returns the number of a program; 0 if the line is no such number.
+/// Returns the number of a program; 0 if the line is not a program number alone.
 #[inline(never)]
 #[cfg(feature = "full")]
 pub(super) fn number_of(line: &[u8]) -> u32 {
@@ -40,7 +40,8 @@ pub(super) fn number_of(line: &[u8]) -> u32 {
     digits.iter().fold(0, |value, digit| value * 10 + u32::from(digit - b'0'))
 }
 
-/// Whether a refused line may have the number of a program or subprogram, anywhere in it.
+/// Whether a refused line may have the number of a program or subprogram anywhere in it, or begins with a name in its
+/// place (`<SUB1>`).
 pub(super) fn may_have_program_number(line: &[u8]) -> bool {
     let mut before = b' ';
     line.first() == Some(&b'<')
@@ -52,7 +53,7 @@ pub(super) fn may_have_program_number(line: &[u8]) -> bool {
         })
 }
 
-/// Whether a text begins with O or a colon, and does not begin with an O word.
+/// Whether a text begins with O or a colon, and the number after it is not followed by a keyword of O words.
 fn is_program_number(text: &[u8]) -> bool {
     let Some((b'O' | b':', number)) = text.split_first() else { return false };
     let word = from_next_word(number);
@@ -86,7 +87,7 @@ fn from_next_word(line: &[u8]) -> &[u8] {
     word.and_then(|at| line.get(at..)).unwrap_or_default()
 }
 
-/// The keywords of O words. The image without O words needs them, too.
+/// The keywords of O words. An image without O words needs them too, to distinguish O words from program numbers.
 pub(super) const O_WORDS: [&[u8]; 15] = [
     b"SUB",
     b"ENDSUB",

@@ -1,16 +1,17 @@
-//! Message comments of programs, as they are stored after the words of a line: `(MSG, ...)`, `(PRINT, ...)`, `(DEBUG,
-//! ...)`.
+//! Message comments of programs (`(MSG, ...)`, `(PRINT, ...)`, `(DEBUG, ...)`), as they are stored after the words of a
+//! line.
 //!
-//! Before the text of the message stands a mark. It says whether the text is sent as written or with the values of
-//! parameters. [`split_remark`] splits a line at the mark. Neither mark can occur among the words, because all comments
-//! have been removed from them.
+//! A mark precedes the text of the message. It determines whether the text is sent as written, or with the values of
+//! parameters inserted. [`split_remark`] splits a line at the mark. The words before the mark contain neither `(` nor
+//! `;`, because all comments have been removed from them.
 
 /// Mark of a message that is sent as it is written.
 pub const AS_WRITTEN: u8 = b'(';
 /// Mark of a message in which parameters are replaced by their values.
 pub const WITH_VALUES: u8 = b';';
 
-/// Splits a line into its words and its message with the mark. Without a message the second part is empty.
+/// Splits a line into its words and its message. The second part begins with the mark; it is empty if the line has no
+/// message.
 pub fn split_remark(line: &[u8]) -> (&[u8], &[u8]) {
     let end = line.iter().position(|byte| matches!(*byte, AS_WRITTEN | WITH_VALUES));
     line.split_at_checked(end.unwrap_or(line.len())).unwrap_or((line, &[]))

@@ -10,8 +10,8 @@
 //!             └──────────────── first
 //! ```
 //! G92 and G52 are along the rotated axes of the system. The origin of the system and the tool length offset are along
-//! the machine's axes. Rotations by multiples of 90 degrees are exact, others are rounded to 0.1 nm. The last position
-//! is kept in the coordinates that the program wrote, so that roundings do not add up over many increments.
+//! the machine's axes. Rotations by multiples of 90 degrees are exact, others are rounded to 0.1 nm. The most recent
+//! position is stored in the coordinates that the program wrote, so that roundings do not add up over many increments.
 
 use super::modal::{Plane, PlaneAxes};
 use super::scaling::ScalingChange;
@@ -23,8 +23,8 @@ use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Angle(pub i32);
 
-/// 1 in the fixed-point format of sines. The product of a sine and a coordinate fits `i128` and, after the shift back,
-/// `i64`.
+/// 1 in the fixed-point format of sines and cosines. The product of a sine and a coordinate fits `i128`; shifted right
+/// by [`FRACTION`], it fits `i64`.
 const ONE: i64 = 1 << FRACTION;
 const FRACTION: u32 = 62;
 
@@ -201,7 +201,8 @@ mod tests {
             let (wanted_sine, wanted_cosine) = (f64::from(units) / 1e7).to_radians().sin_cos();
             prop_assert!((cosine as f64 / ONE as f64 - wanted_cosine).abs() < 1e-15);
             prop_assert!((sine as f64 / ONE as f64 - wanted_sine).abs() < 1e-15);
-            // The point lies on the circle. This test is finer than the precision of `f64`.
+            // The point (cosine, sine) lies on the unit circle. This test in integers is finer than the precision of
+            // `f64`.
             let square = |v: i64| i128::from(v) * i128::from(v);
             prop_assert!((square(cosine) + square(sine) - square(ONE)).abs() < 64 * i128::from(ONE));
         }

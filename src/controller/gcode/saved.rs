@@ -12,7 +12,7 @@ const MOST: usize = if FULL_IMAGE { 8 } else { 1 };
 /// Level of a saved state that has not been restored yet although its call has returned.
 const RETURNED: u8 = u8::MAX;
 
-/// A saved state.
+/// A state that M70 or M73 has saved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Saved<const N: usize> {
     pub modal: Modal,
@@ -21,13 +21,14 @@ pub(super) struct Saved<const N: usize> {
     /// The tool in the spindle when the state was saved. With another tool in the spindle, the saved length is not
     /// restored.
     pub spindle_tool: u32,
-    /// The tool has been measured since the state was saved, so the saved length is outdated.
+    /// Whether a tool has been measured since the state was saved, so that the saved length is outdated.
     pub is_measured_anew: bool,
     /// Number of active subroutine calls when the state was saved.
     pub level: u8,
-    /// M73: the state is restored at the end of its call.
+    /// Whether the state was saved by M73, and so is restored when its call returns.
     pub until_return: bool,
-    /// M71: the state is never restored. It keeps its place in the list until another state is saved at its level.
+    /// Whether M71 has discarded the state, so that it is never restored. The entry remains in the list until another
+    /// state is saved at its level.
     pub is_forgotten: bool,
 }
 
@@ -44,7 +45,7 @@ impl<const N: usize> SavedStates<N> {
         Self(room)
     }
 
-    /// Whether M72 has nothing to restore.
+    /// Whether there is no state that M72 could restore, at any level.
     pub fn is_empty(&self) -> bool {
         self.0.iter().all(|saved| saved.is_forgotten)
     }
@@ -73,7 +74,7 @@ impl<const N: usize> SavedStates<N> {
         let _ = self.0.push(saved);
     }
 
-    /// Marks the tool length of all saved states as outdated, because the tool in the spindle has been measured.
+    /// Marks the tool length of all saved states as outdated. Call this when the tool in the spindle has been measured.
     pub fn tool_measured(&mut self) {
         self.0.iter_mut().for_each(|saved| saved.is_measured_anew = true);
     }

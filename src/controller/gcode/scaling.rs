@@ -12,7 +12,7 @@ use crate::axes::{Axis, PerAxis};
 use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 
-/// Number of scaled axes: X, Y and Z. Without scaling (0) the types below take no memory.
+/// Number of scaled axes: X, Y and Z. In a build without scaling it is 0, so that the types below take no memory.
 const AXES: usize = if FULL_IMAGE { 3 } else { 0 };
 
 /// Scaling by G51.
@@ -36,7 +36,7 @@ fn fine(coordinate: Coordinate) -> Fine {
 }
 
 /// Returns `numerator / denominator`, rounded to the nearest integer.
-// Not inlined, so that the image contains the long code of the division once.
+// Not inlined, so that the long code of the division is in the image only once.
 #[inline(never)]
 fn divided(numerator: Fine, denominator: i64) -> Coordinate {
     let denominator = i128::from(denominator);
@@ -75,7 +75,7 @@ impl Scaling {
         fine(self.centre.get(axis.index()).copied().unwrap_or(Coordinate::ZERO))
     }
 
-    /// Scales a coordinate of the program. Also returns the remainder.
+    /// Scales a coordinate of the program about the centre. Also returns the remainder from rounding.
     #[inline(never)]
     pub(super) fn place(&self, axis: Axis, written: Coordinate) -> (Coordinate, i32) {
         let centre = self.centre(axis);
@@ -84,14 +84,14 @@ impl Scaling {
         rounded(centre + i128::from(from_centre.0) * i128::from(self.factor(axis).0))
     }
 
-    /// Scales a distance of the program and adds the remainder `rest` of earlier roundings. Also returns the new
+    /// Scales a distance of the program and adds `rest`, the remainder from the previous rounding. Also returns the new
     /// remainder.
     #[inline(never)]
     pub(super) fn way(&self, axis: Axis, written: Coordinate, rest: i32) -> (Coordinate, i32) {
         rounded(i128::from(written.0) * i128::from(self.factor(axis).0) + i128::from(rest))
     }
 
-    /// Scales a length that has no direction, by the absolute value of the factor.
+    /// Scales a length that has no direction, such as a radius, by the absolute value of the factor.
     pub(super) fn size(&self, axis: Axis, written: Coordinate) -> Coordinate {
         let length = i128::from(written.0) * i128::from(self.factor(axis).0.unsigned_abs());
         rounded(length).0
@@ -102,7 +102,8 @@ impl Scaling {
         divided(fine(Coordinate(scaled)), self.factor(axis).0).0
     }
 
-    /// Converts a scaled position back to the position in the program.
+    /// Converts a scaled position back to the position in the program. `rest` is the remainder from rounding the scaled
+    /// position.
     #[inline(never)]
     pub(super) fn written<const N: usize>(&self, place: &mut PerAxis<Coordinate, N>, rest: &Rest) {
         for (axis, rest) in [Axis::X, Axis::Y, Axis::Z].into_iter().zip(rest) {
@@ -116,8 +117,8 @@ impl Scaling {
         }
     }
 
-    /// Returns the smallest absolute factor. Scaling multiplies the last decimal place of a program's words by this
-    /// factor or more.
+    /// Returns the smallest absolute factor. The value of the last decimal place of a program's words is multiplied by
+    /// at least this factor.
     #[inline(never)]
     pub(super) fn least(&self) -> f32 {
         self.factors.iter().map(|factor| Decimal(factor.0.saturating_abs()).to_f32()).fold(f32::INFINITY, f32::min)

@@ -33,7 +33,7 @@ pub struct Interpreter<const N: usize> {
     pub(super) tools: Lent<ToolTable<N>>,
     /// Number of the tool in the spindle; 0 if none is known.
     pub(super) spindle_tool: u32,
-    /// In check mode: the state of the machine, from before check mode.
+    /// In check mode: the state from before check mode, which is still the state of the machine.
     pub(super) before_check: Option<BeforeCheck<N>>,
     pub(super) computed: Computed<N>,
     pub(super) measured: Measured,
@@ -41,7 +41,7 @@ pub struct Interpreter<const N: usize> {
     pub(super) saved: SavedStates<N>,
     /// Rotation by G68.
     pub(super) rotation: Option<Rotation>,
-    /// The last position that a program gave in rotated coordinates.
+    /// The most recent position that a program gave in rotated coordinates.
     pub(super) reached: Option<Reached>,
     /// Scaling by G51.
     pub(super) scaling: Option<Scaling>,
@@ -49,9 +49,9 @@ pub struct Interpreter<const N: usize> {
     pub(super) rest: Rest,
     /// Control points of G5.2; takes no memory in a build without splines.
     pub(super) control_points: [ControlPoints; FULL_IMAGE as usize],
-    /// Tangent at the end of the last G5; takes no memory in a build without splines.
+    /// Tangent at the end of the most recent G5; takes no memory in a build without splines.
     pub(super) tangent: [Option<Tangent>; FULL_IMAGE as usize],
-    /// Where the next line is relative to the end of a program (M2, M30).
+    /// Where the host's next line is relative to the end of a program (M2, M30).
     pub(super) place: ProgramPlace,
 }
 
@@ -62,14 +62,15 @@ pub enum ProgramPlace {
     Program,
     /// After the end of a program.
     End,
-    /// After the end of a program, among subprograms. A build without subprograms refuses them instead.
+    /// After the end of a program, among its subprograms. In a build without subprograms, the place is `Refused`
+    /// instead.
     #[cfg(feature = "full")]
     Subprogram,
-    /// Where all lines are refused up to the next program.
+    /// In lines that belong to no program. They are refused until another program begins.
     Refused,
 }
 
-/// End of the last G5, from which another G5 can continue smoothly; in X and Y of the machine.
+/// End of the most recent G5, in X and Y of the machine. Another G5 can continue smoothly from there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Tangent {
     pub(super) place: [Coordinate; 2],
@@ -78,22 +79,23 @@ pub(super) struct Tangent {
 }
 
 impl Tangent {
-    /// Mirrors the last control point of a curve about its end: `arriving` leads from the end to that control point.
+    /// Returns the tangent behind the end point of a curve: mirrors the vector `arriving`, which leads from the end
+    /// point to the control point before it.
     pub(super) fn behind<const N: usize>(end: &PerAxis<Coordinate, N>, arriving: [Coordinate; 2]) -> Self {
         Self { place: in_xy(end), way: arriving.map(|part| -part) }
     }
 }
 
-/// No G5 has ended yet.
+/// No tangent: no G5 has ended yet.
 pub(super) const NO_TANGENT: [Option<Tangent>; FULL_IMAGE as usize] = [None; FULL_IMAGE as usize];
 
-/// State of the machine from before check mode, which stays in force for the machine.
+/// State from before check mode. It remains the state of the machine while programs are only checked.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct BeforeCheck<const N: usize> {
     pub(super) spindle_tool: u32,
     pub(super) modal: Modal,
-    /// Empty in Grbl's dialect and in a build without expressions: there the checked programs change the offsets for
-    /// good.
+    /// Empty in Grbl's dialect and in a build without expressions. There, changes that checked programs make to the
+    /// offsets remain after check mode.
     pub(super) offsets: [Option<Offsets<N>>; FULL_IMAGE as usize],
 }
 
@@ -214,8 +216,8 @@ impl<const N: usize> Interpreter<N> {
         self.measured.reference()
     }
 
-    /// Assumes, in check mode, that the tool was measured. The first measurement leaves Z at the height of G30, or at
-    /// its present height if that is higher.
+    /// Assumes, in check mode, that M6 has measured the tool. If no tool has been measured before, Z is then at the
+    /// height of G30, or at its present height if that is higher.
     pub fn assume_measured(&mut self) {
         if !self.measured.assumed && self.measured.is_first() {
             let height = self.offsets.stored(StoredOffset::G30).get(TOOL_AXIS);
@@ -225,7 +227,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Returns the measured offset of tool `number` if this tool is in the spindle. The measurement gives only the
-    /// offset along Z; the other axes come from the table.
+    /// offset along Z; the offsets along the other axes come from the tool table.
     pub(super) fn measured_offset(&self, number: u32) -> Option<PerAxis<Coordinate, N>> {
         let active = self.offsets.tool_length.get(TOOL_AXIS).filter(|_| self.measured.assumed);
         let length = active.or(self.measured.offset()).filter(|_| number == self.spindle_tool && number != 0)?;
@@ -246,7 +248,7 @@ impl<const N: usize> Interpreter<N> {
         &self.tools
     }
 
-    /// The tool table, for restoring its entries.
+    /// The tool table, for restoring stored entries at power-up.
     pub fn tools_mut(&mut self) -> &mut ToolTable<N> {
         &mut self.tools
     }
@@ -256,12 +258,13 @@ impl<const N: usize> Interpreter<N> {
         &self.position
     }
 
-    /// Sets the number of the tool in the spindle and selects this tool; for a replay.
+    /// Sets the number of the tool in the spindle and selects this tool, at the start of a replay.
     pub fn hold_tool(&mut self, tool: u32) {
         (self.spindle_tool, self.modal.tool) = (tool, tool);
     }
 
-    /// Corrects the machine position: after a reset, a probing move, a cancelled jog, homing.
+    /// Sets the machine position when the machine is not where the last line ends: after a reset, a probing move, a
+    /// cancelled jog or homing.
     pub fn set_position(&mut self, position: PerAxis<Coordinate, N>) {
         self.position = position;
     }
@@ -271,7 +274,7 @@ impl<const N: usize> Interpreter<N> {
         self.control_points.first().map_or(&[], ControlPoints::all)
     }
 
-    /// The words of the latest canned cycle, which stay in force as long as its mode.
+    /// The words of the latest canned cycle. They stay in force as long as the motion mode is this cycle.
     pub fn cycle_words(&self) -> &CycleWords {
         &self.cycle
     }
@@ -286,7 +289,7 @@ impl<const N: usize> Interpreter<N> {
         &self.modal
     }
 
-    /// The modal state of the machine: in check mode, the one from before check mode.
+    /// The modal state of the machine: in check mode, the modal state from before check mode.
     pub fn acting_modal(&self) -> &Modal {
         self.before_check.as_ref().map_or(&self.modal, |before| &before.modal)
     }
@@ -297,7 +300,7 @@ impl<const N: usize> Interpreter<N> {
         self.modal.coolant = coolant;
     }
 
-    /// All offsets.
+    /// Coordinate systems, G92, tool length offset, and the positions of G28 and G30.
     pub fn offsets(&self) -> &Offsets<N> {
         &self.offsets
     }
@@ -319,7 +322,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// The rotation by G68, if one acts.
+    /// The rotation by G68; `None` if no G68 is in force.
     pub fn rotation(&self) -> Option<&Rotation> {
         self.rotation.as_ref()
     }
@@ -329,12 +332,12 @@ impl<const N: usize> Interpreter<N> {
         self.computed.has_modal_call()
     }
 
-    /// The scaling by G51, if one acts.
+    /// The scaling by G51; `None` if no G51 is in force.
     pub fn scaling(&self) -> Option<&Scaling> {
         self.scaling.as_ref()
     }
 
-    /// Sets the angle of a coordinate system.
+    /// Sets the angle by which a coordinate system is rotated about its origin.
     pub fn set_angle(&mut self, system: CoordinateSystem, angle: Angle) {
         self.offsets.set_angle(system, angle);
     }
@@ -354,8 +357,8 @@ impl<const N: usize> Interpreter<N> {
         program
     }
 
-    /// Converts machine coordinates in a rotated plane to program coordinates. For the last position that the program
-    /// gave, returns the coordinates as the program wrote them.
+    /// Converts machine coordinates in a rotated plane to program coordinates. For the most recent position that the
+    /// program gave, returns the coordinates as the program wrote them, without the rounding of the rotation.
     pub(super) fn in_program(&self, rotated: RotatedPlane, machine: [Coordinate; 2]) -> [Coordinate; 2] {
         match self.reached {
             Some(reached) if reached.rotated == rotated && reached.machine == machine => reached.program,

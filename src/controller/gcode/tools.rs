@@ -6,7 +6,7 @@ use crate::axes::PerAxis;
 use crate::number::{self, Digits};
 use crate::units::Coordinate;
 
-/// Capacity of the tool table.
+/// Maximum number of tools in the tool table.
 pub const TOOLS: usize = 32;
 
 /// Bit in the number of an entry that a program has set in check mode. Such an entry hides the entry of the same tool
@@ -53,7 +53,7 @@ impl<const N: usize> ToolTable<N> {
         self.find(number).or_else(|| self.find(0))
     }
 
-    /// Replaces an entry.
+    /// Replaces the entry at index `slot`.
     pub fn put(&mut self, slot: usize, tool: Tool<N>) {
         if let Some(entry) = self.0.get_mut(slot) {
             *entry = tool;
@@ -74,7 +74,7 @@ impl<const N: usize> ToolTable<N> {
         self.0.iter().position(|tool| tool.number == number)
     }
 
-    /// Frees the entry of a tool.
+    /// Removes a tool: its entry becomes free.
     pub(super) fn remove(&mut self, number: u32) {
         if let Some(slot) = self.find(number) {
             self.put(slot, Tool { number: 0, offset: PerAxis::all(Coordinate::ZERO) });
@@ -119,7 +119,7 @@ impl Measured {
         self.reference
     }
 
-    /// Sets the reference, or forgets it.
+    /// Sets the reference; `None` forgets it.
     pub(super) fn set_reference(&mut self, reference: Option<Coordinate>) {
         self.reference = reference;
     }
@@ -130,8 +130,8 @@ impl Measured {
     }
 
     /// Records that a tool touched the setter at the machine coordinate `place` while the offset `active` was in force.
-    /// Returns the offset of the tool, and whether it is the first measured tool. The offset gives the tips of all
-    /// measured tools the same coordinates at the same place; the first tool keeps the offset in force.
+    /// Returns the offset of the tool, and whether it is the first measured tool. With these offsets, the tips of all
+    /// measured tools have the same work coordinates at the same point. The first tool gets the offset `active`.
     pub(super) fn touched(&mut self, place: Coordinate, active: Coordinate) -> (Coordinate, bool) {
         let is_first = self.is_first();
         let reference = *self.reference.get_or_insert(place - active);
@@ -141,14 +141,14 @@ impl Measured {
     }
 }
 
-/// Whether a refused line asks for another tool (M6), or may do so, because its text is unknown (`None`: too long,
-/// damaged, or with an open remark).
+/// Whether a refused line has an M6, or may have one. It may have one if its text is unknown (`None`: too long,
+/// damaged, or with an open comment).
 pub fn asks_for_tool(line: Option<&[u8]>) -> bool {
     line.is_none_or(|line| may_have_m_word(line, &[6]))
 }
 
-/// Whether a line has one of these M words, or may have it: the number of an M word may be computed (`M[6]`), or a
-/// bracket may be open.
+/// Whether a line has, or may have, one of these M words. It may have one if the number of an M word is computed
+/// (`M[6]`), or if the line has an M and a bracket that is not closed.
 #[inline(never)]
 pub(super) fn may_have_m_word(line: &[u8], wanted: &[u8]) -> bool {
     let mut depth = 0_usize;
@@ -164,7 +164,7 @@ pub(super) fn may_have_m_word(line: &[u8], wanted: &[u8]) -> bool {
     has || depth > 0 && line.contains(&b'M')
 }
 
-/// Whether a number, or the expression in its place, can be one of these.
+/// Whether the number or expression at the start of the text can give one of the `wanted` numbers.
 fn may_be_one_of(number: &[u8], wanted: &[u8]) -> bool {
     match number::read(number, Digits::Exact) {
         Some(read) => {
@@ -176,8 +176,7 @@ fn may_be_one_of(number: &[u8], wanted: &[u8]) -> bool {
     }
 }
 
-/// Returns the number under which the table keeps an entry that a program sets for a tool; in check mode it has the bit
-/// [`CHECKED`].
+/// Returns the number of the table entry that a program sets for a tool: in check mode with the bit [`CHECKED`].
 pub(super) fn entry_number(number: u32, is_checking: bool) -> u32 {
     if is_checking { number | CHECKED } else { number }
 }

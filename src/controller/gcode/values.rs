@@ -5,13 +5,13 @@ use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal, Duration};
 
-/// Converts a number that must be whole because it selects something.
+/// Converts a number that selects something, such as the number of a tool. It must be whole.
 pub(super) fn whole(value: Decimal) -> Result<i32, Error> {
     let number = value.truncate();
     if Decimal::from_int(number) == value { Ok(number) } else { Err(Error::IntegerRequired) }
 }
 
-/// Converts a time that a program gives in seconds; ignores its sign.
+/// Converts a time in seconds to a duration, rounded to microseconds; ignores the sign.
 pub(super) fn seconds(value: Decimal) -> Duration {
     /// A microsecond, in units of a [`Decimal`] that holds seconds.
     const MICROSECOND: u64 = DECIMAL_ONE as u64 / 1_000_000;

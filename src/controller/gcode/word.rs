@@ -15,7 +15,7 @@ use crate::messages::SpindleDirection;
 use crate::number::{self, Digits, Number};
 use crate::units::Decimal;
 
-/// A letter and its number.
+/// A letter and the number after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Word {
     pub letter: u8,
@@ -24,7 +24,7 @@ pub(super) struct Word {
     pub places: u8,
 }
 
-/// The letter of an assignment to a parameter. This word does not affect the other words of the line.
+/// The letter of a word that assigns a parameter (`#1=5`). The assignment does not affect the other words of its line.
 pub(super) const ASSIGNMENT: u8 = b'#';
 
 /// Iterator over the words of a line; ends at the first error.
@@ -58,7 +58,7 @@ impl<'a, const N: usize> Words<'a, N> {
 
     fn assign(&mut self, letter: u8, text: &'a [u8]) -> Result<(Word, &'a [u8]), Error> {
         match &mut self.state {
-            // A colon is the letter of a program number in ISO code.
+            // In ISO code, a colon stands for the O of a program number.
             Some(_) if FULL_IMAGE && letter == b':' && text.first().is_some_and(u8::is_ascii_digit) => {
                 self.read(b'O', text)
             }
@@ -66,7 +66,7 @@ impl<'a, const N: usize> Words<'a, N> {
                 let rest = state.assign(text)?;
                 Ok((Word { letter, value: Decimal::ZERO, places: 0 }, rest))
             }
-            // LinuxCNC's polar coordinates.
+            // Polar coordinates of LinuxCNC (`@` radius, `^` angle).
             Some(_) if matches!(letter, b'@' | b'^') => Err(Error::NotSupported),
             _ => Err(Error::ExpectedLetter),
         }
@@ -89,7 +89,7 @@ impl<const N: usize> Iterator for Words<'_, N> {
 pub(super) struct Letters(u32);
 
 impl Letters {
-    /// The set of the given capital letters.
+    /// Creates the set of the given capital letters.
     pub const fn of(letters: &[u8]) -> Letters {
         let mut set = 0;
         let mut rest = letters;
@@ -104,12 +104,10 @@ impl Letters {
         1 << (letter.wrapping_sub(b'A') & 31)
     }
 
-    /// How many letters are in the set.
     pub const fn count(self) -> usize {
         self.0.count_ones() as usize
     }
 
-    /// Whether the letter is in the set.
     pub const fn has(self, letter: u8) -> bool {
         self.0 & Self::bit(letter) != 0
     }
@@ -119,17 +117,16 @@ impl Letters {
         self.0 & others.0 != 0
     }
 
-    /// Adds a letter.
     pub fn add(&mut self, letter: u8) {
         self.0 |= Self::bit(letter);
     }
 
-    /// Takes the letters of another set out of this one.
+    /// Removes the letters of the other set from this one.
     pub fn remove(&mut self, other: Letters) {
         self.0 &= !other.0;
     }
 
-    /// Whether any letter is left.
+    /// Whether the set has no letters.
     pub const fn is_empty(self) -> bool {
         self.0 == 0
     }
@@ -141,7 +138,7 @@ impl Letters {
 pub enum Group {
     /// G4, G10, G28, G53, G92 and the like, which act on their own line only.
     NonModal,
-    /// G0 to G3, G5 to G5.3, G38, G80, cycles.
+    /// G0 to G3, G5 to G5.3, G31, G38.2 to G38.5, G80 and the canned cycles.
     Motion,
     /// G17 to G19.
     Plane,
@@ -149,19 +146,19 @@ pub enum Group {
     Distance,
     /// G90.1, G91.1.
     ArcDistance,
-    /// G93, G94.
+    /// G93, G94, G95.
     FeedMode,
-    /// G20, G21.
+    /// G20, G21; also G70 and G71, as in Mach.
     Units,
     /// G98, G99.
     Retract,
     /// G40.
     CutterCompensation,
-    /// G43, G49.
+    /// G43, G43.1, G43.2, G49.
     ToolLength,
-    /// G54 to G59.3.
+    /// G54 to G59.3, G54.1, G154.
     CoordinateSystem,
-    /// G61, G64.
+    /// G61, G61.1, G64.
     PathControl,
     /// M0, M1, M2, M30, M60.
     Flow,
@@ -196,7 +193,7 @@ pub enum Group {
 /// Returns the modal group of the word `G` or `M` with a number, in a dialect.
 ///
 /// # Errors
-/// The error that refuses a line with this word.
+/// The error with which a line that has this word is refused.
 pub fn group_of(letter: u8, number: Decimal, dialect: Dialect) -> Result<Group, Error> {
     let code = Code::of(number);
     match letter {
@@ -215,7 +212,7 @@ impl Groups {
     pub const OF_JOGS: Groups =
         Groups(1 << Group::NonModal as u32 | 1 << Group::Distance as u32 | 1 << Group::Units as u32);
 
-    /// The group of motion words.
+    /// The group of motion words alone.
     pub const OF_MOTION: Groups = Groups(1 << Group::Motion as u32);
 
     /// The groups whose words affect only the motion of a line.
@@ -240,7 +237,7 @@ impl Groups {
         Ok(())
     }
 
-    /// Whether a word of the group has been seen.
+    /// Whether the group is in the set.
     pub const fn has(self, group: Group) -> bool {
         self.0 & (1 << group as u32) != 0
     }
@@ -257,11 +254,11 @@ pub(super) enum Claim {
     /// No command uses axis words.
     #[default]
     Nobody,
-    /// G10, G28, G30, G92.
+    /// G10, G28, G30, G51, G52, G68, G92.
     NonModal,
-    /// A motion word, or axis words alone.
+    /// A motion word, or axis words without any command, which move in the motion mode in force.
     Motion,
-    /// G43.1, G49.
+    /// G43.1; in Grbl's dialect also G49.
     ToolLength,
 }
 
@@ -290,16 +287,16 @@ pub(super) enum NonModal {
     LocalOffset,
 }
 
-/// Tool length offset.
+/// How a word sets the tool length offset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ToolLength {
-    /// G49.
+    /// G49: the offset becomes 0.
     Cancel,
-    /// G43.1.
+    /// G43.1: the axis words give the offset.
     Dynamic,
-    /// G43.
+    /// G43: the offset is that of tool H.
     FromTable,
-    /// G43.2.
+    /// G43.2: the offset of tool H is added to the offset in force.
     Add,
 }
 
@@ -333,13 +330,13 @@ pub(super) enum GWord {
     SystemByNumber,
     /// G8, G103, G187, with the number of the word. On other controls these words switch the look-ahead.
     LookAhead(u8),
-    /// Selects the only mode that exists: G97 (S in revolutions per minute), G15 (no polar coordinates). Also G67, whose
-    /// effect is in `computed`.
+    /// A word without effect in the check: G97 (S in revolutions per minute) and G15 (no polar coordinates) select the
+    /// only mode that exists; `computed` has executed G67.
     AsItIs(Group),
 }
 
 impl GWord {
-    /// Returns how a code uses axis words, whether or not it is a valid code.
+    /// Returns how a G code uses the axis words of its line. The code need not be a valid one.
     pub fn claim(code: Code, dialect: Dialect) -> Claim {
         match (code.whole, code.hundredths) {
             // G43, G43.2 and G49 use no axis words, so the same line can also move: many programs begin with `G0 G49
@@ -382,13 +379,14 @@ impl GWord {
     fn of_cam(code: Code) -> Option<GWord> {
         Some(match (code.whole, code.hundredths) {
             (31, 0) => GWord::ProbeOnce,
-            // As in Mach.
+            // G70 selects inch and G71 mm, as in Mach.
             (70, 0) => GWord::Units(Units::Inch),
             (71, 0) => GWord::Units(Units::Mm),
             (54, 10) | (154, 0) => GWord::SystemByNumber,
             (8 | 103 | 187, 0) => GWord::LookAhead(code.whole),
             (95, 0) => GWord::FeedMode(FeedMode::PerRevolution),
-            // The modes that these words end do not exist here, so the words have no effect.
+            // The polar coordinates that G15 ends do not exist. The modal call that G67 ends belongs to `computed`,
+            // which has already ended it.
             (15, 0) => GWord::AsItIs(Group::Polar),
             (67, 0) => GWord::AsItIs(Group::ModalCall),
             _ => return None,
@@ -518,7 +516,7 @@ impl GWord {
 /// An M word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum MWord {
-    /// M0.
+    /// M0, M60.
     Pause,
     /// M1.
     OptionalPause,

@@ -28,7 +28,7 @@ impl<const N: usize> Controller<N> {
         self.queue_text(&text);
     }
 
-    /// Sends the answer to a line that is executed.
+    /// Sends `ok`, the answer to an accepted line.
     pub(crate) fn say_ok(&mut self) {
         self.queue_text(reply_texts::OK);
     }
@@ -160,7 +160,8 @@ impl<const N: usize> Controller<N> {
         self.say(|out| reply_texts::message(out, "Lines are not checked any more"));
     }
 
-    /// Reports once which inputs caused the alarm, at which position and at which line.
+    /// Reports once which inputs caused the alarm, at which position and at which line (`line`: N word, 0 = none).
+    /// Sends nothing in Grbl's dialect.
     pub(crate) fn tell_trip(&mut self, line: u32) {
         if let Some(tripped) = self.m.inputs.take_tripped()
             && self.dialect() != Dialect::Grbl
@@ -187,8 +188,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Sends the welcome line. After it, messages that are sent only once can be sent again, because a new host can
-    /// have missed them.
+    /// Sends the welcome line. Messages that each host gets only once may be sent again from here on, because a new
+    /// host has not received them.
     pub(crate) fn greet(&mut self) {
         self.m.records.host_greeted();
         if self.speaks_grblhal() {
@@ -310,7 +311,8 @@ impl<const N: usize> Controller<N> {
         let of_grblhal = if self.speaks_grblhal() {
             let full = self.m.replies.take_full_status();
             let mut fields = self.grblhal_fields(full, spindle);
-            // A host keeps these fields until it gets others, so the report that follows a change must have them.
+            // A host shows the values of these fields until another report has the fields. So the first report after a
+            // change must have them.
             let (place, wait) = self.m.replies.note_fields(&mut fields);
             (show_offset, show_overrides) = (show_offset | full | place, show_overrides | full | wait);
             [Some(fields); FULL_IMAGE as usize]

@@ -13,7 +13,7 @@ use crate::states::{Homing, State};
 use crate::units::{DECIMAL_ONE, Decimal, Duration};
 use crate::work::task::{Answer, Ask, Caller, Listing, Task};
 
-// Numbers of settings whose change has further effects.
+// Numbers of settings whose change needs a further check or has further effects.
 const DIALECT: u16 = Key::Dialect.number();
 const DIRECTION_INVERT: u16 = Key::DirectionInvert.number();
 const DOOR_FITTED: u16 = Key::DoorFitted.number();
@@ -114,7 +114,8 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Switches the checking of lines on or off. The answer to this command already has the new form.
+    /// Switches the checking of lines on or off. The answer to this command already has the new form: checked after
+    /// `$LC=ON`, plain after `$LC=OFF`.
     fn check_lines(&mut self, session: Option<&[u8]>) {
         if let Some(session) = session {
             self.m.lines.begin_check(session);
@@ -154,7 +155,8 @@ impl<const N: usize> Controller<N> {
         if !matches!(self.state, State::Normal) {
             return Err(Error::NotIdle);
         }
-        // Checking this line can end a program (M2), and with the program its open blocks.
+        // The line is executed before it is stored. An M2 in it would end the program, and with the program the open
+        // subroutine, loop or condition.
         if self.m.interpreter.is_within_block() {
             return Err(Error::NotIdle);
         }
@@ -179,7 +181,8 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Refuses a command that would run lines, or change their meaning, in the middle of a held program.
+    /// Returns an error while the controller holds a program for later execution or records a subprogram. The command
+    /// would run other lines in between, or change the meaning of the held lines.
     fn must_hold_nothing(&self) -> Result<(), Error> {
         if self.m.interpreter.is_held() { Err(Error::NotIdle) } else { Ok(()) }
     }
@@ -286,8 +289,9 @@ impl<const N: usize> Controller<N> {
         self.m.records.save_setting(number, &self.m.settings);
     }
 
-    /// Marks the position as untrusted if the changed setting switches homing on, or gives places other coordinates
-    /// than the last homing did. The machine must then be homed again.
+    /// Marks the position as untrusted if the changed setting switches homing on, or if the same position of the
+    /// machine now has other coordinates than after homing. The machine must then be homed again. After a change of
+    /// resolution or kinematics, also ends a series of canned cycles.
     fn rename_places(&mut self, number: u16) {
         let to_negative = AxisMask(self.m.settings.whole(Key::HomingDirection) as u8);
         let moves_places = AxisKey::Resolution.axis(number).is_some() || number == KINEMATICS;
@@ -346,7 +350,8 @@ impl<const N: usize> Controller<N> {
             let unlocked = "Caution: Unlocked";
             let lost = "The position may be lost: home before using machine coordinates";
             let is_lost = !self.m.reference.is_trusted() && self.dialect() != Dialect::Grbl;
-            // ioSender takes a message after the unlocking for the reason of the alarm.
+            // ioSender takes a message that follows `Caution: Unlocked` for the reason of the alarm, so nothing may
+            // follow it.
             let told = if self.speaks_grblhal() { [lost, unlocked] } else { [unlocked, lost] };
             for text in told.into_iter().filter(|text| is_lost || *text != lost) {
                 self.say(|out| reply_texts::message(out, text));

@@ -28,8 +28,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns whether the next byte must be dropped: either it was received before a reset or a stop, or the machine
-    /// waits only for a reset, and that reset was sent after the byte.
+    /// Returns whether the next byte must be dropped: it was received before a reset or a stop, or the machine is in a
+    /// state that only a reset ends, and that reset is still to come.
     pub fn is_old(&self, byte: LineByte) -> bool {
         if self.state.waits_for_reset() {
             return !self.m.stops.is_awaited() && !self.m.lines.is_ahead(byte);
@@ -60,7 +60,8 @@ impl<const N: usize> Controller<N> {
         self.other_byte(byte);
     }
 
-    /// Processes a complete line that the intake has passed on without any special event.
+    /// Processes a line that the fast path of the intake has completed: no bytes of it were lost, and lines are not
+    /// checked.
     fn line_ended(&mut self) {
         self.answer_status();
         let is_of_program = self.m.lines.has_no_remark()
@@ -164,7 +165,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Executes the line that has been read.
+    /// Executes the line that the intake has completed, or makes it wait if it is a jog that must wait.
     #[inline(never)]
     fn complete(&mut self) {
         // Filled in place: a returned value would be copied with its whole capacity.
@@ -186,7 +187,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Answers a line that failed the line check; the host sends it again if necessary.
+    /// Answers a checked line that is not executed: it is damaged, empty, or was already taken. The host sends it again
+    /// if necessary.
     fn answer_invalid(&mut self, verdict: Verdict) {
         self.m.lines.clear();
         match self.m.lines.failed() {
@@ -271,7 +273,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Refuses a line of the host that is not a `$` command. `text`: its words, if they are known.
+    /// Refuses a line of the host that is not a `$` command. `text`: the words of the line, if they are known.
     fn refuse_host_line(&mut self, error: Error, text: Option<&[u8]>) {
         if self.dialect() != Dialect::Grbl {
             self.m.interpreter.refused_line(text);
@@ -279,7 +281,7 @@ impl<const N: usize> Controller<N> {
         self.refuse_program_line(error, gcode::asks_for_tool(text));
     }
 
-    /// Explains the words of a refused line: those of a program, a jog or a startup line.
+    /// Finds the explanation of a refused line: of a program line, a jog or a startup line. Other `$` lines have none.
     #[cold]
     fn explain(&mut self, line: &[u8], error: Error) {
         let (words, is_jog) = match line {
@@ -366,12 +368,12 @@ fn keeps_line(line: &[u8]) -> bool {
     matches!(line, [b'$', b'N' | b'M', b'0'..=b'9', ..])
 }
 
-/// Returns the text of a line if it is known.
+/// Returns the text of a line; `None` if a nested remark has not ended, because the text is then unknown.
 fn known_text(text: &[u8]) -> Option<&[u8]> {
     Some(text).filter(|text| *text != [line_filter::OPEN_REMARK])
 }
 
-/// Returns the rules for reading lines.
+/// Returns how the line filter treats lines in the present dialect.
 fn line_rules<const N: usize>(settings: &Settings<N>) -> line_filter::LineRules {
     match dialect(settings) {
         Dialect::Grbl => line_filter::LineRules {

@@ -92,9 +92,9 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Takes a value for a setting that is a mask in grblHAL. Returns the value that the setting has here, and the
-    /// value of `$932` if the mask has a bit for it. A host need not write a bit that always acts, and while homing is
-    /// off, the other bits of its mask do not count. If the value is therefore read back changed, a message gives the
-    /// value that is read back.
+    /// value of `$932` if the mask has a bit for it. Bits whose function is always on may be missing in `value`. In the
+    /// mask of homing, the other bits do not count while homing is off. If a host will therefore read back another
+    /// value than it wrote, a message gives that other value.
     ///
     /// # Errors
     /// [`Error::SettingOutOfRange`] for a bit that has no function here, after a message that names the bit.

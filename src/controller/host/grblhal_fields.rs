@@ -7,7 +7,8 @@ use crate::settings::Key;
 use crate::states::State;
 use crate::work::task::{Stage, Task};
 
-/// Number of the alarm with which grblHAL asks for homing. Only full reports have it.
+/// Number of the alarm with which grblHAL asks for homing. Only reports with all fields (0x87) show the number of an
+/// alarm.
 const HOMING_REQUIRED: u8 = 11;
 
 impl<const N: usize> Controller<N> {

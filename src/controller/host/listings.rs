@@ -73,8 +73,9 @@ impl<const N: usize> Controller<N> {
         true
     }
 
-    /// Sends the row of a tool, as grblHAL does: also that of a tool without offsets. gSender looks the tool in the spindle
-    /// up when a probe has found contact.
+    /// Sends the row of tool `number`. As in grblHAL, a tool without stored offsets has a row, too, because gSender
+    /// looks up the tool in the spindle after a probe contact. If that tool has a higher number than the last tool
+    /// listed, and no stored offsets, its row follows at the end.
     fn list_tool_of_grblhal(&mut self, number: u32, form: PlaceForm) {
         let entries = self.m.interpreter.tools().entries();
         let stored = |number| entries.iter().find(|tool| tool.is_stored() && tool.number == number);
@@ -175,7 +176,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns the row of a setting, as it is described on this machine.
+    /// Returns the row of a setting, with its range on this board and in this dialect; `None` if this machine does not
+    /// have the setting.
     pub(crate) fn described(&self, number: u16) -> Option<Row> {
         let axes = self.m.settings.axes_in_use();
         let mut rows = (0..settings::lines(axes)).filter_map(|line| Settings::<N>::described(line, axes));
@@ -263,7 +265,7 @@ impl<const N: usize> Controller<N> {
         let modal = self.m.interpreter.modal();
         let zero = PerAxis::all(Coordinate::ZERO);
         let offsets = self.m.interpreter.offsets();
-        // ioSender reads from these two words which offsets are active.
+        // From these two words, ioSender reads whether a G92 offset and a tool length offset are active.
         let (g92, length) = match self.speaks_grblhal() {
             true => {
                 (if offsets.g92 == zero { "" } else { "G92" }, if offsets.tool_length == zero { "G49" } else { "G43" })
@@ -282,7 +284,7 @@ impl<const N: usize> Controller<N> {
                 length,
             ],
             rotation: self.m.interpreter.rotation().is_some(),
-            // A report tells grblHAL's hosts of it (`Sc`).
+            // With `$900=3`, the field `Sc` of the status report shows scaling instead.
             scaling: self.m.interpreter.scaling().is_some() && !self.speaks_grblhal(),
             calls: self.m.interpreter.has_modal_call() && !self.speaks_grblhal(),
             blends: self.m.interpreter.modal().path.tolerance().is_some(),

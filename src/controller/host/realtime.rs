@@ -115,7 +115,7 @@ impl<const N: usize> Controller<N> {
             State::Jog { .. } => self.end_jog_of_no_host(self.m.settings.is_on(Key::HoldWithoutHost)),
             _ if !self.m.settings.is_on(Key::HoldWithoutHost) => {}
             State::Normal if self.is_at_work() => self.host_fault(),
-            // The reaction to the lost host follows when the job is about to resume.
+            // The controller reacts to the loss of the host as soon as the job continues.
             State::Hold(hold) if hold.ends_with_spindle().is_some() => self.m.lines.heartbeat_mut().set_gone(true),
             _ if self.state.is_resuming() => {
                 self.m.lines.heartbeat_mut().set_gone(true);
@@ -165,8 +165,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Ends the jog of a host that has disconnected. With `is_fault`, a laser that would burn at rest after the jog is
-    /// switched off.
+    /// Ends the jog of a host that has disconnected or is silent. With `is_fault`, a laser that burns when the jog has
+    /// ended gets the reaction to a lost host (`$928`).
     fn end_jog_of_no_host(&mut self, is_fault: bool) {
         self.m.lines.heartbeat_mut().set_left_jog(is_fault);
         self.cancel_jog();

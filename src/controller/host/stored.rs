@@ -136,7 +136,7 @@ impl Records {
         }
     }
 
-    // Changes
+    // Changes on their way to the store
 
     /// Whether a change waits to be handed to the store.
     pub(crate) fn has_next(&self) -> bool {
@@ -239,7 +239,7 @@ impl Records {
         self.remove(key..key + 1);
     }
 
-    /// Forgets the records that a `$RST` resets.
+    /// Removes the records of everything that this `$RST` resets to defaults.
     pub(crate) fn forget(&mut self, what: Restore) {
         if what == Restore::All {
             self.startup_lines = [heapless::Vec::new(), heapless::Vec::new()];
@@ -252,7 +252,7 @@ impl Records {
         });
     }
 
-    // Texts
+    // Stored texts
 
     /// Whether records survive power-off.
     pub(crate) fn has_store(&self) -> bool {
@@ -305,7 +305,7 @@ impl Records {
         self.build_info = text;
     }
 
-    // Damage
+    // Damaged records
 
     /// Whether stored settings were damaged and have not been confirmed.
     pub(crate) fn are_damaged(&self) -> bool {

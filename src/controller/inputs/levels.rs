@@ -42,7 +42,8 @@ pub struct InputLevels {
 pub struct InputChange {
     /// Number of times that armed inputs have stopped the step task since the previous message.
     pub stops: u8,
-    /// Inputs that have become active, or were active for a moment, since the previous message.
+    /// Inputs that have become active since the previous message, and armed inputs that have stopped the step task
+    /// since then, even if they are inactive again.
     pub came: Signals,
 }
 
@@ -81,7 +82,8 @@ impl InputLevels {
         if event != Signals::NONE {
             self.last_event = event;
         }
-        // Only armed inputs are reported as tripped. Another input that was active only between two messages is missed.
+        // Only armed inputs are reported as tripped. Any other input that was active only between two messages is
+        // missed.
         InputChange { stops, came }
     }
 

@@ -1,6 +1,6 @@
-//! Spindle or laser, coolant, overrides and the digital outputs of programs, as the program has set them. Also whether
-//! the spindle is suspended (in a hold or a door), whether it is up to speed, and whether it has lost its speed during
-//! a job. Only the state is kept here; the module `outputs` sets the outputs from it.
+//! Spindle or laser, coolant, overrides and the digital outputs of programs, as the program and the operator have set
+//! them. Also whether the spindle is suspended (in a hold or a door), whether it is up to speed, and whether it has
+//! lost its speed during a job. Only the state is kept here; the module `outputs` sets the outputs from it.
 //!
 //! ```text
 //!  S, M3, M4, M5 ──▶ program ──▶ override ──▶ [suspended?] ──▶ power of the output
@@ -27,7 +27,7 @@ pub struct Accessories {
     suspended: bool,
     /// The operator has requested a spindle stop in a hold that is still braking.
     stops_at_rest: bool,
-    /// S of the last line, rpm.
+    /// S of the line executed last, rpm.
     speed: f32,
     watch: SpeedWatch,
     digital: DigitalOutputs,
@@ -36,7 +36,7 @@ pub struct Accessories {
 /// Monitors the at-speed input of the spindle during a job.
 #[derive(Clone, Copy, Debug)]
 struct SpeedWatch {
-    /// Direction and power last set; `None` if the spindle was off or its state is unknown.
+    /// Direction and power at the previous check; `None` if the speed was not monitored before.
     given: Option<(SpindleDirection, u16)>,
     /// Deadline for the spindle to reach a new speed. When the input reports that the speed has been reached, the
     /// deadline is moved to the current time.
@@ -77,7 +77,7 @@ impl Accessories {
         digital: DigitalOutputs::OFF,
     };
 
-    /// Restores the state after power-up. `mark`: see [`DigitalOutputs::switch_off`].
+    /// Sets everything to its state at power-up: off, and no overrides. `mark`: see [`DigitalOutputs::switch_off`].
     pub fn reset(&mut self, mark: u8) {
         let mut digital = self.digital;
         digital.switch_off(mark);
@@ -89,12 +89,12 @@ impl Accessories {
         &self.digital
     }
 
-    /// The digital outputs of the program, mutable.
+    /// The digital outputs of the program, for changes.
     pub fn digital_mut(&mut self) -> &mut DigitalOutputs {
         &mut self.digital
     }
 
-    /// The overrides.
+    /// The overrides as the operator has set them, including those that the program has disabled.
     pub fn overrides(&self) -> Overrides {
         self.overrides
     }
@@ -139,7 +139,7 @@ impl Accessories {
         if self.suspended { SpindleDirection::Off } else { self.direction }
     }
 
-    /// The coolant.
+    /// The present state of the coolant.
     pub fn coolant(&self) -> Coolant {
         self.coolant
     }
@@ -209,7 +209,8 @@ impl Accessories {
         settings.whole(Key::AtSpeed) != 0 && !settings.is_on(Key::Laser) && self.is_on()
     }
 
-    /// Whether the spindle is up to speed, as far as can be known. `input`: level of the at-speed input.
+    /// Whether the spindle is up to speed. Always true if no cut has to wait for the at-speed input. `input`: level of
+    /// this input.
     pub fn is_at_speed<const N: usize>(&self, input: bool, settings: &Settings<N>) -> bool {
         !self.must_tell_speed(settings) || input == (settings.whole(Key::AtSpeed) == 1)
     }
@@ -257,7 +258,7 @@ impl Accessories {
         settings: &Settings<N>,
     ) -> bool {
         let given = self.watch.given.filter(|(direction, _)| *direction == self.direction);
-        // The same power can differ by 1 between a block and a line, because they round differently.
+        // The power for the same S can differ by 1 between a block and a line, because they round differently.
         if given.is_none_or(|(_, before)| before.abs_diff(power) > 1) {
             let lost = self.watch.fault_at.filter(|_| given.is_some() && self.watch.settled_at <= now);
             let settled_at = now + settings.seconds(Key::AtSpeedWithin);
@@ -282,8 +283,8 @@ impl Accessories {
     }
 
     /// Power of the output while no segment sets it. A laser with constant power (M3) stays on between feed motions if
-    /// `burns_at_rest`; with scaled power (M4) it is off at zero speed. `running`: power of the move in execution, if
-    /// there is one. `percent`: the override.
+    /// `burns_at_rest`; with scaled power (M4) it is off at zero speed. `running`: power of the move that is being
+    /// handed to the step task, or else of the next move, if there is one. `percent`: the override.
     pub fn resting_power<const N: usize>(
         &self,
         settings: &Settings<N>,
@@ -296,10 +297,10 @@ impl Accessories {
             if self.direction != SpindleDirection::Clockwise || !burns_at_rest() {
                 return 0;
             }
-            // During a move the segments carry the laser's power.
+            // This power applies only between moves. During a move the segments carry the laser's power.
             self.speed
         } else {
-            // S of the move in execution; without a move, S of the last line.
+            // S of that move; without a move, S of the line executed last.
             match running() {
                 Some(power) if power != range.output(self.speed, 100).0 => range.speed_of(power),
                 _ => self.speed,
@@ -362,7 +363,7 @@ mod tests {
         on.set_spindle(SpindleDirection::Clockwise, &settings);
         assert!(on.watches_speed(&settings));
         let mut lost = |at_work, power, input, now| on.has_lost_speed(at_work, power, input, at(now), &settings);
-        // The spindle reaches its speed before the time of `$916` has passed, so from then on only the time of `$929`
+        // The spindle reaches its speed before the time of `$916` has passed. From then on only the time of `$929`
         // counts.
         assert!(!lost(false, 100, false, 6) && !lost(false, 100, true, 7));
         assert!(!lost(true, 100, false, 8) && !lost(true, 100, false, 9) && lost(true, 100, false, 10));

@@ -7,7 +7,8 @@
 /// Number of groups that can wait. If a change needs one more group, its line waits until a motion has begun and a
 /// group is done.
 const GROUPS: usize = 8;
-/// Bits of a mark. A mark is a wrapping counter, so its range must be more than twice `GROUPS`.
+/// Bits of a mark. A mark is a wrapping counter. Its range must be more than twice `GROUPS`, so that the mark of an
+/// earlier block is not taken for that of a later one.
 const MARK_BITS: u32 = 5;
 const MARKS: u8 = (1 << MARK_BITS) - 1;
 
@@ -24,7 +25,7 @@ struct DueTogether {
 #[derive(Clone, Copy, Debug)]
 pub struct DigitalOutputs {
     levels: u8,
-    /// Mark up to which all changes are done.
+    /// Mark up to which all groups have been carried out.
     done: u8,
     /// Waiting groups, in order.
     waiting: [DueTogether; GROUPS],
@@ -53,7 +54,7 @@ impl DigitalOutputs {
         self.apply(DueTogether::of(number, on));
     }
 
-    /// Whether another change can wait. `idle`: no motion is queued.
+    /// Whether another change can be kept until the next motion. `idle`: no motion is queued.
     pub fn has_room(&self, idle: bool) -> bool {
         self.open || idle || usize::from(self.count) < GROUPS
     }

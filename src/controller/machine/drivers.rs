@@ -1,5 +1,5 @@
-//! The current of the motor drivers: on from the first motion, off some time after the last (`$1`), or always on
-//! (`$1=255`).
+//! Switches the current of the motor drivers: on at the start of a motion, off when the delay `$1` after its end has
+//! passed. With `$1=255` the current is always on.
 
 use crate::units::{Duration, Instant};
 
@@ -28,7 +28,7 @@ impl Drivers {
         self.off_at
     }
 
-    /// Switches the current on for a motion. Returns whether that changes anything.
+    /// Switches the current on for a motion, and cancels a delayed switch-off. Returns whether that changes anything.
     pub fn switch_on(&mut self) -> bool {
         let changes = !self.on || self.off_at.is_some();
         *self = Drivers { on: true, off_at: None };

@@ -23,7 +23,7 @@ impl Filter {
     pub fn sample(&mut self, raw: u32) -> u32 {
         let differs = raw ^ self.level;
         let [a, b, c] = self.count;
-        // Seven samples in a row have differed before, and this one differs, too.
+        // The counter is 7, so the last seven samples have differed from the level, and this sample differs, too.
         let enough = a & b & c & differs;
         let carry = a & b;
         self.rejected = (a | b | c) & !differs;

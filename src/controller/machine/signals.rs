@@ -10,7 +10,7 @@
 use super::filter::Filter;
 use crate::messages::{InputWiring, Sensed, Signals, Wiring};
 
-/// Samples after which the filter's levels are valid.
+/// Number of samples after which the filter's levels are valid.
 pub const SETTLING: u8 = 8;
 
 /// Polarity, filter and trips of the inputs.
@@ -20,7 +20,7 @@ pub struct Inputs {
     /// The wiring of the inputs, with their polarity; `None` until `control` has sent it. Without the wiring, the
     /// meaning of the levels is unknown.
     wiring: Option<InputWiring>,
-    /// Samples still to take until the filter's levels are valid.
+    /// Number of samples still to take until the filter's levels are valid.
     settling: u8,
     armed: u32,
     sensed: Sensed,
@@ -81,7 +81,7 @@ impl Inputs {
         tripped != 0
     }
 
-    /// Inputs whose change the filter has just rejected.
+    /// Inputs whose change the filter has rejected at the latest sample: see [`Filter::rejected`].
     pub fn rejected(&self) -> u32 {
         self.filter.rejected()
     }

@@ -38,8 +38,8 @@ impl SpindleRange {
         }
     }
 
-    /// Returns what `power` becomes under an override in percent. Not inlined: most outputs need no override, and its
-    /// constants would occupy registers that the caller would have to save.
+    /// Returns `power` as changed by an override in percent. Not inlined, because most outputs need no override, and
+    /// the constants of this calculation would occupy registers that the caller would have to save.
     #[inline(never)]
     pub fn overridden(&self, power: u16, percent: u8) -> u16 {
         self.output(self.speed_of(power), percent).0

@@ -14,9 +14,10 @@
 use crate::messages::{LINES_DEPTH, Observed};
 use crate::units::Duration;
 
-/// Interval of the controller's calls while something moves, to refill the step queue.
+/// Maximum time between two calls of the controller while something moves: 2 ms. Each call refills the step queue.
 const MOVING_WAKEUP: Duration = Duration::from_ticks(2_000);
-/// Minimum interval. It applies when the queue is full of very short segments, or runs empty at the end of a motion.
+/// Minimum time between two such calls. It applies when the queue is full of very short segments, or runs empty at the
+/// end of a motion.
 const LEAST_WAKEUP: Duration = Duration::from_ticks(100);
 /// Queued step time from which the queue counts as well filled, microseconds.
 const WELL_FILLED_US: u32 = 12_000;
@@ -44,7 +45,7 @@ impl StepSupply {
         observed: Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16, received: 0, heard: 0 },
     };
 
-    /// Takes what the pump has observed.
+    /// Stores the counters that the pump has observed.
     pub(crate) fn observe(&mut self, observed: Observed) {
         self.observed = observed;
     }

@@ -19,15 +19,15 @@ pub enum Event<const N: usize> {
     Signals(Sensed),
     /// The answer to [`Output::ReadPins`].
     Pins(PinView),
-    /// The last [`Output::Store`] is complete in flash.
+    /// The change of the latest [`Output::Store`] is complete in flash.
     Stored,
-    /// The last [`Output::Store`] could not be written.
+    /// The change of the latest [`Output::Store`] could not be written.
     StoreFailed,
     /// A host has opened the port.
     Connected,
     /// The host whose lines are read has closed the port or is unplugged. Not every link can detect this. Carries the
-    /// count (wrapping) of such events since power-up. Lines of the disconnected host, up to the
-    /// [`HOST_CHANGED`](super::HOST_CHANGED) with this count, are not answered.
+    /// count (wrapping) of such events since power-up. Lines of the disconnected host that are still to be read, up to
+    /// the [`HOST_CHANGED`](super::HOST_CHANGED) with this count, are not answered.
     Disconnected(u16),
 }
 
@@ -50,9 +50,9 @@ pub struct Observed {
 /// Which queues of the pump have room.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Room {
-    /// One [`Output::Step`].
+    /// There is room for one [`Output::Step`].
     pub step: bool,
-    /// One [`Output::Reply`] or [`Output::Answer`].
+    /// There is room for one [`Output::Reply`] or [`Output::Answer`].
     pub reply: bool,
 }
 
@@ -61,9 +61,9 @@ pub struct Room {
 // A tag of 32 bits makes the compiler copy a message word by word.
 #[repr(u32)]
 pub enum Output {
-    /// For the step task.
+    /// A message for the step task.
     Step(ToStep),
-    /// For the host.
+    /// Text for the host.
     Reply(Chunk),
     /// [`Output::Reply`] and [`Output::Worked`] in one: text for the host, and there is more to do.
     Answer(Chunk),

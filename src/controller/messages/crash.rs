@@ -7,7 +7,7 @@ pub enum ResetCause {
     Power,
     /// The reset pin.
     Pin,
-    /// The program requested it.
+    /// The firmware requested it.
     Software,
     /// The supply voltage dropped and recovered.
     BrownOut,
@@ -17,10 +17,10 @@ pub enum ResetCause {
     Other,
 }
 
-/// How the program failed before the reset.
+/// How the firmware failed before the reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CrashKind {
-    /// A check in the program failed (Rust panic).
+    /// A check in the firmware failed (Rust panic).
     Panic,
     /// The processor rejected an instruction or an address.
     Fault,
@@ -32,7 +32,7 @@ pub enum CrashKind {
     Voltage,
     /// The external clock failed.
     Clock,
-    /// The board cannot be used as it is. The program has found this at its start; the program itself has not failed.
+    /// The board cannot be used as it is. The firmware has found this at its start; the firmware itself has not failed.
     Board,
 }
 
@@ -54,7 +54,7 @@ impl CrashKind {
 pub struct Crash {
     /// Kind of failure.
     pub kind: CrashKind,
-    /// Location in the program, or the name of the task; printable ASCII.
+    /// Location in the firmware, or the name of the task; printable ASCII.
     pub text: heapless::Vec<u8, 120>,
     /// Machine position in micrometres, as last recorded by the control task.
     pub place: [i32; 3],
@@ -69,7 +69,7 @@ pub struct Crash {
 pub struct Restart {
     /// Cause reported by the processor.
     pub cause: ResetCause,
-    /// Report of the failure, if the program failed.
+    /// Report of the failure, if the firmware failed.
     pub crash: Option<Crash>,
     /// There is a recording from before the reset.
     pub is_recorded: bool,

@@ -134,7 +134,7 @@ impl LineBytes {
         (self.epoch, bytes.unwrap_or_default())
     }
 
-    /// Returns the byte at an index.
+    /// Returns the byte at index `place`; `None` if the message has fewer bytes.
     #[inline]
     pub fn get(&self, place: usize) -> Option<LineByte> {
         let byte = *self.bytes.get(place).filter(|_| place < self.len())?;

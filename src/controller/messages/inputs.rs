@@ -112,7 +112,7 @@ pub struct Sensed {
     /// Number of stops of the step task by armed inputs ([`Wiring::armed`](super::Wiring::armed)) since power-up
     /// (wrapping).
     pub trips: u8,
-    /// Inputs that caused such stops since the previous message; they may be inactive again.
+    /// Inputs that caused such stops since the previous message, bits as in [`input`]; they may be inactive again.
     pub tripped: u32,
 }
 

@@ -26,11 +26,12 @@ pub use step::{AxisSteps, INTERVAL_FRACTION_BITS, Segment, StepEvent, ToStep, UN
 pub use store::{Record, STORE_DAMAGED, Store};
 
 /// Depth of serial -> control, realtime commands. `control` empties it in each turn of its loop. It holds the commands
-/// of 5 ms at 115,200 baud, even if the host sends nothing else. Full: the link waits if it can. On a plain UART,
-/// resets, holds and the door are kept as marks (`protocol::owed::Owed`), and other commands are reported as lost.
+/// of 5 ms at 115,200 baud, even if the host sends nothing but commands. Full: the link waits if it can. On a plain
+/// UART, resets, holds and the door are kept as marks (`protocol::owed::Owed`), and other commands are reported as
+/// lost.
 pub const REALTIME_DEPTH: usize = 64;
-/// How many bytes of lines fit between serial and control, as reported by `Bf:`. Full: reception is paused if the link
-/// has back-pressure (USB, QEMU; see `protocol::link`). On a plain UART the byte is dropped, and the next byte is
+/// Number of line bytes that fit between serial and control, as reported by `Bf:`. Full: reception is paused if the
+/// link has back-pressure (USB, QEMU; see `protocol::link`). On a plain UART the byte is dropped, and the next byte is
 /// marked ([`LineByte::damaged`]).
 pub const LINES_DEPTH: usize = 255;
 /// Depth of serial -> control, in messages of line bytes. [`LINES_DEPTH`] bytes fit however they arrive (see

@@ -32,7 +32,7 @@ pub struct SlowOutputs {
     /// In laser mode: while the step task is busy, the power of its segments
     /// ([`Segment::power`](super::Segment::power)) is used instead of `power`.
     pub power_from_segments: bool,
-    /// Coolant.
+    /// Levels of the coolant outputs.
     pub coolant: Coolant,
     /// Motor drivers on.
     pub drivers: bool,

@@ -16,7 +16,7 @@ pub struct Standing {
     pub trusted: bool,
     /// Locked without an alarm, as after power-up with homing.
     pub locked: bool,
-    /// G20 is active. `words` are in millimetres all the same.
+    /// G20 is active. `words` are in millimetres even then.
     pub inches: bool,
     /// The tool in the spindle.
     pub tool: u32,
@@ -68,28 +68,28 @@ pub enum Noted {
         /// Inputs that have stopped motion since the previous entry of this kind. They may be inactive again.
         tripped: u32,
     },
-    /// The step task has reported, with its counters.
+    /// A report of the step task, with the step counter of each axis.
     Step(Stopping, heapless::Vec<i32, { Standing::AXES }>),
-    /// The store has reported success or failure.
+    /// The answer of the settings store to a change: `true` if the change was stored.
     Stored(bool),
     /// A host has opened the port.
     Connected,
     /// A host has disconnected.
     Disconnected,
-    /// Bytes were lost at this point.
+    /// Bytes from the host were lost at this point.
     Damaged,
     /// The unfinished line is void: see [`HOST_CHANGED`](super::HOST_CHANGED).
     Cut,
     /// The machine has come to rest.
     Rest {
-        /// Step counters.
+        /// Step counter of each axis.
         counters: heapless::Vec<i32, { Standing::AXES }>,
         /// Hash of all blocks since the last stop.
         blocks: u32,
     },
     /// A state from which a replay can begin.
     Standing {
-        /// The state.
+        /// State of the machine at rest.
         standing: Standing,
         /// As in [`Noted::Rest`].
         blocks: u32,
@@ -106,7 +106,7 @@ pub enum Noted {
 }
 
 impl Noted {
-    /// Maximum number of bytes of a line in an entry. A longer line has several entries.
+    /// Maximum number of bytes of a line in an entry. A longer line is divided into several entries.
     pub const HOST_BYTES: usize = 60;
     /// Recorded in place of the number of a [`CrashKind`] if no crash is known.
     pub const NO_CRASH: u8 = u8::MAX;
@@ -116,14 +116,14 @@ impl Noted {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
 pub enum Recorded {
-    /// The first piece.
+    /// The first piece: the board that made the recording.
     Board {
-        /// Name.
+        /// Name of the board.
         name: &'static str,
         /// Frequency of the step clock, in ticks per second.
         step_clock_hz: u32,
     },
-    /// A stored record.
+    /// A record of the settings store.
     Record(Record),
     /// Start time of the recording, in microseconds since power-up.
     Begin(u64),

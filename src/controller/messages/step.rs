@@ -29,12 +29,12 @@ pub enum ToStep {
     Segment(Segment),
     /// Checks the probe at each tick (see [`Segment`]) from now on. When the probe becomes active (`Some(true)`) or
     /// inactive (`Some(false)`), the position is latched and reported with [`StepEvent::Probed`], the queue is
-    /// discarded, and the step task brakes on its own. After that it takes no message until it has been stopped and
-    /// resumed. `None` ends the watch.
+    /// discarded, and the step task brakes on its own. After that the step task takes no message until it has been
+    /// stopped and resumed. `None` ends the watch.
     Watch {
         /// The awaited state of the probe.
         probe: Option<bool>,
-        /// Deceleration for braking, in units per square of a step-clock tick.
+        /// Deceleration for braking, in units of progress (see [`Segment`]) per square of a step-clock tick.
         braking: f32,
     },
     /// Lets the step task run again after a stop. Everything queued before this message is discarded. `stops` is the
@@ -67,8 +67,8 @@ pub struct AxisSteps(u32);
 impl AxisSteps {
     /// The number of steps of an axis in a block is less than 2 to this power.
     pub const STEP_BITS: u32 = 26;
-    /// The ends are given in parts of a step; this many parts make a step. Odd, so that there are equally many values
-    /// on both sides of zero.
+    /// Number of parts into which a step is divided to give the ends. Odd, so that there are equally many values on
+    /// both sides of zero.
     pub const PARTS: u32 = 7;
     /// Maximum distance of an end from a whole step, in sevenths of a step.
     pub const FARTHEST: i32 = 3;
@@ -80,7 +80,8 @@ impl AxisSteps {
         AxisSteps(steps & Self::STEPS)
     }
 
-    /// A move with true ends, each within [`AxisSteps::FARTHEST`].
+    /// A move whose true ends are not on whole steps. `start` and `end`: true end minus rounded end, in sevenths of a
+    /// step, at most [`AxisSteps::FARTHEST`] in either direction.
     #[inline]
     pub const fn with_ends(steps: u32, start: i32, end: i32) -> AxisSteps {
         AxisSteps(steps & Self::STEPS | (start as u32 & 7) << Self::STEP_BITS | (end as u32) << (Self::STEP_BITS + 3))

@@ -56,7 +56,7 @@ pub struct Arc<const N: usize> {
     centre: [Coordinate; 2],
     /// Direction from the centre to the start, where each full turn ends.
     first: [i32; 2],
-    /// Direction from the centre to the last point.
+    /// Direction from the centre to the end of the previous chord.
     unit: [i32; 2],
     /// Sine of a chord's angle (signed), in fixed point with `turn_bits` fraction bits. The smaller the angle, the more
     /// fraction bits fit, so that the sum of thousands of tiny angles is exact enough.
@@ -105,7 +105,7 @@ pub(super) fn scale(value: i64, unit: i32) -> i64 {
     (product(upper, unit) << (32 - UNIT_BITS)) + ((i64::from(lower) * i64::from(unit) + UNIT / 2) >> UNIT_BITS)
 }
 
-/// Truncates towards zero. Most values take the 32-bit conversion, which is one instruction.
+/// Converts to an integer, truncating towards zero. Most values take the 32-bit conversion, which is one instruction.
 #[inline]
 fn whole(value: f32) -> i64 {
     #[inline(never)]
@@ -130,7 +130,8 @@ fn direction(x: i64, y: i64, length: i64) -> [i32; 2] {
     [part(x), part(y)]
 }
 
-/// The plain arc without its full turns: centre, direction to the start, radii at both ends, and signed angle.
+/// The plain arc, which is the arc without its full turns: centre, direction to the start, radii at both ends, and
+/// signed angle.
 struct Plain {
     centre: [Coordinate; 2],
     first: [i32; 2],
@@ -377,7 +378,7 @@ impl<const N: usize> Arc<N> {
         square_root(1.0 + rotary / (linear + along * along))
     }
 
-    /// Returns the number of chords left.
+    /// Returns the number of chords left, those of the full turns included.
     pub fn chords_left(&self) -> u64 {
         u64::from(self.turns_left) * u64::from(self.chords_of_turn) + u64::from(self.chords) - u64::from(self.done)
     }

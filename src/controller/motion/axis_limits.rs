@@ -10,22 +10,22 @@ use crate::axes::PerAxis;
 const LEAST_SPEED: f32 = 4.0e-7;
 /// Maximum speed, mm/s, far beyond any machine's; its square fits an `f32`.
 const GREATEST_SPEED: f32 = 1.0e5;
-/// Minimum acceleration, mm/s².
+/// Lower bound of an axis' acceleration setting, mm/s².
 const LEAST_ACCELERATION: f32 = 1.0e-3;
-/// Maximum acceleration, mm/s², far beyond any machine's.
+/// Upper bound of an axis' acceleration setting, mm/s², far beyond any machine's.
 pub(super) const GREATEST_ACCELERATION: f32 = 1.0e7;
 /// Lower bound of the share of the acceleration that curves are allowed to take.
 const LEAST_CURVE_SHARE: f32 = 0.01;
 /// Upper bound of the share of the acceleration that curves are allowed to take.
 const GREATEST_CURVE_SHARE: f32 = 100.0;
-/// Maximum junction deviation, mm.
+/// Upper bound of the junction deviation setting, mm.
 const GREATEST_DEVIATION: f32 = 1.0e3;
-/// Minimum jerk limit, mm/s³.
+/// Lower bound of an axis' jerk setting, mm/s³, if the setting is not 0.
 const LEAST_JERK: f32 = 1.0;
-/// Maximum jerk limit, mm/s³; also stands for no limit.
+/// Upper bound of an axis' jerk setting, mm/s³; also stands for no limit.
 const GREATEST_JERK: f32 = 1.0e10;
-/// Minimum time in which the maximum acceleration is built up, s. It is as long as several segments, because the
-/// acceleration is constant within a segment.
+/// Minimum time in which the maximum acceleration is built up, s. It is as long as several segments: the acceleration
+/// is constant within a segment, so a single one cannot build it up gradually.
 const LEAST_EASE: f32 = 0.004;
 
 /// Limits `value` to a range; NaN becomes `least`.
@@ -44,7 +44,7 @@ pub(super) fn shares<const N: usize>(way: &PerAxis<f32, N>, length: f32) -> [f32
     way.0.map(|part| part.abs() / length)
 }
 
-/// The limits of all axes.
+/// The limits of all axes, and the rule for turns.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AxisLimits<const N: usize> {
     /// The rule for turns, with the acceleration of each axis.

@@ -1,6 +1,6 @@
 //! Backlash compensation. After a reversal a motor must turn through the slack of its drive before the tool follows.
-//! This module tracks the *lead* of each motor, which is the number of steps by which the motor is ahead of the tool,
-//! and adds the steps through the slack to the moves after the reversal: the motor *takes up* the slack.
+//! This module tracks the *lead* of each motor, the number of steps by which the motor is ahead of the tool. It adds
+//! the steps through the slack to the moves after the reversal: the motor *takes up* the slack.
 //!
 //! ```text
 //!   motor ──┐ slack ┌── tool        moving to positive: the slack is open on the motor's leading side, motor = tool + slack
@@ -11,16 +11,19 @@
 //! steps.
 //!
 //! Guarantees:
-//! * At rest, all extra steps have been made.
-//! * The position of the tool is known at any time, because the tool follows its motor like a carriage with play.
+//! * When the queue has run empty and the machine is at rest, all extra steps have been made.
+//! * The position of the tool is known at any time, because it follows from that of the motors: the tool moves only
+//!   while its motor pushes against one end of the slack.
 
 use super::trapezoid::{lesser, square_root};
 use crate::axes::PerAxis;
 
-/// Minimum compensation in a move, as a share of its length, even if the corner rule allows less: a smaller share would
-/// spread the error over a long distance (with a junction deviation of 0, over an endless one).
+/// Minimum distance that a motor takes up in a move, as a share of the move's length, even if the corner rule allows
+/// less: a smaller share would spread the error over a long distance (with a junction deviation of 0, over an endless
+/// one).
 const LEAST_SHARE: f32 = 0.02;
-/// Maximum compensation in a move, as a share of its length: beyond it the motor would exceed twice the tool's speed.
+/// Maximum distance that a motor takes up in a move, as a share of the move's length. With more, the motor would exceed
+/// twice the tool's speed.
 const GREATEST_SHARE: f32 = 1.0;
 
 /// The slack of each motor's drive, and the state of its compensation at the end of the queue.
@@ -151,7 +154,7 @@ impl<const N: usize> Backlash<N> {
         taken
     }
 
-    /// Returns the lead after the motors have turned by `turned` steps, each without a reversal.
+    /// Returns the lead after the motors have turned by `turned` signed steps, each in one direction.
     pub(super) fn follow(&self, lead: &Lead<N>, turned: &[i32; N]) -> Lead<N> {
         let mut after = *lead;
         for ((lead, turned), slack) in after.iter_mut().zip(turned).zip(self.slack) {
@@ -160,7 +163,7 @@ impl<const N: usize> Backlash<N> {
         after
     }
 
-    /// Returns the position and lead of the motors after they have turned to `steps`, each without a reversal.
+    /// Returns the position and lead of the motors after they have turned to `steps`, each in one direction.
     pub(super) fn followed(&self, from: &Motors<N>, steps: PerAxis<i32, N>) -> Motors<N> {
         let turned = steps.zip(&from.steps, i32::wrapping_sub);
         Motors { steps, lead: self.follow(&from.lead, &turned.0) }

@@ -16,16 +16,17 @@
 //! on the main axis, the one with the longest displacement. So each point allows a range of slopes for each of the
 //! other axes. Only the intersection of these ranges is kept: two numbers per axis for any number of points.
 //!
-//! A corner C, where the path turns by t, is cut off by a straight piece. C has the distance e = r·(1/cos(t/2) - 1)
-//! from the piece, and d = e / sin(t/2) from the ends of the piece. e is at most the part of P that merging has not
-//! used, and d is at most a quarter of the shorter move. No point of the piece is farther from the moves than e, and
-//! the rest of each move stays straight. So tool and programmed path stay within P of each other.
+//! A corner C, where the path turns by t, is cut off by a straight piece. This piece and both moves touch a circle of
+//! radius r. So C has the distance e = r·(1/cos(t/2) - 1) from the piece, and d = e / sin(t/2) from the ends of the
+//! piece. e is at most the part of P that merging has not used, and d is at most a quarter of the shorter move. No
+//! point of the piece is farther from the moves than e, and the rest of each move stays straight. So tool and
+//! programmed path stay within P of each other.
 //!
 //! Instead of one turn by t, the path makes two turns by t/2, for which the rule for turns ([`super::junction`]) allows
 //! a higher speed v. The piece between them has the length L that the axes need for this speed: v² - v·J = a·L/t, with
-//! the acceleration a and the speed J that the rule allows at the unchanged corner. The piece touches a circle of
-//! radius r, which also touches both moves. If the turns by t/2 limit the speed more than the maximum e and d do, and t
-//! exceeds 1.2 rad, four turns by t/4 replace them.
+//! the acceleration a and the speed J that the rule allows at the unchanged corner. From this follows the radius: L =
+//! 2·r·tan(t/4). It is smaller if the maximum e or d requires it. If the turns by t/2 limit the speed more than the
+//! maximum e and d do, and t exceeds 1.2 rad, four turns by t/4 replace them.
 //!
 //! Two kinds of turns are not cut off:
 //! * Turns of 0.25 to 0.6 rad: the two halves would count as a bend ([`super::curvature`]), for which the speed J of a
@@ -57,7 +58,7 @@ const SHARPEST2: f32 = 2.832;
 const LARGE_FOR_FOUR2: f32 = 1.275;
 /// q² of a turn by 0.6 rad. Corners from [`GENTLE2`] up to this value are not cut off.
 const LARGE2: f32 = 0.349;
-/// q² of a turn by 0.25 rad.
+/// q² of a turn by 0.25 rad: the lower end of the range of corners that are not cut off ([`LARGE2`]).
 const GENTLE2: f32 = 0.0622;
 
 /// How far the tool is allowed to deviate from the programmed path.
@@ -70,7 +71,7 @@ pub struct Tolerance {
 }
 
 impl Tolerance {
-    /// The path is exact.
+    /// No deviation: the tool follows the programmed path exactly.
     pub const EXACT: Self = Self { path: 0.0, merging: 0.0 };
 
     /// Returns the usable tolerance for a junction deviation d. Merging is limited to half of the total, which leaves
@@ -251,7 +252,7 @@ impl Corner {
         let sine = 0.5 * self.turn;
         let beyond = |way: [f32; N]| corner.zip(&PerAxis(way), |place, part| place + Coordinate::from_mm_f32(part));
         let back = fillet.radius * (sine / self.cosine - fillet.tangent);
-        // The middle piece touches the circle at its point nearest to the corner.
+        // The middle piece touches the circle at the point of the circle that is nearest to the corner.
         let inward = fillet.radius * (1.0 - self.cosine) / (self.cosine * self.turn);
         let along = fillet.radius * fillet.tangent / (2.0 * self.cosine);
         let middle = |side: f32| {

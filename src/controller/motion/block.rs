@@ -17,7 +17,8 @@ pub(super) const SCALE_POWER: u8 = 4;
 pub(super) const MARK_SHIFT: u32 = 3;
 
 /// The dominant axis of a block must have fewer steps than this. At 16 units per step, the block then has less than
-/// 2^30 units, so twice as many fit in 32 bits. A counter needs this range just before it steps.
+/// 2^30 units. The countdown to an axis' next step (`dda`) lies between minus and plus this number, so it fits a signed
+/// 32-bit number.
 pub(super) const MAX_STEPS: u32 = 1 << AxisSteps::STEP_BITS;
 
 /// Override factors for programmed feeds and for rapids.
@@ -56,7 +57,7 @@ pub struct Block<const N: usize> {
     pub(super) jerk: f32,
     /// Ramp from the entry to the next anchor; only with a jerk limit.
     pub(super) ramp: Ramp,
-    /// Acceleration that a bend takes.
+    /// The bend on which the block lies, with the acceleration that it takes.
     pub(super) curve: CurveLoad,
     pub(super) power: u16,
     pub(super) directions: u8,
@@ -92,12 +93,12 @@ const LEAST_SHARE: f32 = 0.25;
 /// the exit speed² rises. That can happen in this block and in each later one.
 const SURELY: f32 = 0.999;
 
-/// Share of the maximum entry speed². A jerk-limited ramp can use the acceleration that a bend leaves at this share
+/// A jerk-limited ramp can use the acceleration that a bend leaves at this share of the maximum entry speed²
 /// ([`Block::bounds`]).
 const RAMP_SHARE: f32 = 0.9;
 
 impl CurveLoad {
-    /// No bend.
+    /// No bend: all of the acceleration is available along the path.
     pub(super) const NONE: Self = Self { below: 0, acceleration: 0 };
 
     /// Creates a bend that takes all of `acceleration` (mm/s²) at `speed2`.
@@ -156,16 +157,17 @@ impl CurveLoad {
     }
 
     /// Returns how much of the acceleration `along` (allowed in the path's direction) is left at a speed². Each of two
-    /// values keeps the accelerations along and across the path together within each axis' limit. The first is a·√(1 -
-    /// r²), because the two accelerations are perpendicular. The second is along·(1 - r), because the shares r and 1 -
-    /// r of an axis' limit add up to 1. Returns the larger value, at most `along`.
+    /// values keeps the accelerations along and across the path together within each axis' limit (a and r as in
+    /// [`CurveLoad`]). The first is a·√(1 - r²), because the two accelerations are perpendicular; its root is at least
+    /// [`LEAST_SHARE`]. The second is along·(1 - r), because the shares r and 1 - r of an axis' limit add up to 1.
+    /// Returns the larger value, at most `along`.
     #[inline]
     pub(super) fn left(self, along: f32, speed2: f32) -> f32 {
         if self.is_none() { along } else { self.left_in_bend(along, speed2) }
     }
 
-    /// A copy of [`CurveLoad::left_of`] that its callers share, to save flash. The reverse pass has an inlined copy
-    /// instead.
+    /// Not inlined, so that most callers share one copy of [`CurveLoad::left_of`], to save flash. The reverse pass and
+    /// the running block use an inlined copy instead.
     #[inline(never)]
     fn left_in_bend(self, along: f32, speed2: f32) -> f32 {
         self.left_of(along, speed2)
@@ -209,7 +211,7 @@ impl Ramp {
 }
 
 impl<const N: usize> Block<N> {
-    /// Initial contents of the ring: all 0, so that it needs no flash.
+    /// Initial contents of the planner's ring: all 0, so that they take no flash.
     pub const NONE: Self = Self {
         acceleration: 0.0,
         jerk: 0.0,

@@ -1,5 +1,5 @@
-//! A probe's contact: the latch that the step generator reads at each tick ([`ProbeLatch`]), the place of the contact
-//! ([`Contact`]), and how the steps slow down after it. `Stepper` in `stepper.rs` uses all three.
+//! A probe's contact: the latch that the step generator reads at each tick ([`ProbeLatch`]), the state at the contact
+//! ([`Contact`]), and the deceleration after it. `Stepper` in `stepper.rs` uses all three.
 
 use super::course::Course;
 use crate::axes::PerAxis;
@@ -14,11 +14,11 @@ const LONGEST_BRAKING: f32 = (1_u32 << 30) as f32;
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(super) struct ProbeLatch {
-    /// A probe is watched.
+    /// Whether a probe is watched.
     pub(super) is_watching: bool,
-    /// The probe state that is watched for.
+    /// The probe state that counts as contact; `true`: active.
     watched: bool,
-    /// The contact was seen at the last tick, and the stepper has not processed it yet.
+    /// Whether a contact was seen at the previous tick, and the stepper has not processed it yet.
     pub(super) is_unnoted: bool,
 }
 
@@ -33,7 +33,7 @@ impl ProbeLatch {
         self.watched = probe == Some(true);
     }
 
-    /// Returns whether the probe has the watched state for the first time.
+    /// Returns whether the probe has the watched state for the first time. If so, ends watching.
     #[inline(always)]
     pub(super) fn sees(&mut self, active: bool) -> bool {
         let touched = self.is_watching && self.watched == active;
@@ -45,8 +45,8 @@ impl ProbeLatch {
     }
 }
 
-/// The block and the place in it at a contact: everything needed to compute the position later, so that the tick at
-/// which the probe makes contact only has to copy the state.
+/// The running block and its progress at a contact. The position is computed from them later, so that the tick at which
+/// the probe makes contact only has to copy this state.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(super) struct Contact<const N: usize> {

@@ -9,7 +9,7 @@ use crate::axes::PerAxis;
 use crate::messages::AxisSteps;
 use core::sync::atomic::{Ordering, compiler_fence};
 
-/// A block that is ready to run.
+/// The running block of the step generator, or the next one.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(super) struct Course<const N: usize> {
@@ -95,7 +95,8 @@ impl<const N: usize> Course<N> {
         }
     }
 
-    /// Completes [`Course::load`]. It is a separate function so that no single message takes too long.
+    /// Completes [`Course::load`]. The stepper calls `load` for the block's message and `finish` for its first segment,
+    /// so that neither message takes too long.
     #[inline(always)]
     pub(super) fn finish(&mut self, steps_by_axis: &[AxisSteps; N]) {
         for (beyond, axis_steps) in self.beyond.iter_mut().zip(steps_by_axis) {
@@ -127,7 +128,7 @@ impl<const N: usize> Course<N> {
         }
     }
 
-    /// Subtracts net steps that were not output. Call only at rest.
+    /// Subtracts net steps that were not output from the position. Call only at rest.
     pub(super) fn take_back(&mut self, undone: [i32; N]) {
         for ((base, end), undone) in self.base.iter_mut().zip(self.end.iter_mut()).zip(undone) {
             *base = base.wrapping_sub(undone);

@@ -1,12 +1,12 @@
 //! Determines how fast the machine can follow a path that turns, by one rule for every turn, from a single corner to a
 //! long curve of short chords. The path is divided into spans on several scales. Each new span is compared with the
-//! spans before it, and each `Bend` found limits speed and acceleration of some blocks. Turns that can come from the
-//! rounding of the program's coordinates are ignored.
+//! spans before it, and each `Bend` found limits speed and acceleration of the blocks on it. Turns that can come from
+//! the rounding of the program's coordinates are ignored.
 //!
 //! A path that turns by an angle t within a length L requires a change of velocity of v·q in the time L/v, where q =
 //! 2·sin(t/2) is the length of the difference of the unit vectors. The axes' acceleration provides a·L/v of this
-//! change. The junction deviation d permits an additional jump of J·q, the same for the whole turn, however it is
-//! distributed over L:
+//! change. The junction deviation d permits an additional jump of the velocity by J·q. This jump is the same for the
+//! whole turn, however the turn is distributed over L:
 //!
 //! ```text
 //!   1        between two single pieces             v² - v·J = a·L/t      J² = a·d·s / (1 - s), s = cos(t/2)
@@ -58,8 +58,9 @@ fn scales_within(length: f32) -> usize {
     (exponent(length) + 1).saturating_sub(exponent(SHORTEST)).min(SCALES)
 }
 
-/// Whether limits that cannot matter are skipped. The small image has no room for these checks: it computes all limits,
-/// except those that the first check of [`Span::limit_after`] excludes. The steps are the same (`tests/jobs.rs`).
+/// Whether limits that the machine cannot exceed anyway are skipped. The small image has no room for these checks: it
+/// computes all limits, except those that the first check of [`Span::limit_after`] excludes. The steps are the same
+/// (`tests/jobs.rs`).
 const LEAVES_OUT: bool = FULL_IMAGE;
 /// Number of previous spans that a new one is compared with.
 const HISTORY: usize = 4;
@@ -73,8 +74,8 @@ const STRAIGHTNESS: f32 = 0.6;
 /// q² of 0.61 rad. A larger turn need not be a bend: it can be a corner between straight pieces, where the machine is
 /// faster than on a bend.
 const LARGE_TURN2: f32 = 0.36;
-/// A large turn counts as spread over its whole length only if the turn at either end has at least this share of its
-/// q².
+/// A large turn counts as spread over its whole length only if the smaller turns at its two ends each have at least
+/// this share of its q².
 const ENDS2: f32 = 1.0 / 36.0;
 /// Maximum L/t, as a multiple of the junction deviation, for which [`ENDS2`] applies. Beyond it, the J² of the smaller
 /// turns within the large turn is negligible compared with a·L/t.
@@ -89,8 +90,8 @@ const GENTLE2: f32 = 0.0625;
 const LITTLE_TURN2: f32 = 0.01;
 /// Lower bound of s for a turn that consists of [`HISTORY`] such turns.
 const LITTLE_TURNS_SINE: f32 = 0.95;
-/// A block is steep if its acceleration exceeds the maximum along a path of moves with steps by more than this factor.
-/// The margin of [`rise2`] covers the factor.
+/// A block counts as steep if its acceleration exceeds [`TurnRule::most`] by more than this factor
+/// ([`Chain::since_steep`]). The margin of [`rise2`] is larger than this factor, so it covers blocks just below it.
 const STEEP: f32 = 1.005;
 /// If a bend's speed² exceeds the maximum speed² by more than this factor, the bend leaves the acceleration along the
 /// path unchanged, within 5 %.
@@ -133,7 +134,7 @@ pub(super) struct Span<const N: usize> {
     straight: bool,
     /// q² of the turn from the middle of the previous span to that of this one.
     turned2: f32,
-    /// Speed² that this turn surely allows, also as a part of a longer one; 0: not known.
+    /// Speed² that this turn surely allows, also as a part of a longer turn; 0: not known.
     sure2: f32,
     /// The bend of that turn.
     curve: CurveLoad,
@@ -206,8 +207,8 @@ impl<const N: usize> Span<N> {
         rule.junction2(across, sine, turn2)
     }
 
-    /// Returns the limit for the turn from an earlier span, with the path length `between` the two; `None` if it does
-    /// not limit `fast2`.
+    /// Returns the limit for the turn from an earlier span, with the path length `between` the two; `None` if the limit
+    /// is not below the speed² `fast2`.
     #[inline]
     fn limit_after(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
         let all2 = turn2(&old.direction, &self.direction);
@@ -307,7 +308,7 @@ pub(super) struct PathPiece<'a, const N: usize> {
     pub digit: f32,
 }
 
-/// What the block of a piece limits.
+/// Limits of a piece's block that bound the speed attainable in the piece.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EntryLimit {
     /// Maximum speed² at the block's entry.
@@ -327,7 +328,7 @@ impl EntryLimit {
     }
 }
 
-/// Passes on the bends that are found in a path.
+/// Passes the bends that are found to the caller, and tracks the speed that the machine can attain.
 struct Finder<'a, const N: usize> {
     rule: &'a TurnRule<N>,
     /// Called for each bend.
@@ -342,7 +343,8 @@ struct Finder<'a, const N: usize> {
 }
 
 impl<const N: usize> Finder<'_, N> {
-    /// Passes on a bend. `length`: upper bound of the path length from the bend's nearest entry to the end of the span.
+    /// Passes on a bend. `behind`: number of blocks after the span. `length`: upper bound of the path length from the
+    /// bend's nearest entry to the end of the span.
     #[inline]
     fn limit(&mut self, bend: Bend, behind: usize, length: f32) {
         let length = if behind > 0 { length + self.newest } else { length };
@@ -481,7 +483,7 @@ pub struct Scale<const N: usize> {
 }
 
 impl<const N: usize> Scale<N> {
-    /// Begins a span.
+    /// Begins an empty span at `start`.
     #[inline]
     fn begin(&mut self, start: &PerAxis<Coordinate, N>) {
         self.start = *start;
@@ -582,7 +584,8 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Adds the resolution of one more point, and returns the resolution of the program's coordinates, mm.
+    /// Takes the resolution of one more point into account, and returns the resolution of the program's coordinates,
+    /// mm.
     pub(super) fn last_digit(&mut self, digit: f32) -> f32 {
         self.digit.with(digit)
     }
@@ -664,8 +667,8 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Handles a piece that is longer than the spans of some scales: those before index `whole`. Ends the unfinished span
-    /// of each of these scales where the piece begins, and compares the piece with their previous spans.
+    /// Call for a piece that is at least as long as the spans of the scales before index `whole`. Ends the unfinished
+    /// span of each of these scales where the piece begins, and compares the piece with their previous spans.
     #[inline(never)]
     fn end_before(&mut self, piece: &PathPiece<'_, N>, new: &Span<N>, whole: usize, finder: &mut Finder<'_, N>) {
         let (mut path, mut fast2, mut attainable2, mut blocks) = (0.0, 0.0, 0.0, 0);
@@ -675,8 +678,8 @@ impl<const N: usize> Chain<N> {
             scale.attainable2 = greater(scale.attainable2, attainable2);
             scale.blocks = scale.blocks.saturating_add(blocks);
             if index >= whole {
-                // This scale is the first one that is not shorter than the piece. It has got the path of the span that
-                // the scale before it ended. The caller adds the piece itself later.
+                // This scale is the first one whose spans are longer than the piece. The path of the span that the
+                // scale before it ended has been added to it above. The caller adds the piece itself later.
                 return;
             }
             if scale.blocks > 0 {

@@ -9,11 +9,11 @@ use crate::units::{Coordinate, WeightedPoint};
 /// A curve that is being divided into chords.
 #[derive(Clone, Debug)]
 pub enum Curve<const N: usize> {
-    /// An arc or helix.
+    /// An arc or helix (G2, G3).
     Arc(Arc<N>),
-    /// A Bezier curve.
+    /// A Bezier curve of third degree (G5, G5.1).
     Spline(Spline<N>),
-    /// A rational B-spline.
+    /// A rational B-spline (G5.2, G5.3).
     Nurbs(Nurbs<N>),
 }
 
@@ -29,7 +29,7 @@ impl<const N: usize> Curve<N> {
         }
     }
 
-    /// Returns the curvature along the last chord.
+    /// Returns the curvature along the chord that `next_chord` returned last.
     #[inline]
     pub fn curvature(&self) -> Curvature {
         match self {

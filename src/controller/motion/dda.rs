@@ -11,7 +11,7 @@
 //!  steps of Y for (X, Y) = (10, 3), threshold 10, in steps of X             1 2 3 4 5 6 7 8 9 10
 //!                                                                       Y     ^       ^     ^
 //! ```
-//! `measure` defines the rate and threshold of a block, even for a chord that begins between steps.
+//! `measure` defines the rate and threshold of a block, even for a chord that begins between two steps.
 
 use core::sync::atomic::{Ordering, compiler_fence};
 
@@ -42,7 +42,7 @@ pub(super) fn step_axes<const N: usize>(left: &mut [u32; N], increments: &[u32; 
     minus_steps.wrapping_neg() as u8
 }
 
-/// Returns whether an axis steps at the next tick.
+/// Returns whether any axis steps at the next tick.
 #[inline(always)]
 pub(super) fn steps_next<const N: usize>(left: &[u32; N], increments: &[u32; N]) -> bool {
     // As in `step_axes`.
@@ -94,7 +94,7 @@ struct Countdown {
 }
 
 impl Countdown {
-    /// No axis.
+    /// An unused countdown, which never steps.
     const NONE: Self = Self { axis: MOST_AXES, left: 0, increment: 0 };
 }
 

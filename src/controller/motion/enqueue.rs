@@ -18,7 +18,7 @@ use crate::axes::{Axis, PerAxis};
 use crate::messages::AxisSteps;
 use crate::units::Coordinate;
 
-/// Maximum override that bends are determined for. Realtime commands cannot exceed it.
+/// Maximum feed override for which bends are determined, as a factor. Realtime commands cannot exceed it.
 const MOST_OVERRIDE: f32 = 2.0;
 
 /// Returns the steps of a chord with its exact ends, which can lie between steps. `ends`: offsets of the exact start
@@ -326,7 +326,7 @@ impl<const N: usize> MoveQueue<N> {
         if core::mem::take(&mut self.end.motors_only) { 0.0 } else { corner2 }
     }
 
-    /// Queues a block, looks for bends of several moves that end with its piece of the path, and plans.
+    /// Queues a block, looks for bends that end with the block's piece of the path, and plans.
     #[inline]
     fn push(&mut self, block: Block<N>, piece: &PathPiece<'_, N>, span: Span<N>) {
         self.planner.push(block, self.overrides);
@@ -338,7 +338,7 @@ impl<const N: usize> MoveQueue<N> {
         self.planner.plan();
     }
 
-    /// Returns the path from the end of the last block to a target.
+    /// Returns displacements and lengths of the path from the end of the last block to a target.
     #[inline]
     fn path_to(&self, target: &PerAxis<Coordinate, N>) -> Path<N> {
         let way = target.zip(&self.end.block_end, way_mm);

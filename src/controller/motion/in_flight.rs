@@ -5,7 +5,7 @@ use crate::axes::PerAxis;
 use crate::lent::Lent;
 use crate::messages::SEGMENTS_DEPTH;
 
-/// Number of begun segments that are kept: the one begun last and the one before it.
+/// Number of segments that are kept after they have begun: the one begun last and the one before it.
 pub(super) const BEGUN: usize = 2;
 /// Size of the ring: the segments in the queue to the step task, the begun ones, and 4 more: for segments that the step
 /// task has prefetched or executes ahead of time, and for segments on their way to it.
@@ -61,7 +61,8 @@ pub(super) struct SegmentsInFlight<const N: usize> {
 }
 
 impl<const N: usize> SegmentsInFlight<N> {
-    /// Creates an empty record at position 0. The ring must hold [`BEGUN`] segments more than can be in flight.
+    /// Creates a record without segments in flight, at position 0. The ring must have [`BEGUN`] more slots than
+    /// segments can be in flight.
     pub(super) fn new(ring: Lent<[InFlightSegment<N>]>) -> Self {
         Self { ring, first: 0, len: 0, queued: 0, begun: 0, moves: false }
     }
@@ -133,7 +134,7 @@ impl<const N: usize> SegmentsInFlight<N> {
     }
 
     /// Updates the ring from the step task's count of begun segments. `idle`: the step task is at rest. If it is, and
-    /// no segment is in flight, reports show speed, power and line number 0 from then on.
+    /// no segment is in flight, sets the reported speed, power and line number to 0.
     #[inline]
     pub(super) fn observe(&mut self, begun: u32, idle: bool) {
         while self.len > 0 && self.begun != begun {

@@ -15,7 +15,7 @@
 
 use super::trapezoid::{greater, lesser, square_root};
 
-/// The state of motion along the path.
+/// The state of motion along the path, mm/s and mm/s².
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PathState {
     pub speed: f32,
@@ -32,7 +32,8 @@ pub(super) struct Bounds {
 impl Bounds {
     pub(super) const NONE: Self = Self { acceleration: f32::INFINITY, jerk: f32::INFINITY };
 
-    /// Returns the bounds rounded down to numbers whose lower 16 bits are 0.
+    /// Returns the bounds rounded down to numbers whose lower 16 bits are 0, because [`super::block::Ramp`] stores only
+    /// the upper ones.
     #[inline]
     pub(super) fn rounded_down(self) -> Self {
         let upper = |value: f32| f32::from_bits(value.to_bits() & 0xFFFF_0000);

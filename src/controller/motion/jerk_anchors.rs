@@ -7,10 +7,10 @@ use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};
 use super::trapezoid::{lesser, square_root};
 
 /// Ratio above which two bounds count as the same. On a curve, bounds change slightly from block to block; an anchor at
-/// each change would cost more time than the tighter bounds for all of these blocks.
+/// each change would cost more machine time than applying the tightest bounds to all of these blocks.
 const ALIKE: f32 = 0.8;
 
-/// The path to the next anchor. It begins where the reverse pass has arrived.
+/// The path to the next anchor, from the block that the reverse pass has reached.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Way {
     /// Speed at the anchor, mm/s.
@@ -94,7 +94,7 @@ impl Stretch {
     }
 }
 
-/// The next anchor, seen from a place before it.
+/// The next anchor, as seen from a position before it on the path (mm and mm/s).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Target {
     pub speed: f32,

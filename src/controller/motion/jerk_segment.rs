@@ -1,7 +1,7 @@
 //! Cuts the next segment of a block with a jerk limit (S-curve), from the present speed and acceleration, as fast as
 //! the planned anchors allow.
 //!
-//! At its end, each segment has the first possible one of these accelerations:
+//! At its end, each segment has the first one of these accelerations that is possible:
 //! 1. the acceleration that leads to the nominal speed soonest;
 //! 2. the present acceleration;
 //! 3. that of a ramp down to the next anchor (an entry of a block at which a ramp ends).
@@ -19,7 +19,8 @@ use crate::messages::UNITS_PER_STEP;
 
 /// Relative deviation up to which a speed counts as the nominal one: about a hundred rounding errors.
 const SAME_SPEED: f32 = 1.0e-5;
-/// Relative deviation from the nominal speed up to which one segment completes the easing off of the acceleration.
+/// Relative deviation from the nominal speed up to which a segment ends at exactly the nominal speed, with an
+/// acceleration of 0.
 const SNAP: f32 = 1.0e-4;
 
 /// A segment's time and the state at its end.
@@ -91,7 +92,8 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Self { state, way, left, nominal, bounds, guess, change: bounds.jerk * guess, planner }
     }
 
-    /// Leaves rest with constant jerk (`free`), or more slowly if that would be too fast for the next anchors.
+    /// Returns a segment for a machine at rest: `free`, which has constant jerk, or a slower one if `free` would be too
+    /// fast for the next anchors.
     fn leave_rest(&self, free: Travelled, ease_off_limit: &mut f32) -> Travelled {
         let Self { way, nominal, bounds, .. } = *self;
         let rest = self.left - way;
@@ -109,7 +111,7 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Travelled { seconds: cube_root(32.0 * way / bounds.jerk), end }
     }
 
-    /// Continues motion with the maximum acceleration allowed, or on a ramp down.
+    /// Returns a segment for a moving machine: with the maximum acceleration allowed, or on a ramp down.
     fn keep_moving(&self, braking: bool, ease_off_limit: &mut f32) -> Travelled {
         let Self { state, nominal, bounds, planner, .. } = *self;
         let mut allowed = Bounds { acceleration: lesser(bounds.acceleration, *ease_off_limit), ..bounds };
@@ -140,9 +142,9 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         greater(lesser(wanted, acceleration + self.change), acceleration - self.change)
     }
 
-    /// Travels the segment to the acceleration `end`. Computed with the mean acceleration as if it were constant: with
-    /// the jerk j, the error of the distance after the time t is j·t³/12, a hundredth of a micrometre after 1 ms at
-    /// 100,000 mm/s³.
+    /// Returns the segment's time and end state if it ends with the acceleration `end`. Computed with the mean
+    /// acceleration as if it were constant: with the jerk j, the error of the distance after the time t is j·t³/12, a
+    /// hundredth of a micrometre after 1 ms at 100,000 mm/s³.
     #[inline]
     fn to(&self, end: f32) -> Travelled {
         let PathState { speed, acceleration } = self.state;
@@ -154,14 +156,15 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         self.at_speed(last, end)
     }
 
-    /// Travels the segment to a speed and acceleration at its end.
+    /// Returns the segment's time and end state if it ends with this speed and acceleration.
     #[inline]
     fn at_speed(&self, speed: f32, acceleration: f32) -> Travelled {
         Travelled { seconds: 2.0 * self.way / (self.state.speed + speed), end: PathState { speed, acceleration } }
     }
 
-    /// Travels with the acceleration that leads to the nominal speed soonest, if allowed. Also returns the lowest
-    /// acceleration bound of the blocks on which this acceleration can be eased off.
+    /// Tries to end the segment with the acceleration that leads to the nominal speed soonest (`best`). If it is
+    /// allowed, returns the lowest acceleration bound of the blocks on which it can be eased off, and the segment's
+    /// time and end state.
     #[inline]
     fn to_nominal(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
         let travelled = self.to(best);
@@ -176,7 +179,8 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Some((ahead, if arrives { self.at_speed(self.nominal, 0.0) } else { travelled }))
     }
 
-    /// Travels with the present acceleration, if it is positive or 0, less than `best`, and allowed.
+    /// Tries to keep the present acceleration, like [`SegmentStart::to_nominal`]. Returns `None` if it is negative, not
+    /// less than `best`, or not allowed.
     #[inline]
     fn as_before(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
         let acceleration = self.state.acceleration;
@@ -188,8 +192,8 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         (travelled.end.acceleration <= ahead).then_some((ahead, travelled))
     }
 
-    /// Travels on a ramp down to the next anchor. `steepest`: acceleration to use if the distance is too short for the
-    /// planned ramp.
+    /// Returns the time and end state of a segment on a ramp down to the next anchor. `steepest`: acceleration to use
+    /// if the distance is too short for the planned ramp.
     #[inline]
     fn ramp_down(&self, best: f32, steepest: f32) -> Travelled {
         let Self { state, way, .. } = *self;
@@ -219,8 +223,9 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         if coarse { self.at_speed(aim, 0.0) } else { travelled }
     }
 
-    /// Travels to the end of a segment on which braking would bring the machine to rest too early. If the block ends
-    /// there, the machine leaves the block no faster than planned.
+    /// Returns the time and end state of a segment on which braking would bring the machine to rest before the end. The
+    /// speed stays as it is instead; if the block ends with the segment, the machine leaves the block no faster than
+    /// planned.
     #[inline(never)]
     fn come_to_rest(planner: &Planner<N>, speed: f32, way: f32, left: f32, bounds: Bounds) -> Travelled {
         let exit = if left > way { speed } else { lesser(speed, planner.target(0, left, bounds).speed) };
@@ -230,8 +235,8 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
     }
 }
 
-/// Travels the first segment from rest with constant jerk: the maximum jerk, or less if the acceleration would become
-/// too high.
+/// Returns the time and end state of a first segment from rest with constant jerk: the maximum jerk, or less if the
+/// acceleration would become too high.
 fn start(way: f32, bounds: Bounds) -> Travelled {
     let seconds = greater(cube_root(6.0 * way / bounds.jerk), square_root(6.0 * way / bounds.acceleration));
     Travelled { seconds, end: PathState { speed: 3.0 * way / seconds, acceleration: 6.0 * way / (seconds * seconds) } }

@@ -7,7 +7,7 @@
 //!   A ─────────────┼───────────── C        the block from A is taken back, and the one from A to C is queued instead
 //!          P2 ─────┘
 //! ```
-//! In every motor, the line from A to C must pass all points between A and C within the distance shown. Line and point
+//! For every motor, the line from A to C must pass all points between A and C within the distance shown. Line and point
 //! are compared at equal positions of the main motor, the one with the longest displacement. So each point allows a
 //! range of slopes of each other motor relative to the main one. Only the intersection of these ranges is kept: two
 //! numbers per motor for any number of points, and errors do not add up.
@@ -89,7 +89,7 @@ impl<const N: usize> Join<N> {
         before: PathEnd::ZERO,
     };
 
-    /// Sets the resolution of the motors.
+    /// Sets the step size of each motor, and stops joining moves to the last block.
     pub(super) fn configure(&mut self, kinematics: &Kinematics<N>) {
         self.forget();
         self.half_mm = kinematics.half_mm();
@@ -101,7 +101,7 @@ impl<const N: usize> Join<N> {
         self.open = false;
     }
 
-    /// Resets the state when the queue is cleared.
+    /// Call when the queue is cleared: no move is joined to the blocks that were in it.
     pub(super) fn forget(&mut self) {
         self.open = false;
         self.kept = false;

@@ -10,7 +10,7 @@ use super::trapezoid::{greater, lesser, square_root};
 pub(super) const UNLIMITED2: f32 = 1.0e30;
 /// Speed² of a square corner, divided by acceleration and deviation: s / (1 - s) with s = √(1/2).
 pub(super) const SQUARE_CORNER: f32 = 2.414_213_6;
-/// Noise below this share of a turn is neglected.
+/// Noise (the angle that rounding of coordinates can cause) is neglected if it is less than this share of the turn.
 const CERTAIN: f32 = 1.0 / 64.0;
 /// q² below which a path counts as straight; it equals Grbl's limit, a cosine of 0.999999.
 const STRAIGHT: f32 = 2.0e-6;
@@ -95,7 +95,7 @@ impl<const N: usize> TurnRule<N> {
         Self { acceleration, least, most, deviation, curve_share }
     }
 
-    /// Returns the maximum acceleration along the change of direction at which no axis exceeds its limit.
+    /// Returns the maximum acceleration along the change of direction at which no axis exceeds its limit. `turn`: q.
     #[inline(never)]
     pub(super) fn across(&self, before: &[f32; N], after: &[f32; N], turn: f32) -> f32 {
         // Finds the axis with the lowest ratio of limit to part. Divides only once, at the end.
@@ -122,10 +122,10 @@ impl<const N: usize> TurnRule<N> {
     #[inline(never)]
     fn in_any_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32) -> f32 {
         let normal = 1.0 / turn2;
-        // A reversal defines the normal but not the tangent. Shorter spans, which turn less, take the tangent into
-        // account.
+        // A reversal defines the normal but not the tangent. The limits of shorter spans, which turn less, take the
+        // tangent into account.
         let tangent = if turn2 < NO_TANGENT { 1.0 / (4.0 - turn2) } else { 0.0 };
-        // As in `across`.
+        // Finds the axis with the lowest ratio of limit to share, as in `across`.
         let (mut least2, mut least_share2) = (UNLIMITED2, 1.0);
         for ((a, b), limit) in before.iter().zip(after).zip(&self.acceleration) {
             let (difference, sum) = (b - a, b + a);
@@ -168,7 +168,8 @@ impl<const N: usize> TurnRule<N> {
         across * self.deviation * sine * (1.0 + sine) / (0.25 * turn2)
     }
 
-    /// Returns the maximum speed² of a square corner between any two axes.
+    /// Returns a speed² that a square corner between any two axes allows, computed with the lowest acceleration of all
+    /// axes.
     #[inline]
     pub(super) fn square_corner2(&self) -> f32 {
         self.least * self.deviation * SQUARE_CORNER

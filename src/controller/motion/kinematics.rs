@@ -11,7 +11,7 @@
 use crate::axes::{Arrangement, PerAxis};
 use crate::units::{Coordinate, StepsPerMm};
 
-/// The arrangement and the resolution of each motor.
+/// The arrangement of the motors, and the steps per millimetre of each.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Kinematics<const N: usize> {
     arrangement: Arrangement,

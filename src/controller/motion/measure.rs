@@ -1,16 +1,16 @@
-//! The exact arithmetic of steps within a block: how many steps each axis has taken after how many units. The step
-//! generator and the planner's side both use this module, so they agree on where a segment ends. All computations use
-//! whole numbers and are exact; there is no state.
+//! The exact arithmetic of steps within a block: how many steps each axis has taken after how many units. Both the step
+//! generator and the code that cuts segments use this module, so they agree on where a segment ends. All computations
+//! use whole numbers and are exact; there is no state.
 //!
 //! With each unit, the remainder until an axis' next step falls by the axis' rate; each step adds the threshold (see
 //! `dda`). On a line, an axis' rate is its number of steps, and the threshold is the number of units: 16 for each step
 //! of the dominant axis, the one with the most steps.
 //!
-//! A chord of a curve begins and ends between steps, f and g steps away from them, where f and g are fractions
-//! ([`AxisSteps`]). After u of M units, an axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ of them. This number
-//! is 0 at the start and n at the end, because f and g are less than a half. It is always within half a step of the
-//! exact chord. In sevenths of a step the arithmetic is the same, with 7·M as the threshold, 7·n + 7·g - 7·f as the
-//! rate, and a first remainder that is smaller by 7·f·M.
+//! A chord of a curve begins and ends between two steps: f steps beyond the step nearest to its start, and g steps
+//! beyond the one nearest to its end. f and g are signed fractions ([`AxisSteps`]). After u of M units, an axis with n
+//! steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ of them. This number is 0 at the start and n at the end, because f and g
+//! are between -1/2 and 1/2. It is always within half a step of the exact chord. In sevenths of a step the arithmetic
+//! is the same, with 7·M as the threshold, 7·n + 7·g - 7·f as the rate, and a first remainder that is smaller by 7·f·M.
 
 use crate::messages::{AxisSteps, UNITS_PER_STEP};
 
@@ -51,7 +51,7 @@ impl Measure {
     }
 
     /// Returns the share of an axis' first step that is complete at the start of the block: half a step, plus the
-    /// offset of the exact start. The result is in parts of the threshold. It is less by 1, so that exactly half way
+    /// offset of the exact start. The result is in parts of the threshold. 1 is subtracted, so that exactly half way
     /// between two steps the lower one counts.
     #[inline(always)]
     pub(super) fn credit(&self, axis_steps: AxisSteps) -> u32 {
@@ -86,8 +86,8 @@ pub(super) fn advance(rate: u32, units: u32) -> u64 {
     (i64::from(rate as i32) * i64::from(units as i32)) as u64
 }
 
-/// Returns [`steps_taken`] and the remainder until the next step. Divides bit by bit, because the step task has no room
-/// for a 64-bit division, and needs this function only at rest.
+/// Returns [`steps_taken`] and the remainder until the next step. Divides bit by bit, which is slow but small: the step
+/// task has no room for a 64-bit division, and calls this function only at rest.
 pub(super) fn steps_and_rest(rate: u32, first: u32, threshold: u32, units: u32) -> (u32, u32) {
     let mut sum = advance(rate, units).wrapping_add(u64::from(threshold.wrapping_sub(first)));
     let mut taken = 0;

@@ -6,16 +6,16 @@
 //!  curve ─ chords ┘                 entry speeds        cut from the trapezoid of the running block
 //!  ╰────────────── queue ──────────────────────╯ ╰────────── segment_source ──────────╯
 //! ```
-//! `queue` owns the input side: the blocks and the end of the path, where `enqueue` adds blocks (`short_moves` joins
-//! short ones). `segment_source` owns the output side: the running block, the state of motion after the last segment
-//! handed over to the step task, and the segments in flight. `queue` does not depend on `segment_source`; this file
-//! connects them.
+//! `queue` is the input side: it holds the blocks and the end of the path. `enqueue` appends blocks there, and
+//! `short_moves` joins short moves into one block. `segment_source` is the output side: it holds the running block, the
+//! state of motion after the segment handed over last to the step task, and the segments in flight. `queue` does not
+//! depend on `segment_source`; this file connects them.
 //!
 //! Guarantees:
-//! * Steps add up exactly.
+//! * Rounding errors do not add up: a chain of moves ends on the step nearest to its programmed end.
 //! * No axis exceeds its rate and acceleration.
 //! * The planned path ends at rest, however few blocks are queued.
-//! * A hold begins to brake within the time queued ([`QUEUED_TIME_MS`]).
+//! * In a hold, braking begins as soon as the segments already handed over have run (about [`QUEUED_TIME_MS`]).
 //!
 //! G-code, replies and machine states are handled elsewhere; the caller decides when motion starts.
 
@@ -78,15 +78,15 @@ use planner::GROUPS;
 use queue::{MoveQueue, Numbering};
 use segment_source::SegmentSource;
 
-/// Minimum override factor.
+/// Lower bound of the feed and rapid overrides, as a factor (1 = as programmed).
 const LEAST_OVERRIDE: f32 = 0.001;
-/// Maximum override factor.
+/// Upper bound of the feed and rapid overrides, as a factor.
 const GREATEST_OVERRIDE: f32 = 100.0;
 
 /// Settings of the machine that motion depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionSettings<const N: usize> {
-    /// How the motors move the tool.
+    /// How the motors move the tool: Cartesian or CoreXY.
     pub arrangement: Arrangement,
     /// Motor steps per millimetre.
     pub steps_per_mm: PerAxis<StepsPerMm, N>,
@@ -98,7 +98,8 @@ pub struct MotionSettings<const N: usize> {
     pub acceleration: PerAxis<f32, N>,
     /// Maximum jerk of each axis, mm/s³; 0 = unlimited. If all are 0, ramps have constant acceleration.
     pub jerk: PerAxis<f32, N>,
-    /// Deviation of the imaginary arc through a corner, which determines the corner's speed (`$11`), mm.
+    /// Junction deviation (`$11`), mm: distance of a corner from the imaginary arc that rounds it. It determines the
+    /// speed at the corner.
     pub junction_deviation: f32,
     /// Acceleration allowed in curves as a share of `acceleration`; 1 = all of it.
     pub curve_share: f32,
@@ -155,7 +156,7 @@ pub struct Motion<const N: usize> {
     queue: MoveQueue<N>,
 }
 
-/// Memory lent to a [`Motion`].
+/// The memory that a [`Motion`] works in: blocks, their summaries, segments in flight, and curvature scales.
 #[derive(Debug)]
 pub struct MotionMemory<const N: usize> {
     blocks: Lent<[Block<N>]>,
@@ -164,7 +165,7 @@ pub struct MotionMemory<const N: usize> {
     scales: Lent<[Scale<N>]>,
 }
 
-/// Static storage for a [`MotionMemory`]. All 0, so that it needs no flash.
+/// Static storage for a [`MotionMemory`]. Its initial contents are all 0, so that they take no flash.
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
 pub struct MotionStorage<const N: usize, const BLOCKS: usize> {
@@ -176,7 +177,7 @@ pub struct MotionStorage<const N: usize, const BLOCKS: usize> {
 
 #[cfg(not(feature = "alloc"))]
 impl<const N: usize, const BLOCKS: usize> MotionStorage<N, BLOCKS> {
-    /// Storage before its first use.
+    /// Initial contents, all 0.
     pub const EMPTY: Self = Self {
         blocks: [Block::NONE; BLOCKS],
         groups: [Stretch::BLANK; GROUPS],
@@ -184,7 +185,7 @@ impl<const N: usize, const BLOCKS: usize> MotionStorage<N, BLOCKS> {
         scales: Chain::SCALES,
     };
 
-    /// Lends the storage permanently.
+    /// Returns the memory for one [`Motion`]. The storage stays borrowed from then on.
     pub fn lend(&'static mut self) -> MotionMemory<N> {
         MotionMemory {
             blocks: &mut self.blocks,
@@ -195,7 +196,7 @@ impl<const N: usize, const BLOCKS: usize> MotionStorage<N, BLOCKS> {
     }
 }
 
-/// Blocks of a motion for single moves: one for the move, and one for backlash compensation.
+/// Number of blocks of a motion for single moves: one for the move, and one for backlash compensation.
 const SINGLE_MOVE_BLOCKS: usize = 2;
 
 /// Storage for a [`Motion`] that runs single straight moves, each from rest to rest. To move, it borrows the ring of
@@ -209,10 +210,10 @@ pub struct SingleMoveStorage<const N: usize> {
 
 #[cfg(not(feature = "alloc"))]
 impl<const N: usize> SingleMoveStorage<N> {
-    /// Storage before its first use.
+    /// Initial contents, all 0.
     pub const EMPTY: Self = Self { blocks: [Block::NONE; SINGLE_MOVE_BLOCKS], ring: [InFlightSegment::NONE; BEGUN] };
 
-    /// Lends the storage permanently.
+    /// Returns the memory for one [`Motion`]. The storage stays borrowed from then on.
     pub fn lend(&'static mut self) -> MotionMemory<N> {
         MotionMemory { blocks: &mut self.blocks, groups: &mut [], ring: &mut self.ring, scales: &mut [] }
     }
@@ -280,7 +281,8 @@ impl<const N: usize> Motion<N> {
         let lead = self.queue.backlash.lead_within(before.lead);
         let motors = Motors { steps: before.tool().zip(&PerAxis(lead), i32::wrapping_add), lead };
         if lead != before.lead {
-            // With less backlash the motors lead less; the tool's position stays the same.
+            // A smaller backlash setting limits the motors' lead. The tool's position must stay the same, so the origin
+            // of the step counters moves instead.
             let moved = motors.steps.zip(&before.steps, i32::wrapping_sub);
             self.origin = self.origin.zip(&moved, i32::wrapping_add);
             self.source.in_flight.forget(motors.tool(), lead);
@@ -327,7 +329,8 @@ impl<const N: usize> Motion<N> {
         self.queue.planner.len()
     }
 
-    /// Returns by how many steps each motor leads the tool after the last segment handed over (backlash compensation).
+    /// Returns by how many steps each motor leads the tool at the end of the segment handed over last (backlash
+    /// compensation).
     pub fn lead(&self) -> [i32; N] {
         self.prepared().lead
     }
@@ -350,16 +353,16 @@ impl<const N: usize> Motion<N> {
         self.plan_from(motors);
     }
 
-    /// Exchanges the rings of segments in flight with another motion: to lend the ring while this motion rests, and
-    /// again to get it back.
+    /// Exchanges the ring of segments in flight with that of another motion. The first call lends this motion's ring to
+    /// the other one, the second call returns it. Call only while both are at rest.
     #[inline(never)]
     pub fn lend_ring(&mut self, other: &mut Self) {
         self.source.in_flight.exchange_ring(&mut other.source.in_flight);
     }
 
-    /// Starts to execute the queue. If it has no block, queues the held moves first; without any moves, has no effect.
-    /// Before the first call, no segments are handed over. After the queue has run empty, none are handed over until
-    /// the next call.
+    /// Starts to execute the queue. If the queue has no block, first queues the moves held back for rounding; without
+    /// any moves, has no effect. No segments are handed over before the first call, nor between the time at which the
+    /// queue has run empty and the next call.
     pub fn start(&mut self) {
         if self.queue.planner.len() == 0 {
             self.queue.release();
@@ -369,15 +372,15 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// Returns the next message for the step task; `None` if there is nothing to do, motion is not started, or enough
-    /// time is queued.
+    /// Returns the next message for the step task; `None` if there is nothing to do, motion is not started, or segments
+    /// for enough time are queued already.
     pub fn next(&mut self, observed: &Observed) -> Option<ToStep> {
         self.observe(observed);
         self.next_message()
     }
 
     /// Like [`Motion::next`], without a new observation. The controller calls this very often, and usually no message
-    /// is wanted. So only the check for this is inlined.
+    /// is wanted. So only the check whether one is wanted is inlined.
     #[inline]
     pub fn next_message(&mut self) -> Option<ToStep> {
         if self.source.wants_more() { self.wanted_message() } else { None }
@@ -397,7 +400,8 @@ impl<const N: usize> Motion<N> {
         Some(message)
     }
 
-    /// Call when the last block has been handed over: completes the backlash compensation, or ends the run.
+    /// Call when the last block has been handed over completely. Queues a block for the rest of the backlash
+    /// compensation; if nothing is left to compensate, ends handing over.
     #[inline(never)]
     fn run_out(&mut self) {
         if self.queue.backlash.is_on() {
@@ -423,11 +427,11 @@ impl<const N: usize> Motion<N> {
         self.source.hold();
     }
 
-    /// Resumes after a hold, even if the machine has not come to a stop yet.
+    /// Ends a hold and continues, even if the machine has not come to a stop yet.
     pub fn resume(&mut self) {
         if self.queue.planner.raised {
-            // Some entries allow a higher speed than the override does, because the machine was too fast for the
-            // override. The hold has slowed the machine down, so these entries must be lowered.
+            // The planned entry speeds of some blocks exceed the override, because the machine was too fast for the
+            // override when it was set. The hold has slowed the machine down, so these entry speeds must be lowered.
             self.replan();
         }
         self.source.resume(!self.queue.is_empty());
@@ -439,12 +443,12 @@ impl<const N: usize> Motion<N> {
         self.source.running.announce_again();
     }
 
-    /// Returns the settings in force.
+    /// Returns the settings that [`Motion::configure`] has applied.
     pub fn settings(&self) -> MotionSettings<N> {
         self.settings
     }
 
-    /// Returns whether a hold is in force, and the last segment for the step task ends at rest.
+    /// Returns whether a hold is in force, and the segment handed over last ends at rest.
     pub fn is_held(&self) -> bool {
         self.source.is_held()
     }
@@ -475,8 +479,7 @@ impl<const N: usize> Motion<N> {
         self.queue.planner.replan(self.queue.overrides, state, left);
     }
 
-    /// Discards all queued moves, and ends a hold. Has an effect only if the last segment for the step task ends at
-    /// rest.
+    /// Discards all queued moves, and ends a hold. Has an effect only if the segment handed over last ends at rest.
     pub fn discard(&mut self) {
         if !self.source.ends_at_rest() {
             return;
@@ -485,9 +488,9 @@ impl<const N: usize> Motion<N> {
         self.source.stop();
     }
 
-    /// Call after a stop or underrun of the step task; `position`: its step counters. Discards everything queued, ends
-    /// a hold, and takes over the exact position. The caller must open the step task's gate (`ToStep::Resume`) before
-    /// it sends messages of `next`.
+    /// Call after a stop or underrun of the step task. `position`: the step counters of the step task. Discards
+    /// everything queued, ends a hold, and takes over the exact position. The caller must open the step task's gate
+    /// (`ToStep::Resume`) before it sends messages of `next`.
     pub fn stopped(&mut self, position: &PerAxis<i32, N>) {
         let steps = position.zip(&self.origin, |count, origin| count.wrapping_add(origin));
         let before = self.source.in_flight.before();
@@ -504,7 +507,7 @@ impl<const N: usize> Motion<N> {
     }
 
     /// Returns whether a motion is in progress, and the segments that the step task has not begun yet take only a short
-    /// time.
+    /// time (`segment_source::SHORT_MS`).
     #[inline]
     pub fn is_short_of_segments(&self) -> bool {
         self.source.is_short_of_segments()
@@ -515,7 +518,7 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.is_empty() && self.step_idle && self.source.ends_at_rest() && !self.source.is_on()
     }
 
-    /// Returns whether the last segment for the step task ends at rest, so that there is no deadline for the next one.
+    /// Returns whether the segment handed over last ends at rest, so that there is no deadline for the next one.
     pub fn ends_at_rest(&self) -> bool {
         self.source.ends_at_rest()
     }
@@ -551,7 +554,7 @@ impl<const N: usize> Motion<N> {
         self.queue.kinematics.place(&self.machine_steps())
     }
 
-    /// Returns the step counters after the last segment handed over.
+    /// Returns the step counters at the end of the segment handed over last.
     pub fn step_counters(&self) -> PerAxis<i32, N> {
         self.prepared().steps.zip(&self.origin, i32::wrapping_sub)
     }
@@ -565,7 +568,7 @@ impl<const N: usize> Motion<N> {
         stands.then(|| (place, self.step_counters()))
     }
 
-    /// Declares the machine position. Call only at rest. Clears the queue.
+    /// Sets the machine position without moving. Call only at rest. Clears the queue.
     pub fn set_machine_position(&mut self, position: &PerAxis<Coordinate, N>) {
         let old = self.prepared();
         let new = self.queue.kinematics.steps(position);
@@ -573,8 +576,8 @@ impl<const N: usize> Motion<N> {
         self.origin = self.origin.zip(&moved, i32::wrapping_add);
         self.source.in_flight.forget(new, old.lead);
         self.plan_from(Motors { steps: old.steps.zip(&moved, i32::wrapping_add), lead: old.lead });
-        // The position is not rounded to the nearest step, because the next move is measured from the programmed
-        // position.
+        // `plan_from` has set the end of the path to the position of the nearest steps. The next move is measured from
+        // the programmed position, so set this exact one.
         self.queue.set_position(position);
     }
 
@@ -585,7 +588,7 @@ impl<const N: usize> Motion<N> {
         self.queue.kinematics.place(&self.queue.backlash.followed(self.source.last_rest(), steps).tool())
     }
 
-    /// Returns the programmed end of the queue.
+    /// Returns the programmed end of the last queued move, where the next move begins.
     pub fn planned_position(&self) -> PerAxis<Coordinate, N> {
         self.queue.planned_position()
     }
@@ -600,13 +603,15 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.current().power
     }
 
-    /// Returns whether the mark can be changed. It cannot while a long move is still being divided into blocks.
+    /// Returns whether the mark of the next blocks ([`Motion::set_mark`]) can be changed. It cannot while a long move
+    /// is still being divided into blocks.
     pub fn takes_mark(&self) -> bool {
         self.queue.long.is_none()
     }
 
-    /// Sets the mark (0 to 31) of all blocks queued from now on. If the mark changes, first queues the held moves, and
-    /// stops joining moves to the last block. When a block has begun, [`Motion::begun_mark`] returns its mark.
+    /// Sets the mark of all blocks queued from now on: a number from 0 to 31 that ties a change of outputs to a block.
+    /// When a block has begun, [`Motion::begun_mark`] returns its mark. If the mark changes, first queues the moves
+    /// held back for rounding, and stops joining moves to the last block.
     pub fn set_mark(&mut self, mark: u8) {
         let marked = mark << MARK_SHIFT;
         if marked != self.queue.marked {
@@ -650,12 +655,12 @@ impl<const N: usize> Motion<N> {
         core::iter::once(self.running_line_number()).chain(queued).chain(held)
     }
 
-    /// Gives all moves from here on the line number `number`, instead of their N words.
+    /// Gives all moves queued from now on the line number `number` for reports, instead of their N words.
     pub fn number_moves(&mut self, number: u32) {
         self.queue.numbering = Numbering::Given(number);
     }
 
-    /// Returns the position and lead of the motors at the end of the last segment handed over.
+    /// Returns the position and lead of the motors at the end of the segment handed over last.
     fn prepared(&self) -> Motors<N> {
         self.source.motors(&self.queue.backlash)
     }

@@ -12,9 +12,10 @@
 //!    0 .'_________'. 3
 //! ```
 //! A piece of a span has its own control points, in whole numbers of 0.1 nm. Each of them is computed from the span's
-//! control points: the sides of their polygon are divided in as many rounds as the degree, in some rounds at the start
-//! of the piece and in the others at its end. The piece lies within the polygon of its control points, so the distance
-//! of these points from the chord bounds that of the curve. If this distance is too great, the piece is halved.
+//! control points by dividing the sides of their polygon, then the sides of the resulting polygon, and so on, as many
+//! times as the degree. Some of these divisions use the parameter of the piece's start, the others that of its end. The
+//! piece lies within the polygon of its control points, so the distance of these points from the chord bounds that of
+//! the curve. If this distance is too great, the piece is halved.
 //!
 //! With weights w, a division at the share a is not in the ratio of a to 1 - a, but of a·w₁ to (1 - a)·w₀. All weights
 //! are positive, so a point never leaves the polygon, however much the weights differ.
@@ -25,7 +26,7 @@ use crate::axes::{Axis, PerAxis};
 use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, WeightedPoint};
 
-/// The highest order.
+/// Maximum order of a curve (its degree plus one).
 const ORDER_MAX: usize = 8;
 /// Maximum length of a piece, as a share of a span, so that a tiny curve keeps its shape.
 const LONGEST: i64 = UNIT / 2;
@@ -60,14 +61,14 @@ pub struct NurbsGeometry<'a, const N: usize> {
     pub order: u8,
 }
 
-/// Progress along the chords of a curve. The control points are kept elsewhere.
+/// Progress along the chords of a curve. The caller keeps the control points.
 #[derive(Clone, Debug)]
 pub struct Nurbs<const N: usize> {
     start: PerAxis<Coordinate, N>,
     order: u8,
     tolerance: f32,
     span: usize,
-    /// End of the last chord, as a share of the span.
+    /// End of the previous chord, as a share of the span.
     at: i64,
     /// Length of the next piece before halving, as a share of the span.
     step: i64,
@@ -306,7 +307,7 @@ impl<const N: usize> Nurbs<N> {
         }
     }
 
-    /// Returns the curvature along the last chord.
+    /// Returns the curvature along the chord that `next_chord` returned last.
     pub fn curvature(&self) -> Curvature {
         Curvature { radius: self.curve_radius, axes: [Axis::X, Axis::Y] }
     }

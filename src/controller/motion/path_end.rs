@@ -22,7 +22,8 @@ pub(super) struct PathEnd<const N: usize> {
     pub block_end: PerAxis<Coordinate, N>,
     /// End of the last block in motor steps.
     pub planned_steps: PerAxis<i32, N>,
-    /// Length of moves without a step since `block_end`, mm; negative: excess length of the last block.
+    /// Length of moves without a step since `block_end`, mm; negative: length by which the last block counts as longer
+    /// than its path.
     pub length_carry: f32,
     /// Unit vector of the last block.
     pub direction: [f32; N],

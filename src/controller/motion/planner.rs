@@ -13,8 +13,8 @@
 //! entries only as far as the old end of the queue limited them; the pass stops at the first unchanged entry.
 //!
 //! The pass is postponed until an entry that it could change is needed. An entry at its cap (corner and nominal speeds)
-//! cannot rise, nor can the entries before it: these entries are settled, whatever is appended. So in a long queue many
-//! blocks share one pass.
+//! cannot rise, nor can the entries before it. These entries are settled: they are final, whatever is appended. So in a
+//! long queue one pass serves many new blocks.
 //!
 //! With a jerk limit the unit is a ramp, not a block. A ramp has zero acceleration only at its two ends and can span
 //! hundreds of blocks. The reverse pass finds anchors, the entries at which ramps end:
@@ -46,8 +46,8 @@ use crate::lent::Lent;
 use core::ops::Range;
 
 /// Predicted speed of a machine that is faster than a lowered override allows. The machine brakes with the acceleration
-/// that bends leave. The entries that it passes meanwhile keep the predicted speed: for entries with a lower speed, the
-/// machine would brake with all of the acceleration, including the part that bends need.
+/// that bends leave. The entries that it passes while it brakes are allowed the predicted speed: if they allowed less,
+/// the machine would brake with all of its acceleration, including the part that bends need.
 #[derive(Clone, Copy, Debug)]
 struct Fall {
     speed2: f32,
@@ -96,7 +96,7 @@ pub(super) const GROUPS: usize = 32;
 pub(super) struct Planner<const N: usize> {
     first: usize,
     len: usize,
-    /// The first block is running, or will be entered with a speed already given: it must not change.
+    /// Whether the first block is running, or will be entered at a speed that is already fixed: it must not change.
     entered: bool,
     /// Place of the first block whose limits have changed since the last reverse pass; `usize::MAX`: none.
     changed: usize,
@@ -108,7 +108,8 @@ pub(super) struct Planner<const N: usize> {
     lowered: Lowered,
     /// Whether ramps have bounded jerk.
     pub jerk_limited: bool,
-    /// Some entries exceed the speed that the overrides allow, because the machine has to slow down first ([`Fall`]).
+    /// Whether some entries exceed the speed that the overrides allow, because the machine has to slow down first
+    /// ([`Fall`]).
     pub raised: bool,
     blocks: Lent<[Block<N>]>,
     /// Summaries of the groups whose blocks are all in the queue. Only with a jerk limit.
@@ -179,8 +180,8 @@ impl<const N: usize> Planner<N> {
         let Some(next) = self.block(1) else { return 0.0 };
         if next.ramp.distance > 0.0 {
             // The entry lies within a ramp to an anchor, so its speed must allow that ramp. With a jerk limit the
-            // caller needs this only at very low speed, where it matters if the next block loads an axis of much lower
-            // jerk.
+            // caller needs this only if the machine can stop within one step. Even then it matters if the next block
+            // moves an axis with a much lower jerk limit.
             let reach = ramp_speed(square_root(next.entry2), next.ramp.distance, next.ramp.bounds());
             return lesser(reach * reach, next.ramp.ceiling2);
         }
@@ -203,7 +204,7 @@ impl<const N: usize> Planner<N> {
         self.first()
     }
 
-    /// Removes the first block. `moving`: the next one is entered with a speed, not from rest.
+    /// Removes the first block. `moving`: whether the next block is entered at speed, not from rest.
     #[inline]
     pub(super) fn pop(&mut self, moving: bool) {
         if self.len > 0 {
@@ -218,7 +219,7 @@ impl<const N: usize> Planner<N> {
         self.entered = moving;
     }
 
-    /// Returns whether the first block is running or will be entered with a speed already given.
+    /// Returns whether the first block is running or will be entered at a speed that is already fixed.
     #[inline]
     pub(super) fn is_entered(&self) -> bool {
         self.entered
@@ -280,8 +281,9 @@ impl<const N: usize> Planner<N> {
             }
         }
         if lowered.first != usize::MAX {
-            // The lowered blocks matter only to settled entries. A pass that reaches these entries determines them anew
-            // anyway, and with a jerk limit no entry is settled.
+            // The range of lowered blocks is needed only if there are settled entries and all changes come after them,
+            // because [`Planner::settle`] then skips the pass over the changed blocks. With a jerk limit no entry is
+            // settled.
             if self.settled < self.changed && self.settled > 0 {
                 self.lowered = self.lowered.and(lowered);
             }
@@ -392,7 +394,7 @@ impl<const N: usize> Planner<N> {
     }
 
     /// The reverse pass with a jerk limit: walks back as far as anchors change, finds the anchors, and sets for each
-    /// entry between them the ramp to the next anchor. Returns the first place that it reached.
+    /// entry between them the ramp to the next anchor. Returns the lowest place that the pass reached.
     #[inline(never)]
     fn reverse_pass_to_anchors(&mut self) -> usize {
         let mut way = Way::to(0.0);

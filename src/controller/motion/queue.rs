@@ -38,7 +38,7 @@ pub(super) struct LongMove<const N: usize> {
 /// Source of the line numbers of blocks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Numbering {
-    /// The N word of the line of the block.
+    /// The N word of the program line that the block comes from.
     Words,
     /// A number set by `Motion::number_moves`.
     Given(u32),
@@ -54,8 +54,8 @@ pub(super) struct MoveQueue<const N: usize> {
     pub limits: AxisLimits<N>,
     pub overrides: OverrideFactors,
     pub end: PathEnd<N>,
-    /// Time of the carried-over length. Not restored when a block is taken back, because all of the length has one feed
-    /// in that case.
+    /// Time of the length carried over to the next block. Not restored when a block is taken back: only moves of the
+    /// same feed are joined, and with a single feed this time has no effect.
     pub carried_time: CarriedTime,
     /// Offset of the queue's exact end from the steps nearest to it, in substeps (sevenths of a step); only known after
     /// a chord of a curve.
@@ -104,7 +104,7 @@ impl<const N: usize> MoveQueue<N> {
         self.backlash.configure(slack.0.map(|steps| steps.clamp(0, MOST_BACKLASH)));
     }
 
-    /// Clears the queue; the next move begins at `motors`. Returns them with the lead limited to the backlash.
+    /// Clears the queue; the next move begins at `motors`. Returns `motors` with the lead limited to the backlash.
     pub(super) fn restart(&mut self, motors: Motors<N>) -> Motors<N> {
         self.backlash.rest(motors.lead);
         let motors = Motors { lead: self.backlash.lead(), ..motors };

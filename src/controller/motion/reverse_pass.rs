@@ -17,7 +17,8 @@ pub(super) struct Walk {
 
 impl Walk {
     /// Updates the entries of consecutive blocks from last to first. `from`: place of the first of them; `changed`:
-    /// place from which limits have changed. Returns `false` if it ended early, at an unchanged entry before `changed`.
+    /// place from which limits have changed. Returns `false` if the pass ended early, at an unchanged entry before
+    /// `changed`.
     #[inline(never)]
     pub(super) fn back<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, changed: usize) -> bool {
         let Self { mut exit2, mut searching, mut settled } = *self;
@@ -79,7 +80,8 @@ impl Lowered {
         // Positive numbers are ordered like their bits.
         let speed2 = bend.speed2.to_bits();
         for (index, block) in blocks.iter_mut().enumerate() {
-            // Most blocks in a long bend are low enough already. `max_entry2` never exceeds `corner2`.
+            // In a long bend, earlier calls have already lowered most blocks enough; these are skipped. `max_entry2`
+            // never exceeds `corner2`.
             let is_tighter = bend.curve.is_tighter(block.curve);
             if speed2 < block.corner2.to_bits() {
                 block.corner2 = bend.speed2;
@@ -93,7 +95,7 @@ impl Lowered {
             }
             block.curve = block.curve.tighter(bend.curve);
             self.first = self.first.min(from + index);
-            // A block without an entry speed was appended after the last pass.
+            // An `entry2` above 0 means that a pass has processed the block.
             if block.entry2 > 0.0 {
                 self.planned_end = from + index + 1;
             }

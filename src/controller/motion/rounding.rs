@@ -21,7 +21,7 @@ use crate::image::FULL_IMAGE;
 
 /// Moves are held back only if the look-ahead has at least this many blocks.
 const LEAST_BLOCKS: usize = 32;
-/// Number of entries that are searched for one at its maximum speed.
+/// Maximum number of entries, counted from the start of the queue, that are searched for one at its maximum speed.
 const MOST_ENTRIES: usize = 64;
 /// Share of the maximum speed² that counts as the maximum, because with a jerk limit the entry speed² is the square of
 /// a rounded root.
@@ -99,7 +99,7 @@ impl<const N: usize> MoveQueue<N> {
         }
     }
 
-    /// Queues all held moves if the machine needs them.
+    /// Queues all held moves if the speed of the first block can depend on them.
     #[inline]
     pub(super) fn release_in_time(&mut self) {
         if self.blend.is_holding() && self.is_end_near() {

@@ -22,7 +22,7 @@ pub(super) enum BlockStage {
     UpperAxes,
     /// Steps of the first three axes, and directions.
     Block,
-    /// Re-entry into the block, which was left part-way for other moves.
+    /// Re-entry into the block, because the step task left it part-way to execute other moves.
     Reenter,
     /// The first segment after the announcement of the block.
     FirstSegment,
@@ -30,7 +30,7 @@ pub(super) enum BlockStage {
     Segments,
 }
 
-/// State of motion at the end of the last segment handed over to the segment buffer.
+/// State of motion at the end of the segment handed over last.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathMotion {
     /// Speed, in units/s of the running block; mm/s between blocks.
@@ -53,7 +53,7 @@ impl PathMotion {
     }
 }
 
-/// The running block.
+/// The block that is being cut into segments, and how far it has been cut.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Running<const N: usize> {
     pub stage: BlockStage,
@@ -128,7 +128,8 @@ impl<const N: usize> Running<N> {
     #[inline]
     fn announcement(steps_by_axis: &[AxisSteps; N]) -> BlockStage {
         let rest = steps_by_axis.iter().skip(LINEAR);
-        // Upper axes without steps or substeps need no message. Substeps count, because the threshold depends on them.
+        // If the axes beyond the first three have no steps, and no offsets at the ends of a chord, they need no
+        // message. Offsets count, because the block's threshold depends on them.
         if N > LINEAR && rest.into_iter().any(|axis_steps| *axis_steps != AxisSteps::default()) {
             BlockStage::UpperAxes
         } else {
@@ -136,7 +137,7 @@ impl<const N: usize> Running<N> {
         }
     }
 
-    /// Returns whether there is a block.
+    /// Returns whether a block has begun and has not been cut into segments completely.
     #[inline]
     pub(super) fn is_active(&self) -> bool {
         self.stage != BlockStage::Nothing
@@ -199,7 +200,7 @@ impl<const N: usize> Running<N> {
         self.flags & SCALE_POWER != 0
     }
 
-    /// Returns the mark of the block.
+    /// Returns the mark of the block (`Motion::set_mark`).
     #[inline]
     pub(super) fn mark(&self) -> u8 {
         self.flags >> MARK_SHIFT

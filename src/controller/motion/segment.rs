@@ -26,7 +26,8 @@ const SMOOTH_RATE: f32 = 8000.0;
 /// [`SMOOTH_RATE`] as a speed in units/s, for ticks of a whole step.
 const COARSEST: f32 = SMOOTH_RATE * UNITS_PER_STEP as f32;
 /// Maximum length of a segment as a share of speed²/acceleration. Over this length the speed changes by a tenth, and
-/// linear intervals follow the curve within 0.3 %. In longer segments the true intervals would not be linear.
+/// linear intervals follow the curve within 0.3 %. In a longer segment, linear intervals would deviate more from the
+/// curve.
 const EVEN: f32 = 0.1;
 /// Phases shorter than this many units end on the next tick, longer ones on the next whole step.
 const WHOLE_STEPS: u32 = 4 * UNITS_PER_STEP;
@@ -34,7 +35,7 @@ const WHOLE_STEPS: u32 = 4 * UNITS_PER_STEP;
 /// A speed in units/s far beyond any machine's.
 const ENDLESS: f32 = 1.0e18;
 
-/// A piece of a block.
+/// A piece cut out of a block, with the data for its segment.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cut {
     pub units: u32,
@@ -56,7 +57,8 @@ fn amass_level_speed(level: u8) -> f32 {
     f32::from_bits(COARSEST.to_bits() - (u32::from(level) << 23))
 }
 
-/// Returns the AMASS level of a segment: the coarsest one whose ticks are fast enough.
+/// Returns the AMASS level of a segment: the coarsest one with at least [`SMOOTH_RATE`] ticks per second, or else the
+/// finest one.
 #[inline]
 fn amass_level_for(speed: f32) -> u8 {
     // Positive numbers are ordered like their bits.
@@ -193,15 +195,16 @@ pub(super) struct Intervals {
     pub clocks: u32,
 }
 
-/// Converts times to step-clock ticks, and keeps the remainder that the last segment could not represent.
+/// Converts times to step-clock ticks, and keeps the remainder that the intervals of the previous segment could not
+/// represent.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pacer {
-    /// Fixed-point units of an interval per second.
+    /// Step-clock ticks per second, in the fixed point of intervals.
     per_second: f32,
     remainder: u32,
 }
 
-/// One clock tick, the minimum interval.
+/// One step-clock tick in fixed point: the minimum interval.
 const ONE: u32 = 1 << INTERVAL_FRACTION_BITS;
 
 impl Pacer {
@@ -209,7 +212,7 @@ impl Pacer {
         Self { per_second: step_clock_hz as f32 * ONE as f32, remainder: 0 }
     }
 
-    /// Converts seconds to fixed point. Saturates (at centuries).
+    /// Converts seconds to step-clock ticks in fixed point. Saturates, at 100 MHz after more than a year.
     #[inline]
     pub(super) fn fixed(&self, seconds: f32) -> u64 {
         let time = seconds * self.per_second;
@@ -242,8 +245,8 @@ impl Pacer {
         Intervals { interval, ramp, clocks: total >> INTERVAL_FRACTION_BITS }
     }
 
-    /// Converts a change of the interval from seconds to fixed point, limited so that the shortest tick keeps a quarter
-    /// of the average interval.
+    /// Converts a change of the interval from seconds to fixed point, limited so that the intervals of a segment differ
+    /// by less than three quarters of their average.
     #[inline]
     fn ramp(&self, ramp: f32, total: u32, ticks: u32) -> i32 {
         let ramp = (ramp * self.per_second) as i32;

@@ -14,8 +14,8 @@ use super::trapezoid::{Pace, greater, lesser, square_root};
 use crate::lent::Lent;
 use crate::messages::{Segment, ToStep, UNITS_PER_STEP};
 
-/// Milliseconds of motion handed to the step task in advance (the segment buffer). They cover a late control task, and
-/// are the latency of a hold.
+/// Milliseconds of motion handed to the step task in advance (the segment buffer). This time bridges delays of the
+/// control task. It is also the latency of a hold.
 pub const QUEUED_TIME_MS: u32 = 16;
 /// Intervals longer than this, ms, are divided into waits of [`WAIT_MS`], so that a hold need not wait for the tick.
 const FAR_MS: u32 = 4;
@@ -25,8 +25,9 @@ const WAIT_MS: u32 = 1;
 /// rest, and starts with several segments queued. The first segments of a motion are shorter than the time in which a
 /// small processor prepares them, so they would be late if they had to follow without a pause.
 const JOIN_MS: u32 = 2;
-/// While motion continues and less than this time is queued, ms, segments take precedence over lines. This is more than
-/// the time to execute one line and then to make the segments of a stop that begins after the line.
+/// While motion continues and less than this time is queued, ms, making segments takes precedence over executing
+/// program lines. This is more than it takes to execute one line and then to make the segments of a stop that begins
+/// after this line.
 const SHORT_MS: u32 = 8;
 /// Duration of the segment that puts the step task to rest when there is nothing to brake, in microseconds.
 const REST_US: u32 = 20;
@@ -44,7 +45,7 @@ enum FeedState {
     Held,
 }
 
-/// A single tick with a long interval, and the rest of this interval (fixed point).
+/// A single tick with a long interval, and the part of this interval that has not been handed over yet (fixed point).
 #[derive(Clone, Copy, Debug)]
 struct LongTick {
     cut: Cut,
@@ -62,9 +63,9 @@ const fn at_least_one(clocks: u32) -> u32 {
 #[repr(C)]
 pub(super) struct SegmentSource<const N: usize> {
     state: FeedState,
-    /// The last segment for the step task ends at rest.
+    /// Whether the segment handed over last ends at rest.
     rest: bool,
-    /// State of motion at the end of the last segment handed over.
+    /// State of motion at the end of the segment handed over last.
     pub(super) motion: PathMotion,
     pub(super) running: Running<N>,
     /// The motors at the start of the running block.
@@ -151,7 +152,7 @@ impl<const N: usize> SegmentSource<N> {
         }
     }
 
-    /// Ends a hold. `any`: whether there are blocks to hand over.
+    /// Ends a hold. `any`: whether there are moves to hand over; without any, handing over ends until the next start.
     pub(super) fn resume(&mut self, any: bool) {
         self.state = if any { FeedState::Running } else { FeedState::Idle };
     }
@@ -170,7 +171,7 @@ impl<const N: usize> SegmentSource<N> {
         }
     }
 
-    /// Returns whether a hold is in force, and the last segment for the step task ends at rest.
+    /// Returns whether a hold is in force, and the segment handed over last ends at rest.
     pub(super) fn is_held(&self) -> bool {
         self.state == FeedState::Held
     }
@@ -181,7 +182,7 @@ impl<const N: usize> SegmentSource<N> {
         matches!(self.state, FeedState::Running | FeedState::Braking)
     }
 
-    /// Returns whether the last segment for the step task ends at rest.
+    /// Returns whether the segment handed over last ends at rest.
     #[inline]
     pub(super) fn ends_at_rest(&self) -> bool {
         self.rest
@@ -246,7 +247,7 @@ impl<const N: usize> SegmentSource<N> {
         }
     }
 
-    /// Returns the position and lead of the motors at the end of the last segment handed over.
+    /// Returns the position and lead of the motors at the end of the segment handed over last.
     pub(super) fn motors(&self, backlash: &Backlash<N>) -> Motors<N> {
         if self.running.is_active() { self.motors_in_block(backlash) } else { self.block_start }
     }

@@ -1,6 +1,6 @@
-//! Decides which short moves are joined to the last block ([`super::join`]): those that continue its line, if the
-//! speeds planned for earlier blocks stay valid. To join a move, the last block is taken back and a longer one is
-//! queued.
+//! Decides which short moves are joined to the last block of the queue ([`super::join`]): those that continue the
+//! block's line, if the speeds planned for earlier blocks stay valid. To join a move, the last block is taken back and
+//! a longer one is queued.
 
 use super::Move;
 use super::axis_limits::shares;
@@ -14,7 +14,7 @@ use crate::units::{Coordinate, DECIMAL_ONE};
 /// separate blocks. In X and Y, 512 of these longer moves make a look-ahead of at least 16 mm, in which a machine at
 /// 100 mm/s can brake to rest at 313 mm/s².
 const MOST_PIECE: i64 = DECIMAL_ONE / 1000 * 45;
-/// Maximum length of a joined move, mm.
+/// Maximum length of a block of joined moves, mm.
 const MOST_JOINED: f32 = 0.5;
 /// Maximum ratio of the path through the points to the straight line. Rounding of the coordinates makes the path a
 /// staircase, at most √3 times as long as the line. A longer path winds on purpose.
@@ -36,8 +36,8 @@ impl<const N: usize> MoveQueue<N> {
         0.0
     }
 
-    /// Returns whether the sum of a move's displacements from the end of the last block is small. Most moves are
-    /// already too long in their first axis.
+    /// Returns whether the displacements of all axes from the end of the last block add up to at most [`MOST_PIECE`].
+    /// Most moves exceed it in the first axis already, so the check ends there.
     #[inline]
     fn is_short(&self, m: &Move<N>) -> bool {
         let mut ways = 0;
@@ -55,7 +55,7 @@ impl<const N: usize> MoveQueue<N> {
         self.join.open &= self.join.is_like(m);
         self.join.digit = lesser(self.join.digit, m.digit);
         if *target_steps == self.end.planned_steps {
-            // The move makes no block, but its end is a point of the line.
+            // The move makes no block, but the joined line must pass its end.
             self.join.open = self.join.open && self.pass_by(m);
             return 0.0;
         }
@@ -104,7 +104,8 @@ impl<const N: usize> MoveQueue<N> {
         self.pass_end() && self.join.pass(&way)
     }
 
-    /// Adds the end of the first move as the first point, unless it has been added already.
+    /// Adds the end of the block's first move as the first point, unless it has been added already. Returns `false` if
+    /// no move can continue the line.
     fn pass_end(&mut self) -> bool {
         if !self.join.fresh {
             return true;

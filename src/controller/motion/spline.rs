@@ -53,9 +53,9 @@ pub struct Spline<const N: usize> {
     polygon: Polygon,
     chords: u32,
     done: u32,
-    /// End of the last chord, relative to the start.
+    /// End of the previous chord, relative to the start.
     last: [i64; 2],
-    /// Direction of the curve at the end of the last chord; the zero vector if the curve has no direction there.
+    /// Direction of the curve at the end of the previous chord; the zero vector if the curve has no direction there.
     tangent: [f32; 2],
     curve_radius: f32,
 }
@@ -124,7 +124,7 @@ impl<const N: usize> SplineGeometry<N> {
 }
 
 impl Polygon {
-    /// Returns the point at a parameter (2^-30 fixed point), and a multiple of the derivative there.
+    /// Returns the point at a parameter (2^-30 fixed point), and a third of the derivative there.
     #[inline(never)]
     fn point_at(&self, share: i32) -> ([i64; 2], [i64; 2]) {
         let [b, c, d] = self.0;
@@ -133,7 +133,7 @@ impl Polygon {
         (between(abc, bcd, share), minus(bcd, abc))
     }
 
-    /// Returns the sides of the polygon.
+    /// Returns the sides of the polygon as vectors, in order.
     fn sides(&self) -> [[i64; 2]; 3] {
         let [b, c, d] = self.0;
         [b, minus(c, b), minus(d, c)]
@@ -163,7 +163,7 @@ impl Polygon {
 
     #[inline(never)]
     fn length(&self) -> f32 {
-        /// Distance of the outer two of Gauss's three points from the middle of a piece of length 1.
+        /// Distance of the two outer points of three-point Gauss quadrature from the middle of a piece of length 1.
         const OUTER: f32 = 0.387_298_35;
         let [p, q, r] = self.sides().map(in_mm);
         let speed = |t: f32| {
@@ -231,7 +231,7 @@ impl<const N: usize> Spline<N> {
         Some(place)
     }
 
-    /// Returns the curvature along the last chord.
+    /// Returns the curvature along the chord that `next_chord` returned last.
     pub fn curvature(&self) -> Curvature {
         Curvature { radius: self.curve_radius, axes: [Axis::X, Axis::Y] }
     }

@@ -41,7 +41,7 @@ pub struct Tick {
     pub underrun: bool,
 }
 
-/// A segment that is ready to run.
+/// The current segment, or the prefetched one.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Piece<const N: usize> {
@@ -87,14 +87,15 @@ pub struct Stepper<const N: usize> {
     courses: [Course<N>; 2],
     /// Steps of each axis in the block that is being announced.
     steps_by_axis: [AxisSteps; N],
-    /// The steps of A, B and C were received for this block; without them these axes do not move.
+    /// Whether the steps of A, B and C have been received for the block that is being announced; without them these
+    /// axes do not move.
     is_rest_told: bool,
-    /// Messages are discarded until the matching [`ToStep::Resume`].
+    /// Whether messages are discarded until the matching [`ToStep::Resume`].
     gate_shut: bool,
     stops: u16,
     /// Deceleration at a contact, units per squared step-clock tick.
     braking: f32,
-    /// Braking after a contact.
+    /// Whether the machine is braking after a contact.
     brakes: bool,
     /// State at the probe's contact.
     touched: Contact<N>,
@@ -204,7 +205,7 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// Returns the course of the current block, or of the next one.
+    /// Returns the course of the current block, or of the next one if `next`.
     #[inline(always)]
     fn course(&self, next: bool) -> &Course<N> {
         self.courses.get(usize::from(self.odd != next)).unwrap_or(&Course::NOWHERE)
@@ -366,7 +367,7 @@ impl<const N: usize> Stepper<N> {
         Tick { steps, directions: self.directions, interval: 0, begins: false, underrun }
     }
 
-    /// Returns the present tick with the time to the next one, which it computes.
+    /// Returns the present tick with the interval to the next one. Advances the time to the next tick.
     #[inline(always)]
     fn set_out(&mut self, steps: u8) -> Tick {
         let now = self.moment();
@@ -377,7 +378,7 @@ impl<const N: usize> Stepper<N> {
         Tick { steps, directions: self.directions, interval, begins: false, underrun: false }
     }
 
-    /// Returns the spindle or laser power of the segment.
+    /// Returns the spindle or laser power of the current segment, 0 to 65535.
     #[inline]
     pub fn power(&self) -> u16 {
         self.piece.power
@@ -396,7 +397,7 @@ impl<const N: usize> Stepper<N> {
         self.piece.ticks() <= 1
     }
 
-    /// Returns whether an axis steps at the next tick.
+    /// Returns whether any axis steps at the next tick.
     #[inline]
     pub fn steps_next(&self) -> bool {
         dda::steps_next(&self.left, &self.piece.increments)
@@ -473,7 +474,7 @@ impl<const N: usize> Stepper<N> {
     /// moves.
     #[cold]
     fn leave_midst(&mut self) {
-        // The segment has ended with this tick.
+        // The current segment ends with this tick, so none of its ticks are left.
         self.piece.rare_ticks = 0;
         let position = self.position().0;
         if let Some(next) = self.course_mut(true) {

@@ -158,7 +158,7 @@ impl Trapezoid {
         let sum = from.speed + speed;
         let mut time = 0.0;
         if piece > 0.0 {
-            // The second form is for a very low speed that was rounded to 0.
+            // The square root gives the time if both speeds are so low that they were rounded to 0.
             time = if sum > 0.0 { 2.0 * piece / sum } else { square_root(2.0 * piece / self.acceleration) };
         }
         (time, Pace { speed, speed2 })

@@ -78,7 +78,7 @@ impl<const N: usize> Controller<N> {
         self.m.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
     }
 
-    /// Returns the power of the spindle while nothing moves.
+    /// Returns the power of the spindle output while no segment sets it; 0 while the spindle is off or suspended.
     pub(crate) fn resting_power(&self) -> u16 {
         if self.m.accessories.spindle_output() == SpindleDirection::Off { 0 } else { self.turning_power() }
     }
@@ -98,14 +98,14 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Whether a laser is off at rest whatever the program says. It is off in a jog, in a hold and in every other state
-    /// except normal operation and check mode. In Grbl's dialect it stays on.
+    /// except normal operation and check mode. Grbl's dialect has no such rule.
     fn is_dark_at_rest(&self) -> bool {
         let is_dark = self.m.settings.is_on(Key::Laser) && self.m.settings.is_on(Key::Dialect);
         is_dark && !matches!(self.state, State::Normal | State::Check)
     }
 
-    /// Returns the power of a segment under the present override. Because the override is applied to segments, it also
-    /// affects queued moves.
+    /// Returns the power of a segment under the present override. The override is applied when a segment is sent to the
+    /// step task, so it also affects queued moves.
     pub(crate) fn overridden_power(&self, power: u16) -> u16 {
         match self.acting_overrides().spindle {
             100 => power,
@@ -125,7 +125,7 @@ impl<const N: usize> Controller<N> {
         self.m.motion.set_overrides(f32::from(acting.feed) / 100.0, f32::from(acting.rapid) / 100.0);
     }
 
-    /// Returns the present direction and speed of the spindle. Without power it does not turn.
+    /// Returns the present direction and speed (rpm) of the spindle. Without power the direction is `Off`.
     pub(crate) fn spindle_now(&self) -> (SpindleDirection, f32) {
         let from_segments =
             self.m.settings.is_on(Key::Laser) && !self.m.motion.is_at_rest() && !self.m.accessories.is_suspended();
@@ -134,7 +134,8 @@ impl<const N: usize> Controller<N> {
         (direction, SpindleRange::of(&self.m.settings).speed_of(power))
     }
 
-    /// Whether a laser with constant power (M3) stays on between feed motions.
+    /// Whether a laser with constant power (M3) stays on between feed motions: the active motion mode is a feed motion
+    /// and not, for example, G0.
     pub(crate) fn burns_at_rest(&self) -> bool {
         matches!(
             self.m.interpreter.acting_modal().motion,

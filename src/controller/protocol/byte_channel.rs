@@ -9,7 +9,8 @@
 //! full, so that [`LINES_DEPTH`](crate::messages::LINES_DEPTH) bytes fit even if they arrive one at a time. After that,
 //! bytes wait until their message is full or the queue is empty. Bytes of another epoch (after a reset, stop or jog
 //! cancel) begin a new message; the queue has room for this even if every line begins a new epoch. Each host that
-//! connects or disconnects uses up two messages.
+//! connects or disconnects uses up two messages: its `HOST_CHANGED` has another epoch than the bytes before and after
+//! it.
 
 use crate::messages::{LineByte, LineBytes, MOST_PARTIAL};
 

@@ -8,7 +8,7 @@
 
 use crate::units::{Duration, Instant};
 
-/// Maximum time for which an answer is held.
+/// Maximum time for which an answer is held: 1 ms.
 const LONGEST: Duration = Duration::from_ticks(1_000);
 
 /// Decides whether answers are held back.

@@ -127,7 +127,7 @@ fn data_format(row: &Row, data_type: DataType) -> &'static [u8] {
     }
 }
 
-/// Appends the minimum and the maximum that the setting has, if any.
+/// Appends the minimum, the separator `between` and the maximum of a setting. A missing limit stays empty.
 fn range(out: &mut Text, row: &Row, data_type: DataType, between: &[u8]) {
     match row.entry.kind {
         Kind::Whole(least, greatest) | Kind::Tenths(least, greatest)
@@ -262,7 +262,8 @@ pub const fn lines(what: Described, axes: usize, grblhal: bool) -> usize {
     }
 }
 
-/// Limits of this board and dialect that narrow the range of a setting. The table has the widest range of all boards.
+/// Limits of this board and dialect that narrow the range of a setting. The table of settings has the widest range of
+/// all boards.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Minimum length of a step pulse, in tenths of a microsecond.
@@ -331,14 +332,15 @@ const ERRORS_HEAD: &[u8] = b"\"Error Code in v1.1+\",\"Error Message in v1.0-\",
 const ALARMS_HEAD: &[u8] = b"\"Alarm Code in v1.1+\",\" Alarm Message in v1.0-\",\" Alarm Description\"\r\n";
 const TABLE_ROW: &[u8] = b"\"#\",\"N/A\",\"%\"\r\n";
 
-/// Appends number and text of an error, in a form.
+/// Appends number and text of the error with index `line`, in a form (see [`filled`]).
 fn error_line(out: &mut Text, line: Option<usize>, form: &[u8]) {
     if let Some(error) = line.and_then(|line| Error::ALL.get(line)) {
         filled(out, form, &[error.text().as_bytes()], &[error.code().into()]);
     }
 }
 
-/// Appends number and text of an alarm, in a form. Only `$900=3` has the last line.
+/// Appends number and text of the alarm with index `line`, in a form (see [`filled`]). The index after the last alarm,
+/// which only `$900=3` lists, stands for grblHAL's alarm 11, homing required.
 fn alarm_line(out: &mut Text, line: Option<usize>, form: &[u8]) {
     let (number, text) = line
         .and_then(|line| Alarm::ALL.get(line))

@@ -1,5 +1,5 @@
-//! The `$` commands and the texts that grblHAL has and Grbl lacks. Only hosts of `$900=3` get them. gSender and
-//! ioSender show more of a machine that answers like this.
+//! The `$` commands and the texts that grblHAL has and Grbl lacks. They exist only with `$900=3`. gSender and ioSender
+//! show more data of a machine that answers like grblHAL.
 
 use super::reply_texts::RELEASE;
 use super::system::Described;
@@ -10,17 +10,18 @@ use crate::units::Coordinate;
 
 const AXIS_LETTERS: &[u8] = b"XYZABC";
 
-/// A `$` command that only hosts of `$900=3` have.
+/// A `$` command that exists only with `$900=3`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Command {
     /// `$SED=n`: describes one setting.
     Describe(u16),
-    /// `$SPINDLES`, and `$SPINDLESH` for programs.
+    /// `$SPINDLES`: describes the spindle in words. `$SPINDLESH`: describes it in fields, for senders that parse the
+    /// answer.
     Spindles {
-        /// In fields for programs.
+        /// Whether the command is `$SPINDLESH`.
         in_fields: bool,
     },
-    /// `$TLR`: the last contact of the probe is the reference of the tool setter.
+    /// `$TLR`: makes the position of the latest probe contact the reference of the tool setter.
     ToolReference,
     /// `$S`: switches single block on or off.
     SingleBlock,
@@ -56,7 +57,8 @@ const COMMANDS: [(&[u8], Command); 12] = [
     (b"$LIM", Command::Limits),
 ];
 
-/// Reads a `$` line (filtered). Returns `None` for any other command, which Grbl or Oxmill may know.
+/// Reads a `$` line (filtered). Returns `None` if the line is none of these commands; it can still be a command of Grbl
+/// or Oxmill.
 #[inline(never)]
 pub fn read(line: &[u8]) -> Option<Command> {
     let Some(text) = line.strip_prefix(b"$SED=") else {
@@ -66,7 +68,7 @@ pub fn read(line: &[u8]) -> Option<Command> {
     Some(Command::Describe(u16::try_from(number.truncate()).ok()?))
 }
 
-/// The welcome line.
+/// Appends the welcome line of grblHAL.
 pub fn welcome(out: &mut Text) {
     put(out, b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n");
 }
@@ -81,15 +83,15 @@ pub fn help(out: &mut Text) {
 
 /// Contents of the answers to `$I` and `$I+`.
 pub struct Identity<'a> {
-    /// Text of the user (`$I=`).
+    /// Text that the user has stored by `$I=`.
     pub user: &'a [u8],
-    /// Letters of `OPT`.
+    /// Letters of the enabled options, for `OPT`.
     pub letters: &'a [u8],
-    /// Capacity of the look-ahead.
+    /// Capacity of the look-ahead, in blocks.
     pub blocks: usize,
-    /// Axes in use.
+    /// Number of axes in use.
     pub axes: usize,
-    /// Capacity of the tool table.
+    /// Capacity of the tool table, in tools.
     pub tools: usize,
     /// Homing is enabled.
     pub homing: bool,
@@ -103,7 +105,7 @@ pub struct Identity<'a> {
     pub has_store: bool,
     /// Highest step rate in Hz.
     pub step_rate: u32,
-    /// Number of outputs and inputs for programs.
+    /// Number of outputs and number of inputs for programs (M62 to M66).
     pub program_pins: [u8; 2],
 }
 
@@ -159,8 +161,8 @@ pub fn tool_reference(out: &mut Text, height: Coordinate, inches: bool) {
     put(out, b"]\r\n");
 }
 
-/// The only spindle, as `$SPINDLES` or `$SPINDLESH` describes it. It turns both ways (D), can be a laser (L), and has a
-/// variable speed (V); S: it reports that it is up to speed. `speeds`: the range in rpm.
+/// The only spindle, as `$SPINDLES` or `$SPINDLESH` describes it. Its letters: D, it turns both ways; L, it can be a
+/// laser; V, its speed is variable; S, it reports that it is up to speed. `speeds`: minimum and maximum in rpm.
 pub fn spindle(out: &mut Text, in_fields: bool, reports_speed: bool, speeds: [f32; 2]) {
     let reports = when(reports_speed, b"S");
     if !in_fields {

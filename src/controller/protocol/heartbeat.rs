@@ -1,9 +1,9 @@
-//! Notices a host that has gone silent, because a UART does not report a pulled cable. Every byte of a line and every
-//! realtime command counts as a sign of life.
+//! Notices a host that has gone silent, because a UART does not report a pulled cable. Every byte that arrives from the
+//! host counts as a sign of life.
 
 use crate::units::{Duration, Instant};
 
-/// When the host last sent something, and whether it left during a jog or before a resume.
+/// When the host last sent something, and whether it was lost during a jog or just before a job resumed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
     /// Count of received bytes at the last [`Heartbeat::observe`] (wrapping).
@@ -13,9 +13,10 @@ pub struct Heartbeat {
     heard_at: Instant,
     /// When the host counts as silent; `None` while silence is allowed.
     silent_at: Option<Instant>,
-    /// The host went silent or disconnected while a job was about to be resumed.
+    /// The host disconnected while a job was about to be resumed.
     gone: bool,
-    /// The host left during a jog, which is ending.
+    /// The host disconnected or went silent during a jog that is still ending, and the controller must react when it
+    /// has ended.
     left_jog: bool,
 }
 
@@ -44,7 +45,7 @@ impl Heartbeat {
         self.heard = true;
     }
 
-    /// Allows silence. From the next call of [`Heartbeat::is_silent`] on, the time of silence is measured anew.
+    /// Allows silence until the next call of [`Heartbeat::is_silent`]. That call starts to measure the silence anew.
     #[inline]
     pub fn rest(&mut self) {
         self.silent_at = None;
@@ -61,24 +62,24 @@ impl Heartbeat {
         now >= silent_at
     }
 
-    /// Records whether the host left during a jog.
+    /// Records whether the controller must react to the loss of the host when the present jog has ended.
     pub fn set_left_jog(&mut self, left_jog: bool) {
         self.left_jog = left_jog;
     }
 
-    /// Returns whether the host left during a jog, and clears that record.
+    /// Returns the record of [`Heartbeat::set_left_jog`], and clears it.
     pub fn take_left_jog(&mut self) -> bool {
         core::mem::take(&mut self.left_jog)
     }
 
-    /// Records whether the host left while a job was about to be resumed. `false` also clears the record of
+    /// Records whether the host disconnected while a job was about to be resumed. `false` also clears the record of
     /// [`Heartbeat::set_left_jog`].
     pub fn set_gone(&mut self, gone: bool) {
         self.gone = gone;
         self.left_jog &= gone;
     }
 
-    /// Returns whether the host left while a job was about to be resumed, and clears that record.
+    /// Returns the record of [`Heartbeat::set_gone`], and clears it.
     pub fn take_gone(&mut self) -> bool {
         core::mem::take(&mut self.gone)
     }

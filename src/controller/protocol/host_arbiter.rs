@@ -35,12 +35,14 @@ impl HostArbiter {
         self.gone
     }
 
-    /// Returns whether a [`HOST_CHANGED`] must precede the next line byte. That mark counts as a received byte, too.
+    /// Returns whether a [`HOST_CHANGED`] must precede the next line byte. If line bytes wait for room, this mark must
+    /// be added to the number of received bytes.
     pub fn owes_cut(&self) -> bool {
         self.cut
     }
 
-    /// Queues a command, which need not come from a link. Returns whether there was room.
+    /// Queues a command, and counts its epoch if it opens one. The command need not come from a link. Returns whether
+    /// there was room.
     pub fn command(&mut self, command: Realtime, queues: &mut impl Queues) -> bool {
         let queued = queues.realtime(command);
         if queued && command.opens_epoch() {
@@ -81,7 +83,7 @@ impl HostArbiter {
     /// active one afterwards. If the other host loses this role, `void` voids its unfinished line.
     #[inline]
     pub(super) fn claim(&mut self, link: usize, queues: &impl Queues, void: impl FnOnce()) -> bool {
-        // The common case, which changes nothing.
+        // In the common case this host is already the active one.
         if self.floor.is_held_by(link) {
             return true;
         }

@@ -9,8 +9,8 @@
 //!  byte before a reset        dropped
 //!  jog before a jog cancel    not executed (the line is read and answered)
 //! ```
-//! Reset button, feed hold and door open no epoch. They act on the bytes that have been received but not read yet,
-//! which are counted: the button drops these bytes, and hold and door cancel the jogs among them.
+//! Reset button, feed hold and door open no epoch. They act on the bytes that have been received but not read yet, of
+//! which only the number is noted: the button drops that many bytes, and hold and door cancel the jogs among them.
 
 use super::heartbeat::Heartbeat;
 use super::line_checksum::{LineChecksum, Verdict};
@@ -19,8 +19,8 @@ use super::text::Text;
 use crate::error::Error;
 use crate::messages::{HOST_CHANGED, LineByte};
 
-/// Maximum distance between the current epoch and `reset_epoch` or `jog_epoch`: the number of resets, stops and jog
-/// cancels that can occur while a line waits unread.
+/// Maximum distance between the current epoch and `reset_epoch` or `jog_epoch`. If more epochs than this are opened
+/// while a line waits unread, the line is dropped as if a reset had followed it.
 pub(crate) const EPOCHS: u16 = 1 << 14;
 
 /// Result of taking a byte.
@@ -47,9 +47,9 @@ pub struct LineIntake {
     held: Option<LineByte>,
     /// The current epoch: number of resets, stops and jog cancels handled (wrapping).
     epoch: u16,
-    /// The epoch of the last reset or stop: bytes of older epochs are dropped.
+    /// The epoch that the most recent reset or stop opened: bytes of older epochs are dropped.
     reset_epoch: u16,
-    /// The epoch of the last jog cancel: jogs of older epochs are not executed.
+    /// The epoch that the most recent jog cancel opened: jogs of older epochs are not executed.
     jog_epoch: u16,
     /// Number of bytes still to be dropped, because they were received before the reset button was pressed.
     drop_bytes: u16,
@@ -62,7 +62,7 @@ pub struct LineIntake {
     line_epoch: u16,
     /// The current line began before a hold or a door ended a jog.
     line_before_cancel: bool,
-    /// The last jog was ended by 0x85, so jogs that were sent after this byte are executed.
+    /// The most recent command or event that ends jogs was a 0x85, so jogs that were sent after it are executed.
     keeps_later_jogs: bool,
     line: Line,
     check: LineChecksum,
@@ -227,7 +227,7 @@ impl LineIntake {
         self.check.is_on()
     }
 
-    /// Records that the line taken last was refused for its content.
+    /// Records that the most recently completed line was refused for its content.
     pub fn fail(&mut self, error: Error) {
         self.check.fail(error);
     }
@@ -306,12 +306,13 @@ impl LineIntake {
         self.check.clear();
     }
 
-    /// For a current line that is a jog: whether it was sent before the last order to end a jog.
+    /// Returns whether the current line, a jog, was sent before the most recent command or event that ended a jog. Such
+    /// a jog is not executed.
     pub fn is_jog_stale(&self) -> bool {
         self.line_before_cancel || is_before(self.line_epoch, self.jog_epoch)
     }
 
-    /// For a current line that is a jog: whether it was sent after the 0x85 that ends the jog before it.
+    /// Returns whether the current line, a jog, was sent after the 0x85 that ended the previous jog.
     pub fn is_jog_behind_cancel(&self) -> bool {
         self.keeps_later_jogs && !self.is_jog_stale()
     }
@@ -345,12 +346,13 @@ impl LineIntake {
         &self.heartbeat
     }
 
-    /// Returns the state of the host timeout, to be updated.
+    /// Returns the state of the host timeout, for changes.
     pub fn heartbeat_mut(&mut self) -> &mut Heartbeat {
         &mut self.heartbeat
     }
 
-    /// Opens an epoch without any other effect.
+    /// Opens an epoch without any other effect. In Grbl's dialect 0x19 does only that, because the serial task has
+    /// counted its epoch.
     pub fn open_epoch(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
         self.keep_epochs_near();
@@ -365,7 +367,8 @@ impl LineIntake {
         self.keep_epochs_near();
     }
 
-    /// Ends a jog without opening an epoch. The jogs in the `received` unread bytes must not move.
+    /// Handles an event that ends a jog but opens no epoch: a feed hold, a door, or the loss of the host. The jogs
+    /// among the `received` unread bytes are not executed.
     pub fn end_received_jogs(&mut self, received: u16) {
         self.jog_bytes = received;
         self.line.expect_plain(false);
@@ -388,7 +391,7 @@ impl LineIntake {
     }
 
     /// Keeps `reset_epoch` and `jog_epoch` within `EPOCHS` of the current epoch. Epochs are compared by their signed
-    /// difference, so their distance must stay below half of the range.
+    /// difference, so their distance must stay below half of the range of `u16`.
     fn keep_epochs_near(&mut self) {
         for older in [&mut self.reset_epoch, &mut self.jog_epoch] {
             if self.epoch.wrapping_sub(*older) > EPOCHS {

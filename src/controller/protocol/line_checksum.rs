@@ -20,9 +20,9 @@
 //!
 //! **Letters.** N, L and C are hexadecimal digits, written as the letters `ABDGHKNPSUVZcefi`. Any two of these differ
 //! in two or more bits. Each of them also differs in two or more bits from a line end and from every realtime command
-//! that acts, so that one damaged bit turns no letter into any of these. For the same reason text is in capitals, and
-//! small letters replace the characters that are one bit away from a command that acts (`SUBSTITUTES`): `8` is one bit
-//! away from 0x18, and `1` from `!`.
+//! except `?`, so that one damaged bit turns no letter into any of these. For the same reason text is in capitals, and
+//! small letters replace the characters that are one bit away from such a command (`SUBSTITUTES`): `8` is one bit away
+//! from 0x18, and `1` from `!`.
 //!
 //! **Detected errors.**
 //! * One or two damaged bits are always detected. If a byte becomes a command or is dropped, the length is wrong. If a
@@ -113,7 +113,7 @@ impl Session {
         Self { start, is_named: !letters.is_empty() }
     }
 
-    /// Returns the CRC of the session's letters, followed by the number of a line.
+    /// Returns the CRC over the session's letters and the digits of a line number.
     fn check(&self, number: u32) -> Crc {
         let mut crc = self.start;
         let mut letters = Text::new();
@@ -133,7 +133,7 @@ pub struct LineChecksum {
     lapsed: bool,
     /// Error of the checked line that was refused for its content.
     failed: Option<Error>,
-    /// Number of bytes of the current line, including its header.
+    /// Number of bytes of the current line received so far, including its header.
     place: u16,
     /// The line begins with a colon, all its digits are valid, and no byte was lost.
     is_whole: bool,
@@ -216,8 +216,8 @@ impl LineChecksum {
         self.failed
     }
 
-    /// Takes a byte of a line other than its end. Returns the character that the byte stands for, if it belongs to the
-    /// text.
+    /// Takes a byte of a line other than its end. Returns the character that the byte stands for, or `None` for a byte
+    /// of the header.
     #[inline]
     pub fn take(&mut self, byte: u8) -> Option<u8> {
         if self.is_on() { self.take_checked(byte) } else { Some(byte) }
@@ -329,10 +329,11 @@ fn digits(out: &mut Text, value: u32, count: usize) {
     }
 }
 
-/// CRC-32 of IEEE 802.3, bit by bit. `JAMCRC` is the same without the last inversion, so its result can be continued.
+/// CRC-32 of IEEE 802.3, computed without a table. `JAMCRC` is this CRC without the final inversion, so that further
+/// bytes can be added to a result.
 const JAMCRC: crc::Crc<u32, crc::NoTable> = crc::Crc::<u32, crc::NoTable>::new(&crc::CRC_32_JAMCRC);
 
-/// The CRC of the bytes so far, before the last inversion.
+/// The CRC of the bytes so far, before the final inversion.
 #[derive(Clone, Copy, Debug)]
 struct Crc(u32);
 
@@ -341,7 +342,7 @@ impl Crc {
 
     #[inline]
     fn add(&mut self, byte: u8) {
-        // The crate expects the bits of the initial value in reverse order.
+        // The `crc` crate expects the bits of the initial value in reverse order.
         let mut digest = JAMCRC.digest_with_initial(self.0.reverse_bits());
         digest.update(&[byte]);
         self.0 = digest.finalize();
@@ -388,7 +389,8 @@ mod tests {
         [b":", number.as_slice(), &length, &sum, &text].concat()
     }
 
-    /// A host whose bytes pass through the same parts as on a board.
+    /// A host whose bytes pass through the same code as on a board: realtime commands are picked out, and the rest goes
+    /// to the intake.
     struct Host {
         intake: LineIntake,
         epoch: u16,

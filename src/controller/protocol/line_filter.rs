@@ -67,15 +67,15 @@ pub struct Line {
     /// Bytes of the line were lost.
     damaged: bool,
     after_cr: bool,
-    /// The fast path is allowed while the line is shorter than this; 0 disables the fast path.
+    /// The fast path ([`Line::push_plain`]) is allowed while the line is shorter than this; 0 disables it.
     plain: u8,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Comment {
     None,
-    /// In a remark in parentheses, with this many inner `(` open. Each of them has its own `)`; the `)` after these
-    /// ends the remark.
+    /// In a remark in parentheses. The number counts the inner `(` that are still open: each of them needs its own `)`
+    /// before another `)` can end the remark.
     Parentheses(u8),
     /// As `Parentheses`, but at least one inner pair of parentheses has been closed.
     Nested(u8),
@@ -205,7 +205,8 @@ impl Line {
         !core::mem::replace(&mut self.damaged, true)
     }
 
-    /// Records a byte that is neither text nor line end. So an LF after this byte is not the second half of a CR LF.
+    /// Records that something other than text came after the most recent line end, such as a reset. So if a CR was that
+    /// line end, an LF that arrives next is not the second half of a CR LF.
     pub fn separate(&mut self) {
         self.after_cr = false;
     }
@@ -298,8 +299,8 @@ impl Line {
         Some((self.len + usize::from(*excess), self.len))
     }
 
-    /// Returns whether a slash is dropped. At the start of a line, block delete makes the filter skip the whole line;
-    /// in Grbl the slash is dropped and the rest of the line is executed.
+    /// Returns whether a slash is dropped. If a slash starts the line and block delete is on, the rest of the line is
+    /// skipped, too. In Grbl only the slash is dropped, and the rest of the line is executed.
     #[inline(never)]
     fn drops_slash(&mut self, rules: &LineRules) -> bool {
         let begins = match self.text().split_first() {
@@ -326,7 +327,8 @@ impl Line {
         }
     }
 
-    /// Takes a byte within a remark. A remark with more than 255 open parentheses ends too soon.
+    /// Takes a byte within a remark or within a line that is skipped. A remark with more than 255 open parentheses ends
+    /// too soon.
     fn remark(&mut self, byte: u8, rules: LineRules) {
         if FULL_IMAGE && let Comment::Deleted(kept) = &mut self.comment {
             if byte > b' '

@@ -35,7 +35,8 @@ use crate::protocol::remark::Remark;
 /// How long a `!` in a remark waits for the rest of its line, in µs: the duration of 230 bytes at 115,200 baud.
 pub const AMBIGUOUS_US: u32 = 20_000;
 
-/// Capacity of a link for line bytes: two USB packets more than the one that must always fit.
+/// Maximum number of line bytes that a link can hold: three USB packets of 64 bytes. A USB port fetches a packet only
+/// while there is room for a whole one, so one packet is the minimum.
 pub const MOST_HELD: usize = 3 * 64;
 
 /// The receiving side of one link to a host.
@@ -58,13 +59,13 @@ pub struct Link {
     refusing_line: bool,
     /// The byte before was a CR.
     after_cr: bool,
-    /// The remark in the current line, and the bytes of its next character.
+    /// Whether the current line is in a remark, and the bytes of an incomplete character.
     remark: Remark,
     /// A `!` arrived in a remark, and nothing after it yet.
     is_ambiguous: bool,
-    /// Number of refusals to be sent.
+    /// Number of refused lines that still have to be answered with [`REFUSAL`].
     refusals: u16,
-    /// Number of bytes of the first refusal that have been sent.
+    /// Number of bytes of the current [`REFUSAL`] that have been sent.
     refused_bytes: usize,
 }
 
@@ -89,7 +90,7 @@ impl Link {
         }
     }
 
-    /// Returns how many bytes of any kind can be taken while both queues are full.
+    /// Returns how many bytes of any kind can be taken even if both queues are full.
     pub fn room(&self) -> usize {
         if !self.stuck.is_empty() { 0 } else { self.may_hold.saturating_sub(self.held.len()) }
     }
@@ -240,7 +241,7 @@ impl Link {
         self.remark.is_inside()
     }
 
-    /// Returns whether the last byte is a `!` that may be text.
+    /// Returns whether the most recently received byte is a `!` that may be text.
     #[inline]
     pub fn is_ambiguous(&self) -> bool {
         self.is_ambiguous
@@ -264,7 +265,8 @@ impl Link {
         queued
     }
 
-    /// Queues what waits, as far as there is room in the queues. Returns whether something was queued.
+    /// Queues the waiting commands and line bytes, as far as there is room in the queues. Returns whether something was
+    /// queued.
     pub fn pass_on(&mut self, arbiter: &mut HostArbiter, queues: &mut impl Queues) -> bool {
         let mut any = false;
         while let Some(command) = self.stuck.front()
@@ -327,7 +329,7 @@ impl Link {
 
     /// Call when the host of this link has disconnected. Returns whether it was the active host. Bytes that wait for
     /// the queue are dropped. A `HOST_CHANGED` precedes the next host's first byte, which therefore starts a new line;
-    /// the controller does not answer the lines before it.
+    /// the controller does not answer the lines before that `HOST_CHANGED`.
     pub fn went(&mut self, arbiter: &mut HostArbiter) -> bool {
         let held_floor = arbiter.leave(self.number);
         self.forget();
@@ -340,7 +342,8 @@ impl Link {
         *self = Self { stuck, ..Self::new(self.number, self.may_hold) };
     }
 
-    /// Sends the refusals. Returns `false` while some remain.
+    /// Sends `error:8`, with a message before it, for each refused line. `send` returns whether it has taken a byte.
+    /// Returns `false` while some bytes remain to be sent.
     pub fn refuse(&mut self, mut send: impl FnMut(u8) -> bool) -> bool {
         while self.refusals > 0 {
             let Some(byte) = REFUSAL.get(self.refused_bytes) else {

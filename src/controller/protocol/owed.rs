@@ -1,5 +1,6 @@
-//! Resets, feed holds and door commands for which the queue had no room, from a link that cannot wait. The serial task
-//! adds them, and `control` takes them in order. None of these commands is lost.
+//! Keeps resets, feed holds and door commands that found no room in the command queue, from a link that cannot make its
+//! host wait (a plain UART). The serial task adds them, and `control` takes them in order. None of these commands is
+//! lost.
 
 use crate::messages::Realtime;
 
@@ -13,13 +14,13 @@ impl Owed {
     const DOOR: u32 = 1 << 16;
     const HOLD: u32 = 1 << 17;
     /// Mask of the count of resets. For each of these resets a stop of the step task has also been requested. The count
-    /// does not overflow: `control` reads it at least every half second, the limit of the watchdog, and in that time a
-    /// UART receives 50,000 bytes at 1,000,000 baud.
+    /// stays below 65,536: `control` takes the resets at least every half second, the limit of the watchdog, and in
+    /// that time a UART receives 50,000 bytes at 1,000,000 baud.
     const RESETS: u32 = 0xFFFF;
 
-    /// Returns these commands with `command` added, or `None` if the loss of `command` does no harm. A hold and a door
-    /// are kept once each. A reset removes the holds and doors before it. 0x19 and a jog cancel are kept as resets,
-    /// because each opens an epoch, with which later line bytes are marked (see
+    /// Returns these commands with `command` added, or `None` if the loss of `command` does no harm. At most one hold
+    /// and one door command are kept. A reset removes the hold and the door command before it. 0x19 and a jog cancel
+    /// are kept as resets, because each opens an epoch, with which later line bytes are marked (see
     /// [`LineByte`](crate::messages::LineByte)).
     pub fn with(self, command: Realtime) -> Option<Owed> {
         match command {
@@ -30,7 +31,8 @@ impl Owed {
         }
     }
 
-    /// Removes and returns the next command, in order. The order of a hold and a door does not matter.
+    /// Removes and returns the next command. Resets come first, because any hold or door command that is still kept
+    /// arrived after them. The order between hold and door command does not matter.
     pub fn pop(&mut self) -> Option<Realtime> {
         if self.0 & Self::RESETS != 0 {
             self.0 -= 1;

@@ -2,28 +2,29 @@
 
 use crate::messages::{LineByte, Realtime};
 
-/// The queues to `control`.
+/// The queues to `control`, and what else a link needs from the serial task.
 pub trait Queues {
     /// Queues a command. Returns whether there was room.
     fn realtime(&mut self, command: Realtime) -> bool;
     /// Queues a byte of a line. Returns whether there was room.
     fn line(&mut self, byte: LineByte) -> bool;
-    /// Queues bytes of lines from the front as far as there is room. Returns how many.
+    /// Queues bytes of lines from the front as far as there is room. Returns how many were queued.
     #[inline]
     fn text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         let left = bytes.iter().position(|byte| !self.line(LineByte { byte: *byte, epoch, damaged: false }));
         left.unwrap_or(bytes.len())
     }
-    /// Returns whether the link being read can wait. A link that cannot wait loses a command that finds no room in the
-    /// queue. So it tries to queue each command, even after an earlier one found no room.
+    /// Returns whether the link being read can make its host wait. If it can, commands without room wait in the link.
+    /// If it cannot, such a command is lost, and the link tries to queue each later one all the same.
     fn waits(&self) -> bool;
     /// Returns whether everything that any host has sent is done and answered.
     fn is_free(&self) -> bool;
-    /// Stops the step task for a reset, before anything is queued or decided.
+    /// Stops the step task for a reset. Called before the reset is queued, and before the active host changes.
     fn stop(&mut self);
     /// Records a byte that is neither part of a line nor a command. It only counts as a sign of life.
     fn ignored(&mut self) {}
-    /// Returns whether characters of remarks are text. In Grbl each byte from 0x80 up is a command or ignored.
+    /// Returns whether multi-byte characters in remarks are text. In Grbl's dialect they are not: each byte from 0x80
+    /// up is a command or ignored.
     fn reads_characters(&self) -> bool;
     /// Returns whether hosts are answered like grblHAL (`$900=3`), which has more realtime commands.
     fn speaks_grblhal(&self) -> bool {

@@ -1,6 +1,6 @@
 //! Finds realtime commands in the received bytes, anywhere in a line. `command` maps a byte to its command,
 //! `command_of_grblhal` does the same for the commands that only `$900=3` has, and `byte_of` is the inverse. A byte
-//! that is no command is part of a line or ignored (`Received`). Runs in the serial task.
+//! that is no command is part of a line or ignored (`Received`). The serial task calls these functions.
 
 use crate::image::FULL_IMAGE;
 use crate::messages::Realtime;
@@ -38,7 +38,8 @@ impl Received {
     }
 }
 
-/// Returns whether a byte is ordinary text of a line: no command, no line end, and it neither starts nor ends a remark.
+/// Returns whether a byte is ordinary text of a line: it is printable ASCII, is no command, and neither starts nor ends
+/// a remark.
 #[inline]
 #[allow(clippy::indexing_slicing, reason = "there is one for each byte")]
 pub const fn is_plain(byte: u8) -> bool {

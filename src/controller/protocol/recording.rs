@@ -10,7 +10,8 @@ const MICROSECONDS: u64 = 1_000_000;
 const BEGIN: &[u8] = b"[REC:";
 const CLOSE: &[u8] = b"]";
 
-/// Appends one piece of a recording. `hz`: ticks of the step clock per second, the unit of printed times.
+/// Appends one piece of a recording. Times are printed in ticks of the step clock; `hz` is its frequency in ticks per
+/// second.
 pub fn piece(out: &mut Text, hz: u32, piece: &Recorded) {
     put(out, BEGIN);
     match piece {
@@ -53,7 +54,7 @@ fn stored(out: &mut Text, record: &Record) {
     }
 }
 
-// The following functions are optimised for size, because they have many callers, which rarely run.
+// The following functions are not inlined, to save flash: they have many callers, and these callers rarely run.
 
 #[inline(never)]
 fn put_count(out: &mut Text, value: u64) {
@@ -81,7 +82,8 @@ fn hex_word(out: &mut Text, word: u32) {
     }
 }
 
-/// Appends bytes of a host with Rust's escapes. Brackets are escaped too, because they end a line of this listing.
+/// Appends bytes that a host has sent, with Rust's escapes. Square brackets are escaped too, because they enclose each
+/// line of the listing.
 fn escaped(out: &mut Text, bytes: &[u8]) {
     for byte in bytes {
         match byte {
@@ -160,7 +162,8 @@ fn entry(out: &mut Text, entry: &Noted) {
     }
 }
 
-/// Appends flags, blocks, tool and inputs, after them step counter and position of each axis, and last the words.
+/// Appends the flags, the hash of the blocks, the tool and the inputs; then the step counter and the position of each
+/// axis; and last the modal state as words.
 fn put_standing(out: &mut Text, standing: &Standing, blocks: u32) {
     put(out, b"state ");
     let letters = [(standing.trusted, b't'), (standing.locked, b'l'), (standing.inches, b'i')];

@@ -17,12 +17,12 @@ use heapless::Vec;
 /// Maximum number of bytes of an incomplete character.
 const MOST_BEGUN: usize = 3;
 
-/// The part of a line that is being received.
+/// The part of the line to which the next byte belongs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum RemarkPlace {
     Words,
-    /// A remark in parentheses, with this many nested `(` open. Each of them has its own `)`; the `)` after these ends
-    /// the remark.
+    /// A remark in parentheses. The number counts the nested `(` that are still open: each of them needs its own `)`
+    /// before another `)` can end the remark.
     Parentheses(u8),
     /// A remark after `;`, up to the line end.
     Semicolon,
@@ -37,7 +37,7 @@ pub struct Remark {
 }
 
 impl Remark {
-    /// At the start of a line.
+    /// The state at the start of a line: outside of a remark, and no character is incomplete.
     pub const NONE: Remark = Remark { place: RemarkPlace::Words, begun: Vec::new() };
 
     /// Returns whether the line is within a remark.
@@ -72,14 +72,14 @@ impl Remark {
         self.place = RemarkPlace::Words;
     }
 
-    /// Returns the bytes of the incomplete character if `byte` does not continue it: they do not form a character, and
-    /// each counts by itself.
+    /// Removes and returns the bytes of the incomplete character if `byte` does not continue it. They form no
+    /// character, so each of them counts by itself and may be a command.
     pub fn break_off(&mut self, byte: u8) -> Vec<u8, MOST_BEGUN> {
         if self.is_inside() && continues(&self.begun, byte) { Vec::new() } else { core::mem::take(&mut self.begun) }
     }
 
     /// Takes a byte that starts or continues a character. Call it after [`Remark::break_off`]. Returns whether the byte
-    /// was taken. `reads`: whether characters are recognised at all.
+    /// was taken. `reads`: whether the dialect recognises characters at all.
     pub fn takes(&mut self, byte: u8, reads: impl FnOnce() -> bool) -> bool {
         let Some(lead) = self.begun.first() else {
             let begins = matches!(byte, 0xC3..=0xF4) && self.is_inside() && reads();
@@ -174,7 +174,7 @@ mod tests {
     }
 
     proptest! {
-        /// The recognised characters of a remark are those that the standard library finds.
+        /// The recognised characters of a remark are those from U+00C0 up that the standard library finds.
         #[test]
         fn characters_are_those_of_utf8(bytes in proptest::collection::vec(prop_oneof![
             0x80_u8.., Just(0xC3), Just(0xE0), Just(0xE3), Just(0xED), Just(0xF0), Just(0xF4), 0x80_u8..0xC0, 0x80_u8..0xC0, b'a'..=b'c'

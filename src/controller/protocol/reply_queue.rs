@@ -9,10 +9,10 @@ use crate::messages::{Chunk, Restart};
 
 /// Capacity of the queue, in bytes.
 const BYTES: usize = 1024;
-/// Free bytes required before a listing, a status report or a line begins.
+/// Free bytes required before a row of a listing or a status report is made, or a byte of a line is taken.
 const RESERVE: usize = 2 * PIECE;
-/// Additional free bytes required for a status report directly after another one. So lines and listings find room
-/// between reports, however often a host sends `?`.
+/// Additional free bytes required for a status report directly after another one. So the answers to lines and the rows
+/// of listings find room between reports, however often a host sends `?`.
 const BETWEEN_REPORTS: usize = 64;
 /// Bytes reserved for the answer to the line being executed. The answer to a checked line is the longest one.
 const ANSWER: usize = 64;
@@ -30,7 +30,7 @@ pub struct Replies {
     status_due: bool,
     /// The next report must have all fields (0x87). Takes no memory in the small image.
     is_full: [bool; FULL_IMAGE as usize],
-    /// The fields of the last report of dialect `grblhal`; `None` before the first.
+    /// The fields of the previous status report with `$900=3`; `None` before the first one.
     told: [Option<GrblHalFields>; FULL_IMAGE as usize],
     /// The text that was queued last is a status report.
     reported: bool,
@@ -70,7 +70,7 @@ impl Replies {
         }
     }
 
-    /// Returns whether there is room for a listing, a report or a line.
+    /// Returns whether there is room for a row of a listing, a status report, or the answer to another line.
     #[inline]
     pub fn has_room(&self) -> bool {
         BYTES - self.waiting >= RESERVE
@@ -129,8 +129,8 @@ impl Replies {
         self.waiting += text.len();
     }
 
-    /// Removes and returns the next bytes to be sent. Only the check for an empty queue is inlined: it runs before each
-    /// segment, and the queue is mostly empty.
+    /// Removes and returns the next bytes to be sent. Only the check for an empty queue is inlined, because it runs
+    /// before each segment, and the queue is usually empty.
     #[inline]
     pub fn next_chunk(&mut self) -> Option<Chunk> {
         if self.waiting == 0 { None } else { Some(self.chunk()) }
@@ -165,8 +165,9 @@ impl Replies {
         self.is_full.first_mut().is_some_and(core::mem::take)
     }
 
-    /// Takes note of the fields for a report of dialect `grblhal`, and decides on `Sc`. Returns whether the fields that
-    /// come with `WCO` have changed since the previous report, and whether M6 has begun or ended to wait.
+    /// Stores the fields of a status report with `$900=3`, and sets whether that report has the field `Sc`. Returns two
+    /// results: whether the fields that come with `WCO` have changed since the previous report, and whether M6 has
+    /// started or stopped waiting for a tool since then.
     pub fn note_fields(&mut self, fields: &mut GrblHalFields) -> (bool, bool) {
         let before = self.told.first_mut().and_then(|told| told.replace(*fields));
         fields.tells_scaling = fields.scaled || before.is_some_and(|before| before.scaled);
@@ -185,7 +186,8 @@ impl Replies {
         now
     }
 
-    /// After a reset: cancels a requested report, and lets the next report have all rare fields.
+    /// After a reset: cancels a requested report, and makes the rare fields due: `WCO` in the next report, `Ov` in the
+    /// report after it.
     pub fn reset(&mut self) {
         self.rare_fields = RareFields::DUE;
         self.status_due = false;

@@ -59,7 +59,7 @@ pub fn alarm(out: &mut Text, code: u8) {
     put(out, END);
 }
 
-/// The welcome line.
+/// Appends Grbl's welcome line.
 pub fn welcome(out: &mut Text) {
     put(out, b"\r\nGrbl ");
     put(out, GRBL_VERSION.as_bytes());
@@ -90,7 +90,7 @@ pub fn wait_for_input(out: &mut Text, number: u32, seconds: u32) {
     put(out, b"]\r\n");
 }
 
-/// `[MSG:...]` of a program, reduced to printable characters without brackets.
+/// `[MSG:...]` of a program, reduced to printable ASCII characters without square brackets.
 pub fn program_message(out: &mut Text, text: &[u8]) {
     put(out, b"[MSG:");
     for byte in text.iter().filter(|byte| matches!(byte, b' '..=b'~') && !matches!(byte, b'[' | b']')) {
@@ -99,8 +99,8 @@ pub fn program_message(out: &mut Text, text: &[u8]) {
     put(out, b"]\r\n");
 }
 
-/// `[MSG:...]` that reports which inputs tripped (limit switches by their axes), the position, and the N word (0 =
-/// none).
+/// `[MSG:...]` after an input has tripped: names the input (limit switches by their axes), the machine position, and
+/// the N word `line` (0 = none).
 pub fn trip<const N: usize>(
     out: &mut Text,
     tripped: &Signals,
@@ -175,7 +175,7 @@ pub fn failure(out: &mut Text, restart: &Restart, grbl: bool) {
     put(out, if both { b", $RC tells more, $REC what came in]\r\n" } else { b", $RC tells more]\r\n" });
 }
 
-/// `[RESET:cause]`, then `[CRASH:kind:text]` and `[LAST:position]` if the program crashed.
+/// `[RESET:cause]`, then `[CRASH:kind:text]` and `[LAST:position]` if the firmware crashed.
 pub fn restart(out: &mut Text, restart: &Restart) {
     put(out, b"[RESET:");
     put(out, cause_name(restart.cause).as_bytes());
@@ -252,7 +252,7 @@ pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &In
     put(out, b"]\r\n");
 }
 
-/// The answer to `$`.
+/// The answer to `$`. `grbl`: lists only the commands of Grbl's dialect.
 pub fn help(out: &mut Text, grbl: bool) {
     put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ");
     if !grbl {
@@ -374,7 +374,7 @@ pub(super) fn position<const N: usize>(out: &mut Text, place: &PerAxis<Coordinat
     }
 }
 
-/// `[G54:x,y,z]`
+/// `[G54:x,y,z]`, a row of `$#`: a coordinate system, G28, G30 or G92.
 pub fn parameter<const N: usize>(out: &mut Text, name: &str, place: &PerAxis<Coordinate, N>, form: PlaceForm) {
     put(out, b"[");
     put(out, name.as_bytes());
@@ -418,34 +418,34 @@ pub fn tool<const N: usize>(out: &mut Text, number: u32, offset: &PerAxis<Coordi
     put(out, b"]\r\n");
 }
 
-/// `[PRB:x,y,z:ok]`
+/// `[PRB:x,y,z:ok]`, sent after a probing move and by `$#`; `ok` is 1 if the probe made contact, otherwise 0.
 pub fn probe<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, success: bool, form: PlaceForm) {
     put(out, b"[PRB:");
     position(out, place, form);
     put(out, if success { b":1]\r\n" } else { b":0]\r\n" });
 }
 
-/// The contents of `$G`.
+/// The modal state, as `$G` shows it.
 #[derive(Clone, Copy, Debug)]
 pub struct ParserState {
-    /// The words for motion, coordinate system, G92, plane, units, distance mode, feed mode and tool length; empty words
-    /// are left out.
+    /// The words for motion, coordinate system, G92, plane, units, distance mode, feed mode and tool length; empty
+    /// words are omitted.
     pub words: [&'static str; 8],
     /// Scaling is active (G51).
     pub scaling: bool,
     /// Rotation is active (G68).
     pub rotation: bool,
-    /// Each line with a move is followed by a call (G66).
+    /// A modal call is active (G66): each line with a move is followed by a call of a subprogram.
     pub calls: bool,
     /// Path blending is active (G64 P).
     pub blends: bool,
-    /// Spindle.
+    /// Direction of the spindle (M3, M4, M5).
     pub spindle: SpindleDirection,
-    /// Coolant.
+    /// Coolant (M7, M8, M9).
     pub coolant: Coolant,
     /// Parking is enabled (M56).
     pub parking: bool,
-    /// T.
+    /// Number of the tool (T).
     pub tool: u32,
     /// F in mm/min (or as it was written in inverse-time mode).
     pub feed: f32,
@@ -455,7 +455,7 @@ pub struct ParserState {
     pub speed: f32,
 }
 
-/// `[GC:...]`
+/// `[GC:...]`, the answer to `$G`.
 pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
     put(out, b"[GC:");
     for (i, word) in state.words.iter().filter(|word| !word.is_empty()).enumerate() {

@@ -20,7 +20,7 @@ pub struct Status<const N: usize> {
     pub show_machine: bool,
     /// Free blocks, and free bytes of the receive buffer.
     pub buffer: Option<(usize, u16)>,
-    /// Line number being executed.
+    /// N word of the move being executed.
     pub line: Option<u32>,
     /// Actual speed in mm/min.
     pub feed: f32,
@@ -39,7 +39,7 @@ pub struct Status<const N: usize> {
 /// Fields of a status report with `$900=3`, as grblHAL has them.
 #[derive(Clone, Copy, Debug)]
 pub struct GrblHalFields {
-    /// Whether all fields are asked for (0x87).
+    /// Whether the host has requested all fields (0x87).
     pub full: bool,
     /// Number of the alarm that locks the machine; 0 for none.
     pub alarm: u8,
@@ -47,23 +47,23 @@ pub struct GrblHalFields {
     pub system: &'static str,
     /// The tool in the spindle.
     pub tool: u32,
-    /// Whether the machine is homed, and which axes are; `None` if homing is off.
+    /// Whether the machine is homed, and a mask of the homed axes; `None` if homing is off.
     pub homed: Option<(bool, u8)>,
     /// Whether coordinates are scaled (G51).
     pub scaled: bool,
-    /// Whether the report says that they are scaled, or no longer.
+    /// Whether the report has the field `Sc`: coordinates are scaled, or were scaled at the previous report.
     pub tells_scaling: bool,
     /// Whether the tool setter has a reference.
     pub has_reference: bool,
     /// Whether M6 waits for a tool.
     pub waits_for_tool: bool,
-    /// Spindle.
+    /// Direction of the spindle; off while it has no power.
     pub spindle: SpindleDirection,
-    /// Coolant.
+    /// State of the coolant outputs.
     pub coolant: Coolant,
 }
 
-/// `<...>`
+/// Appends the report `<...>`. With `$900=3` some fields differ from Grbl's, and others are added.
 pub fn status<const N: usize>(out: &mut Text, status: &Status<N>, form: PlaceForm) {
     put(out, b"<");
     let more = status.of_grblhal.first().and_then(Option::as_ref);
@@ -126,7 +126,8 @@ pub fn status<const N: usize>(out: &mut Text, status: &Status<N>, form: PlaceFor
 #[inline(never)]
 fn fields_of_grblhal(out: &mut Text, more: &GrblHalFields, rare: bool, accessories: bool) {
     if accessories || more.waits_for_tool {
-        // Sent even if there are no letters, because a host keeps the last letters until it gets others.
+        // The field `A` is sent even without letters, because a host shows the letters of an earlier report until it
+        // gets others.
         put(out, b"|A:");
         put(out, &accessory_letters(more.spindle, more.coolant));
         put(out, if more.waits_for_tool { b"T" } else { b"" });
@@ -194,7 +195,7 @@ fn accessories(out: &mut Text, spindle: SpindleDirection, coolant: Coolant) {
 /// Decides which reports carry `WCO` and `Ov`. Both change rarely, so most reports omit them.
 ///
 /// `WCO` is in the first report and then in every 10th (every 30th while the machine is busy); `Ov` in every 10th
-/// (every 20th). A change makes the field due. If `WCO` is printed, `Ov` waits for the next report.
+/// (every 20th while busy). A change makes the field due. If `WCO` is printed, `Ov` waits for the next report.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RareFields {
     offset_in: u8,

@@ -24,7 +24,7 @@ pub enum System<'a> {
     MoreBuildInfo,
     /// `$ES`, `$ESG`, `$ESH`, `$EG`, `$EE`, `$EA`
     Describe(Described),
-    /// `$E`
+    /// `$E`: explains the most recently refused line
     Refusal,
     /// `$I=text`
     SetBuildInfo(&'a [u8]),
@@ -79,8 +79,8 @@ pub enum Format {
 }
 
 impl System<'_> {
-    /// Checks whether Grbl has the command. Grbl reads the letter of an unknown command as the number of a setting, so
-    /// it answers with one of these errors, and this function returns the same error.
+    /// Checks whether Grbl has the command. For a command that it does not have, Grbl tries to read the letter as the
+    /// number of a setting, and answers with an error. This function returns the same error.
     ///
     /// # Errors
     /// [`Error::BadNumber`], [`Error::InvalidStatement`].
@@ -102,7 +102,7 @@ impl System<'_> {
     }
 }
 
-/// What `$E..` describes.
+/// What `$ES`, `$ESG`, `$ESH`, `$EG`, `$EE` and `$EA` describe, and grblHAL's `$EEG` and `$EAG`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Described {
     /// All settings.
@@ -209,7 +209,7 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
             }
         }
         Some(b'M') if rest.is_empty() => Ok(System::Macros),
-        // A wrong number is `BadNumber`, like every letter that Grbl does not have.
+        // Any error in the number is reported as `BadNumber`: Grbl has no `$M`, and this is its answer to such letters.
         Some(b'M') => {
             let (index, line) = numbered(rest).map_err(|_| Error::BadNumber)?;
             Ok(System::SetMacro(usize::from(index), line))

@@ -7,12 +7,12 @@
 //!     ▲                          │
 //!     └── the oldest is reused ◀─┘
 //! ```
-//! A byte of a line is an entry of one byte. Rarer entries have a tag (0x80 and above), and a change of time is an
-//! entry with its own tag. Each page can be decoded without the others, so the ring always begins with a whole entry.
-//! An entry counts only when it is completely written, so a reset at any moment leaves a valid ring.
+//! A byte of a line is an entry of one byte. All other entries are rarer and begin with a tag (0x80 and above); one of
+//! them is the change of time. Each page can be decoded without the others, so the ring always begins with a whole
+//! entry. An entry counts only when it is completely written, so a reset at any moment leaves a valid ring.
 //!
-//! Bytes of a line are gathered first, and written to the ring with the line end, before the controller gets it. So a
-//! reset loses at most the last bytes of an unfinished line, which has had no effect yet.
+//! Bytes of a line are gathered first, and written to the ring together with the line end, before the controller gets
+//! the line end. So a reset loses at most the last bytes of an unfinished line, which has had no effect yet.
 //!
 //! RAM contents are random after power-up, so a page is valid only if its mark, number and sum are right.
 //!
@@ -42,8 +42,8 @@ const PLAIN: usize = 64;
 /// Maximum number of bytes of a line end and its time entry.
 const LINE_END: usize = 1 + 10 + 1;
 
-/// Upper bound of the time from one turn of the control task to the end of the next, if the next turn fails. (The
-/// watchdog ends a turn after half a second or two seconds.)
+/// Upper bound, in microseconds, of the time from the start of one round of the control task to the end of the next
+/// round, if that next round fails. (The watchdog ends a round that hangs after half a second or two seconds.)
 const LONGEST_TURN_US: u32 = 10_000_000;
 
 // Basis and prime of 32-bit FNV-1a, here applied to whole words.
@@ -79,7 +79,7 @@ pub struct Page {
     mark: u32,
     /// Increases by one from page to page.
     number: u32,
-    /// Microseconds since power-up.
+    /// Time at which the page begins, in microseconds since power-up.
     time: u64,
     /// Number of used bytes (lower 8 bits) and their sum (upper 24 bits), in one word, so that a reset cannot separate
     /// them.
@@ -91,7 +91,8 @@ impl Page {
     /// A page without contents.
     pub const EMPTY: Page = Page { mark: 0, number: 0, time: 0, state: 0, bytes: [0; ROOM] };
 
-    /// Returns the pages as the bytes in RAM (little-endian), for tests of what a reset or a power-up leaves.
+    /// Returns the bytes of the pages as they lie in RAM (little-endian), for tests of RAM contents after a reset or a
+    /// power-up.
     pub fn bytes_of(pages: &[Page]) -> impl Iterator<Item = u8> {
         pages.iter().flat_map(|page| {
             let head = page.mark.to_le_bytes().into_iter().chain(page.number.to_le_bytes());
@@ -155,7 +156,7 @@ impl Page {
             *place = *byte;
             sum = add_to_sum(sum, *byte);
         }
-        // The bytes count only once they are written.
+        // The new bytes belong to the page only from here on, when all of them are written.
         compiler_fence(Ordering::SeqCst);
         self.state = sum << 8 | end as u32;
         compiler_fence(Ordering::SeqCst);
@@ -185,7 +186,7 @@ struct Reading {
     time: u64,
     /// The line being assembled.
     line: heapless::Vec<u8, { Noted::HOST_BYTES }>,
-    /// Count of stored records listed so far; `None` once all records are listed.
+    /// Number of stored records (settings, offsets and the like) listed so far; `None` once all records are listed.
     records: Option<u16>,
     begun: bool,
 }
@@ -213,7 +214,7 @@ pub struct Recorder<P> {
     kept: bool,
     /// A line whose bytes are not recorded has begun and has not ended yet.
     in_line: bool,
-    /// Something was recorded since the machine was last recorded at rest.
+    /// Something has been recorded since [`Recorder::at_rest`] last recorded a machine at rest.
     news: bool,
     /// No recorded state can start a replay, so the next state at rest must be recorded.
     wants_standing: bool,
@@ -260,7 +261,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         recorder
     }
 
-    /// Returns the pages.
+    /// Returns the pages of the ring.
     pub fn pages(&self) -> &[Page] {
         self.pages.as_ref()
     }
@@ -270,7 +271,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.kept
     }
 
-    /// Keeps the recording, and appends how the previous run ended.
+    /// Keeps the recording from before the reset, and appends an entry that says how the previous run ended.
     #[inline(never)]
     fn keep(&mut self, number: u32, restart: &Restart) {
         self.kept = true;
@@ -286,8 +287,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         let (mut place, mut line, mut kind) = ([0; 3], 0, Noted::NO_CRASH);
         if let Some(crash) = &restart.crash {
             let passed = crash.moment.wrapping_sub(self.time as u32);
-            // `crash.moment` is the time of the turn before the failed one, so the last entry can be later. In that
-            // case `passed` is close to `u32::MAX`, and the time stays as it is.
+            // `crash.moment` is the start time of the round before the one that failed, so the last entry can be later.
+            // In that case `passed` is close to `u32::MAX`, and the time stays as it is.
             if passed <= u32::MAX - LONGEST_TURN_US {
                 self.time_to(self.time + u64::from(passed));
             }
@@ -440,11 +441,11 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.put_tagged(tag, rest);
     }
 
-    /// Records text of an epoch that the controller has taken at `now`. Can be called after the controller has taken
-    /// the text, because text changes nothing that the recorder reads from the controller.
+    /// Records text that the controller has taken at `now`. `epoch` is the epoch of its bytes. Can be called after the
+    /// controller has taken the text, because text changes nothing that the recorder reads from the controller.
     #[inline]
     pub fn record_text<const N: usize>(&mut self, now: Instant, epoch: u16, text: &[u8], controller: &Controller<N>) {
-        // The whole text is plain.
+        // Text has no damaged bytes and no control characters, so all of it is plain if its epoch is the current one.
         let is_expected = word_of(LineByte { byte: b' ', epoch, damaged: false }) == self.plain_from;
         if is_expected && self.next.extend_from_slice(text).is_ok() {
             return;
@@ -461,7 +462,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     #[inline(always)]
     pub fn record<const N: usize>(&mut self, now: Instant, event: &Event<N>, controller: &Controller<N>) {
         match event {
-            // The common case.
+            // Nearly all events are line bytes.
             Event::Line(byte) => {
                 if !self.put_plain(*byte) {
                     self.line_byte(now, *byte, controller);
@@ -589,7 +590,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.put_entry(now, tag::STEP, &rest);
     }
 
-    /// Adds a message for the step task to the hash.
+    /// Adds a block that is passed to the step task to the hash. Other messages leave the hash as it is.
     #[inline(always)]
     pub fn handed(&mut self, message: &ToStep) {
         if let ToStep::Block { steps_by_axis, directions } = message {
@@ -633,7 +634,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             put_word(&mut rest, self.blocks);
             self.put_entry(now, tag::REST, &rest);
         }
-        // Record a state in each quarter of the ring.
+        // Record a state in each quarter of the ring, so that the ring holds one even after its oldest pages were
+        // reused.
         let pages = self.pages.as_ref().len() as u32;
         if self.wants_standing || self.number.wrapping_sub(self.standing_in) >= (pages / 4).max(1) {
             self.record_standing(now, controller);
@@ -678,8 +680,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.reading = Reading { number, at: 0, time, line: heapless::Vec::new(), records: Some(0), begun: false };
     }
 
-    /// Passes the next piece of a listing to `tell`. `first`: starts the listing. The pair is the board's name and its
-    /// ticks of the step clock per second. `record` returns stored records by index.
+    /// Passes the next piece of the `$REC` listing to `tell`. `first`: begins with the first piece. The pair is the
+    /// board's name and its ticks of the step clock per second. `record` returns stored records by index.
     pub fn read(
         &mut self,
         first: bool,
@@ -726,7 +728,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             };
             let tag = *tag;
             let Some((used, found)) = decode(tag, rest) else {
-                // Not a valid entry.
+                // An entry that cannot be decoded ends the listing.
                 self.reading.number = None;
                 continue;
             };
@@ -757,7 +759,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 /// The bytes of an entry after its tag.
 type Rest = heapless::Vec<u8, ROOM>;
 
-// The following functions have many callers but rarely run, so they are optimised for size.
+// The following functions have many callers but rarely run. They are not inlined, to save flash.
 
 #[inline(never)]
 fn put_bytes(out: &mut Rest, bytes: &[u8]) {

@@ -4,12 +4,12 @@ use crate::dispatch::Controller;
 use crate::messages::{Event, Record, Recorded, Restart, ToStep};
 use crate::units::Instant;
 
-/// Placeholder for a page.
+/// Placeholder for a page of the recorder's ring; takes no memory.
 #[derive(Clone, Copy, Debug)]
 pub struct Page;
 
 impl Page {
-    /// Placeholder.
+    /// The only value of the placeholder.
     pub const EMPTY: Page = Page;
 }
 

@@ -1,5 +1,6 @@
-//! Sets a setting (`$n=v`): checks the value against the range of its row, and refuses it with an error that gives the
-//! reason. Some settings depend on others: in Grbl's dialect soft limits need homing, and are switched off with it.
+//! Sets a setting (`$n=v`): checks the value against the range in the settings table. A refused value gets an error
+//! that gives the reason. Some settings depend on others: in Grbl's dialect soft limits need homing, and are switched
+//! off with it.
 
 use super::index::Index;
 use super::row::Kind;
@@ -39,13 +40,13 @@ impl<const N: usize> Settings<N> {
         let (index, value) = self.placed(number, value)?;
         self.put(index, value);
         if number == HOMING && value == 0.0 {
-            // Soft limits mean nothing without a homed position, so they go off with homing.
+            // Soft limits mean nothing without a homed position, so `$22=0` switches them off too.
             self.put(Index::Scalar(Key::SoftLimits as usize), 0.0);
         }
         Ok(())
     }
 
-    /// Returns the value to be set and its index.
+    /// Checks `$number=value`. Returns the index of the setting and the value to be set.
     fn placed(&self, number: u16, value: Decimal) -> Result<(Index, f32), Error> {
         let negative = value < Decimal::ZERO;
         if negative && number != PARKING_PLACE {
@@ -67,7 +68,7 @@ impl<const N: usize> Settings<N> {
     }
 
     /// Checks a value against the range of its kind. For kinds without a fraction, Grbl's dialect drops the fraction of
-    /// the value; the other dialects refuse such a value.
+    /// the value; the other dialects refuse a value with a fraction.
     fn checked(&self, kind: Kind, value: Decimal) -> Result<f32, Error> {
         let (whole, grbl) = (value.truncate(), self.value(Key::Dialect) == 0.0);
         let value = match kind {
@@ -87,7 +88,7 @@ impl<const N: usize> Settings<N> {
     /// Checks the step pulse. Returns it in microseconds, a multiple of 0.1. Grbl's dialect truncates to whole
     /// microseconds and refuses less than 3 us. Other dialects do not round: they refuse anything but whole tenths.
     fn tenths(&self, kind: Kind, value: Decimal) -> Result<f32, Error> {
-        /// A tenth, as raw [`Decimal`]; 2560 tenths fit 32 bits.
+        /// A tenth, as raw [`Decimal`]. Values up to the longest pulse, 2550 tenths, fit into 32 bits.
         const TENTH: u32 = (DECIMAL_ONE / 10) as u32;
         let Ok(value) = u32::try_from(value.0) else { return Err(Error::StepPulseTooShort) };
         let (mut tenths, rest) = (value / TENTH, value % TENTH);

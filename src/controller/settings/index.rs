@@ -4,7 +4,7 @@ use super::row::Entry;
 use super::table::{Key, PER_AXIS, SCALARS};
 use crate::axes::Axis;
 
-/// The index of a setting.
+/// Where a setting is in the two tables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Index {
     /// A row of [`SCALARS`].
@@ -25,7 +25,7 @@ impl Index {
         })
     }
 
-    /// Returns the index of the `line`-th row of `$$` with `axes` axes in use.
+    /// Returns the index of row `line` of `$$` (0 is the first) with `axes` axes in use.
     pub(super) fn of_line(line: usize, axes: usize) -> Option<Self> {
         let Some(line) = line.checked_sub(Key::COUNT) else { return Some(Self::Scalar(line)) };
         Some(Self::PerAxis(line.checked_div(axes)?, *Axis::ALL.get(line.checked_rem(axes)?)?))

@@ -15,14 +15,14 @@ impl<const N: usize> Settings<N> {
     /// Number of rows of `$$` with all axes in use.
     pub const LINES: usize = lines(N);
 
-    /// Returns the `line`-th row of `$$`: its entry, number and value.
+    /// Returns row `line` of `$$` (0 is the first): its entry, number and value.
     pub fn row(&self, line: usize) -> Option<(Entry, u16, f32)> {
         let index = Index::of_line(line, self.axes_in_use())?;
         let (entry, number) = index.row()?;
         Some((*entry, number, self.at(index)?))
     }
 
-    /// Returns the `line`-th row of `$$` with its description, with `axes` axes in use.
+    /// Returns row `line` of `$$` (0 is the first) with its description, if `axes` axes are in use.
     pub fn described(line: usize, axes: usize) -> Option<Row> {
         let index = Index::of_line(line, axes)?;
         let (axis, description) = match index {

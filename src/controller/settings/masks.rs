@@ -1,6 +1,6 @@
 //! Settings that are masks in grblHAL and have fewer values here. With `$900=3`, hosts write and read the masks. A bit
-//! is one of three kinds: its meaning always holds, it is a value of a setting here, or it has no function here and is
-//! refused.
+//! of a mask is one of three kinds: a function that is always on here, a value of a setting here, or a function that
+//! does not exist here. Bits of the last kind are refused.
 
 use super::table::Key;
 use super::values::Settings;
@@ -9,11 +9,11 @@ use super::values::Settings;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GrblHalMask {
     number: u16,
-    /// Bits of the setting's own value.
+    /// Bits that are the value of the setting itself.
     pub own: u32,
     /// Bits that are values of other settings.
     elsewhere: u32,
-    /// Bits whose meaning always holds.
+    /// Bits of functions that are always on here.
     always: u32,
     /// Meanings of the bits from the lowest, separated by commas.
     pub labels: &'static str,
@@ -56,7 +56,8 @@ impl GrblHalMask {
         if self.is_in_force(written) { written | self.always } else { written & self.own }
     }
 
-    /// Whether bits other than the setting's own value count. They do not count while homing is off (`$22=0`).
+    /// Whether the bits besides the setting's own value have an effect. In the mask of `$22` they have none while
+    /// homing is off (`$22=0`).
     fn is_in_force(&self, bits: u32) -> bool {
         self.elsewhere == 0 || bits & self.own != 0
     }

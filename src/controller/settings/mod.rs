@@ -1,8 +1,8 @@
 //! The `$` settings: their table, their values, and their checks.
 //!
-//! `$$`, the checks of `$n=v` and the documents are made from one table. Each value is checked alone and stored if it
-//! is valid, because senders restore settings one at a time. [`Settings::unrunnable`] checks whether the machine can
-//! run with *all* settings together.
+//! `$$`, the checks of `$n=v` and the documentation of the settings are made from one table. Each value is checked
+//! alone and stored if it is valid, because senders restore settings one at a time. [`Settings::unrunnable`] checks
+//! whether the machine can run with *all* settings together.
 //!
 //! Each module uses only modules below it in this list:
 //!

@@ -11,7 +11,8 @@ use crate::units::DECIMAL_ONE;
 pub enum Kind {
     /// Whole number from `.0` to `.1`. A fraction is refused; Grbl's dialect truncates it.
     Whole(u32, u32),
-    /// Tenths from `.0` to `.1`, printed with a decimal if it is not 0. In Grbl's dialect fractions are truncated.
+    /// Tenths from `.0` to `.1`, printed with one decimal, or with none if that decimal is 0. In Grbl's dialect
+    /// fractions are truncated.
     Tenths(u32, u32),
     /// A sum of some of these bits. A fraction is refused; Grbl's dialect truncates it.
     Mask(u32),
@@ -71,7 +72,7 @@ pub struct Description {
     pub name: &'static str,
     /// Unit; empty for none.
     pub unit: &'static str,
-    /// Group of the setting.
+    /// Group in which senders show the setting.
     pub group: SettingGroup,
     /// Meanings of the values 0, 1, 2 and so on, or of the bits of a mask from the lowest, separated by commas. Empty
     /// for quantities.
@@ -116,8 +117,8 @@ impl Description {
 pub struct Row {
     /// The number after `$`.
     pub number: u16,
-    /// The axis of a per-axis setting. For the axes of a homing cycle (`$44` and on), the axis with the index of the
-    /// cycle: X for the first cycle.
+    /// The axis of a per-axis setting. For `$44` and on, which are numbered by homing cycle, the axis with the index of
+    /// the cycle: X for the first cycle.
     pub axis: Option<Axis>,
     /// The part that the machine needs.
     pub entry: Entry,
@@ -171,7 +172,7 @@ macro_rules! table {
         }
 
         impl $keys {
-            /// Number of keys.
+            /// Number of rows of the table.
             pub const COUNT: usize = [$($keys::$key,)*].len();
         }
     };

@@ -29,7 +29,7 @@ impl<const N: usize> Settings<N> {
     /// Returns the number of the first setting that makes motion impossible, or `None` if motion is possible. The
     /// reasons are:
     /// * a step pulse (`$0`) shorter than the board can make, for instance stored by the firmware of another board;
-    /// * steps/mm, a rate or an acceleration of zero, or a jerk close to zero;
+    /// * a value of zero for steps/mm, a rate or an acceleration, or a jerk above 0 but below 1 mm/s³;
     /// * a step rate (rate × resolution) beyond what the board can keep up with at this length of the step pulse
     ///   (`$0`);
     /// * a second motor that the board does not have, or for which no driver is left because of CoreXY or the axis A;

@@ -23,7 +23,7 @@ const DIALECT_LABELS: &str = if FULL_IMAGE { "Grbl,Oxmill,Seed document,grblHAL"
 pub(super) const GRBLHAL: u32 = 3;
 
 table! {
-    /// Settings that exist once.
+    /// Settings that exist once for the machine, not per axis.
     SCALARS;
     /// Descriptions of the rows of [`SCALARS`].
     SCALAR_DESCRIPTIONS;

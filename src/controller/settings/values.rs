@@ -35,7 +35,7 @@ impl<const N: usize> Default for Settings<N> {
 }
 
 impl<const N: usize> Settings<N> {
-    /// The defaults.
+    /// Returns the defaults, for a board that has motors for all `N` axes.
     #[allow(clippy::indexing_slicing, reason = "both arrays have the length of their table")]
     pub const fn new() -> Self {
         let mut settings =
@@ -62,7 +62,7 @@ impl<const N: usize> Settings<N> {
         settings
     }
 
-    /// The defaults of a board that has motors for `axes` axes.
+    /// Returns the defaults, for a board that has motors for `axes` axes.
     pub const fn of_board(axes: usize) -> Self {
         Self { present: if axes < N { axes } else { N }, ..Self::new() }
     }
@@ -80,12 +80,12 @@ impl<const N: usize> Settings<N> {
         self.present.max(LINEAR)
     }
 
-    /// Returns a scalar value.
+    /// Returns the value of a setting that exists once, in the unit of its row.
     pub fn value(&self, key: Key) -> f32 {
         self.scalars.get(key as usize).copied().unwrap_or(0.0)
     }
 
-    /// Returns a scalar value as a whole number.
+    /// Returns the value of a setting that exists once, without its fraction.
     pub fn whole(&self, key: Key) -> u32 {
         self.value(key) as u32
     }
@@ -95,7 +95,7 @@ impl<const N: usize> Settings<N> {
         (self.value(Key::StepPulse) * 10.0 + 0.5) as u16
     }
 
-    /// Returns a scalar value in seconds as a duration, at most a day.
+    /// Returns a time setting (in seconds) as a duration, at most a day.
     pub fn seconds(&self, key: Key) -> Duration {
         let seconds = self.value(key);
         let bounded = if seconds < 86_400.0 { seconds } else { 86_400.0 };
@@ -108,7 +108,7 @@ impl<const N: usize> Settings<N> {
         FULL_IMAGE && self.whole(Key::Dialect) == GRBLHAL
     }
 
-    /// Returns whether a scalar value is not 0.
+    /// Returns whether the value of a setting that exists once is not 0.
     pub fn is_on(&self, key: Key) -> bool {
         self.value(key) != 0.0
     }
@@ -119,8 +119,8 @@ impl<const N: usize> Settings<N> {
     }
 
     /// Returns the ends of an axis' travel in machine coordinates, in mm; `None` for an axis that turns without end.
-    /// Usually the travel ends at the switch, at 0. With `$932`, 0 is where homing ends, and the travel extends from
-    /// there away from the switch.
+    /// Without `$932` the travel extends from -travel to 0, whichever of the two ends has the switch. With `$932`, 0 is
+    /// where homing ends, and the travel extends from there away from the switch.
     pub fn ends_of_travel(&self, axis: Axis) -> Option<[f32; 2]> {
         let travel = self.axes(AxisKey::Travel).get(axis).filter(|travel| axis.has_ends(*travel))?;
         if !self.is_on(Key::ZeroAtPullOff) {
@@ -170,7 +170,7 @@ impl<const N: usize> Settings<N> {
         self.put(Index::Scalar(Key::SoftLimits as usize), if on { 1.0 } else { 0.0 });
     }
 
-    /// Returns the value of a setting in its stored form.
+    /// Returns the value of the setting with this number, in its stored form; `None` if there is no such setting.
     pub fn by_number(&self, number: u16) -> Option<f32> {
         if number == SOFT_LIMITS && self.is_on(Key::SoftLimits) && !self.is_on(Key::Homing) {
             return Some(BEFORE_HOMING);
@@ -194,7 +194,7 @@ impl<const N: usize> Settings<N> {
         self.revision
     }
 
-    /// Replaces all values by those of `others`.
+    /// Replaces all values by those of `others`. The number of axes with motors stays.
     pub fn replace(&mut self, others: Self) {
         *self = Self { revision: self.revision.wrapping_add(1), present: self.present, ..others };
     }
@@ -305,7 +305,7 @@ mod tests {
         }
     }
 
-    /// Dialects of this image.
+    /// Number of dialects in this image (values of `$900`).
     const DIALECTS: i32 = if crate::image::FULL_IMAGE { 4 } else { 3 };
 
     proptest::proptest! {

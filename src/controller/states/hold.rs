@@ -70,7 +70,8 @@ impl<const N: usize> Controller<N> {
             }
         }
         if self.m.motion.is_idle() {
-            // The drivers have stayed on during the hold, or since the tool was parked.
+            // The drivers have stayed on during the hold, or while the tool was parked. Their idle delay (`$1`) starts
+            // now.
             self.m.start_idle_delay();
         }
     }
@@ -128,7 +129,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Brakes to a stop and drops the job; the position stays true. `locked`: the machine is locked once it is at rest.
+    /// Brakes to a stop and drops the job; the position stays trusted. `locked`: the machine is locked once it is at
+    /// rest.
     pub(crate) fn stop_softly(&mut self, locked: bool) {
         if matches!(self.state, State::Homing(_)) {
             self.m.stops.order(StopReason::Alarm(Alarm::HomingReset));
@@ -142,7 +144,7 @@ impl<const N: usize> Controller<N> {
         if going && (!self.m.motion.is_idle() || !self.task.is_none() || locked || !matches!(self.state, State::Normal))
         {
             if self.is_spinning_up() {
-                // The spindle spins up only for a cut that is dropped, so switch it off.
+                // The spindle spins up only for the cut that is dropped here, so switch it off.
                 self.m.accessories.stop_spindle();
             }
             self.m.motion.hold();
@@ -152,8 +154,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Ends the job at a refused line, if the settings say so, or if the line would have prompted the operator for
-    /// another tool (`asks_for_tool`), because the lines after it are meant for that tool.
+    /// Ends the job at a refused line if `$901` is on, or if the line would have prompted the operator for another tool
+    /// (`asks_for_tool`): the lines after it are meant for that tool.
     pub(crate) fn stop_at_error(&mut self, asks_for_tool: bool) {
         let lacks_tool = asks_for_tool && self.m.prompts_for_tools() && self.dialect() != Dialect::Grbl;
         if matches!(self.state, State::Normal) && (lacks_tool || self.m.settings.is_on(Key::StopOnError)) {

@@ -13,7 +13,7 @@
 //!   Braking (0x19, a refused line with $901, a fault): brakes, then Normal, Alarm or Critical
 //!                  Sleep ◀── $SLP (only a reset leaves it, to Alarm)
 //! ```
-//! `Idle` and `Run` are both [`State::Normal`]: only `motion` knows whether something moves, so the two cannot
+//! `Idle` and `Run` are both [`State::Normal`]: only `motion` knows whether something moves, so state and motion cannot
 //! disagree.
 
 mod after_reset;
@@ -51,7 +51,7 @@ pub(crate) enum State<const N: usize> {
         /// What follows at rest.
         then: AfterBraking,
     },
-    /// Safety door.
+    /// The safety door is open, or something acts like an open door: see [`Door`].
     Door(Door),
     /// Locked until `$X`, `$H` or a reset: by an alarm, or (`None`) because the machine has not been homed or checked.
     Alarm(Option<Alarm>),
@@ -63,7 +63,7 @@ pub(crate) enum State<const N: usize> {
     Sleep(Option<Alarm>),
 }
 
-/// Result of a step of homing.
+/// Result of [`Homing::begin`] or [`Homing::advance`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Next {
     /// The event that homing waits for has not happened yet.
@@ -83,9 +83,9 @@ pub(crate) enum AfterBraking {
     Continue,
     /// The machine locks itself, because a line was refused.
     Lock,
-    /// An alarm.
+    /// This alarm is raised.
     Alarm(Alarm),
-    /// The tool is parked; an alarm follows.
+    /// The tool is parked, then this alarm is raised.
     Retract(Alarm),
 }
 

@@ -6,7 +6,7 @@ use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{Action, CycleStep, Dialect, MotionCommand};
 use oxmill_controller::units::Coordinate;
 
-/// The clearance of a new controller, 0.01 inch.
+/// The default peck clearance (`$921`), 0.01 inch.
 const CLEARANCE: Coordinate = Coordinate(2_540_000);
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
@@ -267,7 +267,7 @@ fn inches_and_offsets() {
         ("G10 L2 P1 X10 Z-4", ""),
         ("G92 Y1", ""),
         ("G43.1 Z1", ""),
-        // R and Z lie 3 mm lower in the machine.
+        // The offsets of Z together place R and Z 3 mm lower in the machine.
         ("G20 G81 X0.1 Z-0.1 R0.1", "r 12.54 1 10, r 12.54 1 -0.46, f 12.54 1 -5.54, r 12.54 1 10"),
         ("G21 X0", "r 10 1 10, r 10 1 -0.46, f 10 1 -5.54, r 10 1 10"),
     ]);

@@ -218,7 +218,7 @@ fn arc_end_off_the_circle() {
     // An end point within the tolerance stays as it is written.
     let mut program = Program::new(Dialect::Seed);
     assert_eq!(target(&program.run("G2 X2.004 Y0 I1 F50")), [2.004, 0.0, 0.0]);
-    // The end point is the centre, so there is no nearest point on the circle.
+    // Here the end point is the centre of the arc, so there is no nearest point on the circle.
     assert_eq!(program.error("G2 X3.004 Y0 I1"), 33);
 }
 

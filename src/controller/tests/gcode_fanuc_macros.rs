@@ -7,7 +7,7 @@ use crate::subprogram_sender::{Sender, calling, fails, goes, with_macro};
 fn loops_of_fanuc() {
     let count = "#1=0\nWHILE [#1 LT 3] DO1\n#1=[#1+1]\nX#1\nEND1";
     goes(&calling(count), &[1, 1, 2, 3, 9]);
-    // In the stream, these loops are held like the loops of O words.
+    // In the main program, the lines of these loops are stored like those of the loops of O words.
     goes(&format!("G0 X7\n{count}\nX9\nM30"), &[7, 1, 2, 3, 9]);
     goes("G0 X7\nN10 WHILE [1 EQ 2] DO 3\nX1\nN20 END 3\nX9\nM30", &[7, 9]);
     // Loops can be nested, and two loops with the same number can follow each other.
@@ -55,11 +55,13 @@ fn jumps_of_fanuc() {
     goes(&calling(again), &[1, 1, 3, 9]);
     goes(&calling("o7 repeat [3]\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 5\nX#1\nN5 o7 endrepeat"), &[1, 1, 3, 9]);
     goes(&calling("o7 do\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 5\nX#1\nN5 o7 while [#1 LT 3]"), &[1, 1, 3, 9]);
-    // GOTO works in the held part of the program, in a loop of the stream, and in a macro call with its own parameters.
+    // GOTO works in the held part of a program, in a loop of the main program, and in a G65 call, which has parameters
+    // of its own.
     goes("G0 X1\nM98 P1\nN5 #1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 5\nM30\nO1\nX9\nM99\n%", &[1, 9, 1, 2, 3]);
     goes("G0 X7\nWHILE [1] DO1\n#1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 5\no1 break\nN5 END1\nM30", &[7, 1, 2, 3]);
     goes("G0 X1\nG65 P1 A2\nX9\nM30\nO1\nIF [#1 EQ 2] GOTO 6\nX5\nN6 X6\nM99\n%", &[1, 6, 9]);
-    // The number is in another subprogram, in the program, above the call that holds it, or nowhere: GOTO is an error.
+    // GOTO is an error if the line with its number is in the main program or in another subprogram, or if there is
+    // none.
     for body in ["GOTO 5", "GOTO 7", "GOTO 8", "GOTO 1.5", "GOTO -5"] {
         let file = format!("N8 G0 X1\nM98 P1\nN5 X9\nM30\nO1\n{body}\nM99\nO2\nN7 X7\nM99\n%");
         fails(&file, &[81, 203, 203, 203], &[1]);
@@ -76,43 +78,45 @@ fn jumps_of_fanuc() {
 #[test]
 fn modal_calls() {
     let drill = "O1\nX[#1+50]\nM99\n%";
-    // The subprogram is behind the end, so the program is held from G66 on; or it stands above as a subroutine.
+    // The subprogram comes after the end of the program, so the program is held from G66 on. Or the subprogram is a
+    // subroutine that is defined before G66.
     goes(
         &format!("G0 X1\nG66 P1 A2\nX3\nM8\nG4 P0\nY4\nG92 Y0\nX5\nG67\nX6\nM30\n{drill}"),
         &[1, 3, 52, 52, 52, 5, 52, 6],
     );
     goes("o1 sub\nX[#1+50]\no1 endsub\nG0 X1\nG66 P1 A2\nX3\nM8\nX5\nG67\nX6\nM30", &[1, 3, 52, 5, 52, 6]);
-    // L repeats each call, and G67 may stand among other words.
+    // L repeats each call. G67 may have other words on its line.
     goes(
         &format!("G0 X1\nG66 P1 L2 A2\nX3\nG40 G67 G80 X7\nX8\nM30\n{drill}").replace("G80 X7", "X7"),
         &[1, 3, 52, 52, 7, 8],
     );
-    // The lines of the called subprogram call nothing; those of a subprogram that M98 calls do.
+    // Moves in the subprogram that G66 calls trigger no modal call. Moves in a subprogram that M98 calls do.
     goes("G0 X1\nG66 P1\nM98 P2\nX7\nG67\nX9\nM30\nO1\nX2\nX3\nM99\nO2\nX4\nM99\n%", &[1, 4, 2, 3, 7, 2, 3, 9]);
-    // A loop, a new G66 in place of the first, and G66 in a subprogram, which ends with it.
+    // Moves in a loop trigger the modal call, too. A new G66 replaces the first one. A G66 in a subprogram ends with
+    // that subprogram.
     goes(
         &format!("G0 X1\nG66 P1\no7 repeat [2]\nX3\no7 endrepeat\nG66 P1 A1\nX4\nM30\n{drill}"),
         &[1, 3, 50, 3, 50, 4, 51],
     );
     goes("G0 X1\nG65 P2\nX5\nM30\nO1\nX50\nM99\nO2\nG66 P1\nX4\nM99\n%", &[1, 4, 50, 5]);
-    // The end of the program ends it, too.
+    // The end of the program ends the modal call, too.
     goes(&format!("G0 X1\nG66 P1\nX3\nM30\n{drill}\nG0 X4"), &[1, 3, 50, 4]);
     fails(&format!("G0 X1\nG66 P1 A#5\nX3\nM30\n{drill}"), &[121], &[1, 3]);
     fails("G0 X1\nG66 A1\nX3\nM30", &[28], &[1, 3]);
     // A message moves nothing, and neither does the value of a function.
     goes(&format!("G0 X1\nG66 P1\nX3\n(MSG, All X)\n#5=ABS[#4]\nX5\nM30\n{drill}"), &[1, 3, 50, 5, 50]);
-    // It ends with its level of calls, not with a sibling's.
+    // A modal call ends with the subprogram that contains its G66, so it is not in force in the next subprogram.
     goes("G0 X1\nG65 P2\nG65 P3\nM30\nO1\nX50\nM99\nO2\nG66 P1\nX4\nM99\nO3\nX7\nM99\n%", &[1, 4, 50, 7]);
-    // Conditions act on it, and M98 behind a move follows the modal call.
+    // The move and the G67 may follow a condition. An M98 on the line of a move is run after the modal call.
     goes(&format!("G0 X1\nG66 P1\nIF [1] THEN X3\nIF [1] THEN G67\nX5\nM30\n{drill}"), &[1, 3, 50, 5]);
     let two = "o1 sub\nX50\no1 endsub\no2 sub\nM8\no2 endsub";
     goes(&format!("{two}\nG0 X1\nG66 P1\nX3 M98 P2\nG67\nX5\nM30"), &[1, 3, 50, 5]);
-    // Within the called subprogram it would take the place of the outer one.
+    // A G66 within the subprogram that G66 calls would replace the outer one, so it is an error.
     fails("G0 X1\nG66 P1\nX3\nM30\nO1\nX50\nG66 P1\nM99\n%", &[82], &[1, 3, 50]);
-    // The next program does not inherit it, even without M30.
+    // The modal call is not in force in the next program, even if the program before it had no M30.
     goes(&format!("{two}\nG0 X1\nG66 P1\nX3\n%\nX4\nM30"), &[1, 3, 50, 4]);
     fails(&format!("{two}\nG0 X1\nG66 P1\nX3\nG66 P2 A#5\nX4\nM30"), &[121], &[1, 3, 50, 4]);
-    // A refused line ends it, so that nothing is called where the program did not mean to.
+    // A refused line ends the modal call, so that nothing is called where the program did not mean to.
     fails("o1 sub\nX50\no1 endsub\nG0 X1\nG66 P1\nX3\nX4 X5\nX6\nM30", &[25], &[1, 3, 50, 6]);
 }
 

@@ -339,7 +339,7 @@ fn the_next_program_is_none_of_an_open_block() {
     }
 }
 
-/// O and a number alone (the number of a program) are no O word.
+/// A line with only O and a number (the number of a program) is no O word.
 #[test]
 fn numbers_of_programs_are_left_to_the_check() {
     let mut interpreter = Interpreter::<3>::default();
@@ -390,7 +390,7 @@ fn states_saved_until_a_call_returns() {
     goes("o1 sub\nM73\nM71\nM70\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 1]);
     goes("o1 sub\nM73\nM71\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
     goes("o1 sub\nM70\nM73\nG91\nX1\nM72\nX1\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 6, 1, 1]);
-    // In a loop the last M73 counts.
+    // If a loop runs M73 several times, the last M73 counts.
     goes("o1 sub\no2 repeat [2]\nM73\nG91\no2 endrepeat\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
     // Outside subroutines M73 acts as M70.
     goes("M73\nG91\nX5\nM72\nX1\nM72\nX2", &[5, 1, 2]);

@@ -358,7 +358,8 @@ fn feed_per_revolution() {
     });
 }
 
-/// P of G30 numbers the stored positions of other controls, the first of which is that of G28.
+/// Other controls number their stored positions: P1 is that of G28, P2 that of G30. Here the only P that G30 takes is
+/// P2.
 #[test]
 fn second_stored_position() {
     each(&[("G30 P2", 36)], |program| {
@@ -373,7 +374,8 @@ fn second_stored_position() {
     });
 }
 
-/// G15 ends a mode that is never active, and G67 ends G66. G16 is refused, and so is G66 after other words.
+/// G15 ends a mode that is never active here (G16), and G67 ends G66. G16 is refused, and so is a G66 after other words
+/// of its line.
 #[test]
 fn modes_that_are_never_active() {
     each(&[("G15", 20), ("G67", 20)], |program| {

@@ -22,7 +22,7 @@ fn lines_beyond_the_last_and_too_many_bytes() {
     assert_eq!(all(&interpreter).len(), 64);
     interpreter.clear_macros();
     assert!(all(&interpreter).is_empty());
-    // Each line takes 80 + 1 bytes, so 3072 bytes have room for 37 lines.
+    // Macros may take 3072 bytes. Each line takes 80 + 1 bytes, so there is room for 37 lines.
     let line = [b'X'; 80];
     for index in 0..37 {
         assert_eq!(interpreter.set_macro_line(index, &line), Ok(()), "{index}");

@@ -74,7 +74,7 @@ fn f_of_a_move_that_only_turns_is_degrees_per_minute_as_written() {
     near(program.speed("G20 X1 A25.4 F10"), 254.0 * core::f32::consts::SQRT_2);
 }
 
-/// With G95 F is in degrees per revolution if only the axis turns.
+/// With G95, F is in degrees per revolution of the spindle if only A moves.
 #[cfg(feature = "full")]
 #[test]
 fn f_per_revolution_turns_it() {
@@ -147,7 +147,7 @@ fn canned_cycles_and_rotations_leave_it_alone() {
     }
 }
 
-/// Positions stored while there was a fourth axis do not move an axis that is no longer in use.
+/// G28 does not move an axis that is no longer in use, even if its position was stored while the axis was in use.
 #[test]
 fn an_axis_that_is_not_in_use_is_unknown_and_stays() {
     let mut program = Program::new("G21 G90\nG0 A90\nG28.1\nG0 A10");

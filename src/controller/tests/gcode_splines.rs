@@ -65,8 +65,8 @@ fn what_acts_on_control_points() {
     gives("G43.1 X1 Y-1 Z5", "G5 I1 J2 P-1 Q0 X3 Y0", [[1.0, 2.0], [3.0, -1.0], [4.0, -1.0]]);
 }
 
-/// If the tool is where the last G5 ended, a G5 without I and J continues it in the direction of its end, whatever
-/// lines come between the two.
+/// If the tool is where the last G5 ended, a G5 without I and J starts in the direction in which that curve ended,
+/// whatever lines come between the two.
 #[test]
 fn going_on_smoothly() {
     let first = "G5 I1 J2 P-1 Q.5 X3 Y0";

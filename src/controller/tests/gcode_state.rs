@@ -289,8 +289,7 @@ fn g92_and_m72() {
     ]);
 }
 
-/// P and Q are lengths in the unit of the line. LinuxCNC reads the same lengths from these words, and also uses P for a
-/// missing Q.
+/// P and Q are lengths in the unit of the line. If Q is missing, P is used for it. LinuxCNC does the same.
 #[cfg(feature = "full")]
 #[test]
 fn path_tolerances() {

@@ -243,7 +243,8 @@ fn what_is_dropped_does_not_go_on_as_a_program() {
             sender.interpreter.unlock(false, false);
             sender.send("G0 X9");
             assert_eq!(sender.went, [9], "{name}: {held}");
-            // A rest does not begin the next program: the operator may have looked at the machine.
+            // After a rest, these lines are not taken for the next program: the operator may only have looked at the
+            // machine.
             let mut sender = Sender { interpreter: before, ..Sender::new() };
             sender.send_after_rest("O1000\nG0 X-9");
             assert_eq!((sender.errors.as_slice(), sender.went.as_slice()), (&[203; 2][..], &[][..]), "{name}: {held}");
@@ -402,15 +403,16 @@ fn conditions_and_loops() {
     goes("o1 if [1]\nG0 X1\nM98 P5\nX3\no1 else\nX4\no1 endif\nX5\nM2\nO5\nX2\nM99", &[1, 2, 3, 5]);
     goes("o1 if [0]\nM98 P5\no1 endif\nG0 X5\nM2", &[5]);
     goes("o2 sub\nG0 X1\nM98 P5\nX3\no2 endsub\no2 call\nX4\nM2\nO5\nX2\nM99", &[1, 2, 3, 4]);
-    // M2 in a branch that is not taken, and M99 in a loop.
+    // An M2 in a branch that is not taken does not end the program. An M99 in a loop returns to the caller.
     goes("M98 P5\no1 if [0]\nM2\no1 endif\nG0 X3\nM2\nO5\nG0 X2\nM99", &[2, 3]);
     let body = "o1 do\no2 while [1]\n#1=[#1+1]\nG0 X#1\no3 if [#1 GE 2]\nM99\no3 endif\no2 endwhile\no1 while [1]\nX9";
     goes(&format!("M98 P5\nM2\nO5\n{body}\nM99\n%"), &[1, 2]);
-    // A program without an end does not fall into a subprogram.
+    // A program without an end does not run on into a subprogram.
     fails("M98 P5\nG0 X3\no1 if [0]\nM2\nO5\nG0 X2\nM99\nG0 X4\n%", &[81, 203], &[2, 3]);
 }
 
-/// Whatever is missing, no line of a subprogram runs by itself. If a held program is refused, none of its lines runs.
+/// Whatever is missing, no line of a subprogram runs without a call. If a held program is refused, none of its lines
+/// runs.
 #[test]
 fn nothing_falls_into_a_subprogram() {
     // There is no subprogram with this number.
@@ -490,7 +492,7 @@ fn the_next_program() {
     assert_eq!((sender.went.clone(), sender.errors.clone()), ([1, 2].repeat(3), vec![]));
     sender.send_all(file);
     assert_eq!((sender.went.len(), sender.errors), (6, vec![203; 4]), "without a rest");
-    // That does not hold if another program has begun since then.
+    // After another program has begun, the number no longer shows that.
     let mut sender = Sender::new();
     sender.send_all(file).send_after_rest("G0 X3\nM30\nO2\nX4\nM99").send_after_rest("O1000\nG0 X5\nM99");
     assert_eq!((sender.went, sender.errors), (vec![1, 2, 3], vec![]));
@@ -552,8 +554,8 @@ fn memory_for_programs() {
         assert_eq!((send(fits), send(fits + 1).is_some()), (None, true), "{body}");
         assert_eq!(send(1500 + fits).unwrap() - send(fits + 500).unwrap(), 3000, "{body}");
     }
-    // However full the memory is, no line of a subprogram runs by itself, and no line of the held program before the
-    // program's call.
+    // However full the memory is, no line of a subprogram runs without a call. If the program does not fit, none of its
+    // lines from the call on runs.
     for free in 0..200 {
         let fill = 6144 - 64 - free;
         let mut sender = Sender::new();

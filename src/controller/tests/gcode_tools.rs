@@ -270,7 +270,7 @@ fn a_check_leaves_the_table_as_it_was() {
         assert_eq!((program.error("G10 L1 P2 Z1"), program.error("G10 L1 P10 Z1")), (47, 0));
         program.interpreter.reset();
         assert_eq!(*program.interpreter.tools(), {
-            // Of a free entry only the number (0) is compared.
+            // The check has used entries that were free before. Of these only the number (0 = free) is compared.
             let mut after = before.clone();
             for (slot, tool) in program.interpreter.tools().entries().iter().enumerate().skip(2) {
                 after.put(slot, *tool);

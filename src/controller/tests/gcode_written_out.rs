@@ -1,5 +1,5 @@
-//! Properties of subprograms: a program acts as the same program with its calls written out, and no mixture of lines
-//! falls into a subprogram.
+//! Properties of subprograms: a program acts as the same program with its calls written out, and in no mixture of lines
+//! is a subprogram run without a call.
 #![cfg(feature = "full")]
 
 use crate::subprogram_sender::Sender;
@@ -10,7 +10,8 @@ use proptest::prelude::*;
 enum Step {
     Move(i64),
     Add(i64),
-    /// A call: which of the following subprograms, how often, and with an argument if it is a call by G65.
+    /// A call: of which of the programs after this one (0 for the next), how often, and with which argument if it is a
+    /// call by G65.
     Call(usize, u16, Option<i64>),
 }
 
@@ -22,7 +23,8 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// The programs: the main program first. A program calls only programs after it.
+/// Returns the lines of the program with this index. The first program is the main program; each one calls only later
+/// ones.
 fn text_of(programs: &[Vec<Step>], index: usize) -> String {
     let lines = programs[index].iter().map(|step| match step {
         Step::Move(to) => format!("G0 X[{to} + #1]\n"),
@@ -34,7 +36,7 @@ fn text_of(programs: &[Vec<Step>], index: usize) -> String {
     lines.collect()
 }
 
-/// Appends the X targets of a program to `went`; `one` is #1.
+/// Appends the X targets of a program, with those of its calls, to `went`. `one` is the value of #1.
 fn written_out(programs: &[Vec<Step>], index: usize, one: &mut i64, went: &mut Vec<i64>) {
     for step in &programs[index] {
         match step {
@@ -51,7 +53,8 @@ fn written_out(programs: &[Vec<Step>], index: usize, one: &mut i64, went: &mut V
     }
 }
 
-/// A line of a program, or a call of a later program: which, how often, and with which arguments.
+/// A line of a program, or a call: of which of the programs after this one (0 for the next), how often, and with which
+/// arguments if it is a call by G65.
 #[derive(Clone, Debug)]
 enum Line {
     Text(&'static str),
@@ -92,7 +95,8 @@ fn line() -> impl Strategy<Value = Line> {
     ]
 }
 
-/// Returns the lines of a program with its calls. `behind`: a call by M98 follows a line with words in the same line.
+/// Returns the lines of a program with its calls. `behind`: an M98 after a line that ends with G90 is appended to that
+/// line.
 fn calls_of(programs: &[Vec<Line>], index: usize, behind: bool) -> String {
     let mut text = String::new();
     for line in &programs[index] {
@@ -114,7 +118,8 @@ fn calls_of(programs: &[Vec<Line>], index: usize, behind: bool) -> String {
     text
 }
 
-/// Appends the lines of a program with those of its calls in their places, and with numbers for `ARGUMENTS`.
+/// Appends the lines of a program. Each call is replaced by the lines of the called program, and each parameter of
+/// `ARGUMENTS` by its value.
 fn expand(programs: &[Vec<Line>], index: usize, values: &[i64; 3], lines: &mut Vec<String>) {
     for line in &programs[index] {
         match line {
@@ -180,7 +185,7 @@ proptest! {
     }
 
     /// However the lines after a program are mixed, and wherever the machine rests while lines are held, the lines
-    /// after the first number run only in calls, and never in the next job.
+    /// after the first O number run only in calls, and never in the next job.
     #[test]
     fn no_mixture_falls_into_a_subprogram(
         program in prop::collection::vec(
@@ -204,7 +209,8 @@ proptest! {
         }
         sender.send_all("M30\nO5");
         for (line, rests) in &lines {
-            // After a complete subprogram and a rest, lines are those of the next program.
+            // The machine rests only while lines are held. After a complete subprogram and a rest, lines would be those
+            // of the next program.
             sender.rested = *rests && sender.interpreter.is_held();
             sender.send(line);
         }

@@ -22,13 +22,13 @@ struct Scribe<const WOKEN: bool> {
     /// Bytes that `make_room` adds to `lines`, once.
     late: VecDeque<u8>,
     said: String,
-    /// Maximum spindle power that was output.
+    /// Maximum spindle power among the outputs so far.
     power: u16,
     /// A realtime command that the pump finds each time it looks for commands.
     flood: Option<Realtime>,
-    /// There is no room for replies.
+    /// Whether the pump reports no room for replies.
     mute: bool,
-    /// Number of reply pieces for which there is room.
+    /// Number of pieces of replies for which there still is room.
     pieces: u32,
 }
 
@@ -160,7 +160,7 @@ fn events_are_told_source_by_source_then_lines_then_outputs() {
     scribe.send("$G\n");
     let signals = Sensed::default();
     let stopped = StepEvent::Stopped { stops: 0, moving: false, position: Default::default() };
-    // This is not the order in which the pump takes them.
+    // The events are not in the order in which the pump takes them.
     scribe.events = vec![
         (Source::Store, Event::Stored),
         (Source::Inputs, Event::Signals(signals)),
@@ -195,8 +195,8 @@ fn what_is_answered_by_an_event_is_answered_before_the_next_output() {
     }
 }
 
-/// One call of the controller changes the outputs and raises the alarm. The outputs come first, because the text of the
-/// alarm can have to wait for room.
+/// One call of the controller changes the outputs and raises the alarm. The changed outputs are carried out first,
+/// because the text of the alarm may have to wait for room in the reply queue.
 #[test]
 fn outputs_are_off_before_the_alarm_of_a_soft_limit_is_told() {
     let mut scribe = Scribe::<true>::new();
@@ -297,8 +297,8 @@ fn inputs_and_lines_come_behind_all_commands_that_wait() {
     assert!(last < scribe.position("Inputs") && last < scribe.position("line"), "{:?}", scribe.log);
 }
 
-/// When there is room for answers again, the waiting lines are read without another wake-up. Nothing would wake the
-/// pump, because all answers have been taken by then.
+/// When there is room for answers again, the waiting lines are read at once. They must not wait for another wake-up:
+/// once all answers have been taken, nothing wakes the pump.
 #[test]
 fn lines_that_waited_for_room_for_answers_are_read() {
     let mut scribe = Scribe::<true>::new();

@@ -55,7 +55,7 @@ fn host(text: &str) -> Noted {
     Noted::Host(heapless::Vec::from_slice(text.as_bytes()).unwrap())
 }
 
-/// Returns the pages as they survive a reset, for the next recorder.
+/// Returns a copy of the pages, as RAM keeps them over a reset, for the next recorder.
 fn pages(ring: &Ring) -> Vec<Page> {
     ring.pages().to_vec()
 }
@@ -162,7 +162,7 @@ fn a_failure_in_the_line_that_came_last_comes_right_behind_it() {
         at
     };
     assert_eq!(ended_at(5_000_000, 4_900_000), 5_000_000);
-    // The same when the 32-bit `moment` wraps, and when the failure comes an hour after the last input.
+    // Here 32-bit times wrap between `moment` and the line. In the last case the failure comes an hour after the line.
     assert_eq!(ended_at((1 << 32) + 1_000, (1 << 32) - 1_000), (1 << 32) + 1_000);
     assert_eq!(ended_at(5_000_000, 3_605_000_000), 3_605_000_000);
 }
@@ -253,7 +253,7 @@ proptest! {
         }
         let mut pages = of_bytes(&bytes);
         if seal {
-            // Sealed pages are accepted as written pages, whatever bytes they hold.
+            // Sealed pages have a valid mark, number and sum, so the recorder accepts them whatever bytes they hold.
             pages.iter_mut().enumerate().for_each(|(number, page)| page.seal(number as u32));
         }
         let mut ring = Ring::begin(pages, &SOFTWARE);

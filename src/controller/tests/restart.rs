@@ -129,7 +129,7 @@ fn a_watchdog_without_a_record_is_told_too() {
     assert!(said.contains("(watchdog)") && said.contains("$X"), "{said}");
 }
 
-/// At 115,200 baud, 6000 resets arrive in half a second. A counter of 8 bits would be too small for them.
+/// At 115,200 baud, 6000 resets arrive in half a second. A counter of 8 bits could not count them.
 #[test]
 fn many_resets_are_over_when_the_step_task_has_obeyed_them() {
     let (mut board, _) = Board::started(None);

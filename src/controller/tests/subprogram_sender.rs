@@ -10,9 +10,9 @@ pub struct Sender {
     pub errors: Vec<u8>,
     pub ends: usize,
     pub sent: u32,
-    /// Whether the machine rests before the next line.
+    /// Whether the machine has been idle for so long that the next line may be that of another program.
     pub rested: bool,
-    /// X targets of moves in lines that ran as they came.
+    /// X targets of moves in lines that were executed on arrival, not stored first.
     pub at_once: Vec<i64>,
     /// Motion, dwell and modal state of each executed line as text, if the test needs them.
     pub acts: Option<Vec<String>>,
@@ -57,7 +57,7 @@ impl Sender {
         }
     }
 
-    /// Executes a line that is not one of the host's program.
+    /// Executes a line that is not part of the host's program, such as a startup line.
     pub fn commit_apart(&mut self, action: &Action<3>) {
         let place = self.interpreter.place();
         self.interpreter.commit(action);
@@ -130,7 +130,7 @@ impl Sender {
     }
 }
 
-/// Checks the X targets of a file without errors, which ends its program once.
+/// Checks that a file has no errors, moves to these X targets, and ends its program once.
 #[track_caller]
 pub fn goes(text: &str, places: &[i64]) {
     let mut sender = Sender::new();
@@ -138,7 +138,7 @@ pub fn goes(text: &str, places: &[i64]) {
     assert_eq!((sender.went, sender.errors, sender.ends), (places.to_vec(), vec![], 1), "{text}");
 }
 
-/// Checks the errors of a file, and the X targets that it still reaches.
+/// Checks the error numbers that a file causes, and the X targets that it moves to nevertheless.
 #[track_caller]
 pub fn fails(text: &str, errors: &[u8], places: &[i64]) {
     let mut sender = Sender::new();

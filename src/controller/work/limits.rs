@@ -146,7 +146,7 @@ impl<const N: usize> Controller<N> {
     fn reach(&self, axis: Axis, travel: f32) -> f32 {
         let resolution = self.m.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);
         let steps = travel * resolution;
-        // The product can be whole only because it was rounded, so 0.02 steps are allowed even then.
+        // The product may be whole only because `f32` has rounded it, so 0.02 steps are allowed even if it is whole.
         let share = if steps as i32 as f32 == steps { 0.02 } else { 0.5 };
         travel + share / resolution
     }

@@ -47,7 +47,7 @@ impl Refusal {
 }
 
 impl<const N: usize> LineInWork<N> {
-    /// No line.
+    /// The value before the first line.
     pub(crate) const NONE: Self = Self {
         action: Action::NOTHING,
         curve: None,

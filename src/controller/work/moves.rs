@@ -1,5 +1,5 @@
-//! Turns targets into moves with speed, power and tolerance. Queues a move in the look-ahead when there is room, and
-//! starts motion when the look-ahead is full. Also begins arcs and splines, and queues their chords.
+//! Turns target positions into moves with speed, power and tolerance. Queues a move in the look-ahead when there is
+//! room, and starts motion when the look-ahead is full. Also begins arcs and splines, and queues their chords.
 
 use crate::axes::{LINEAR, PerAxis};
 use crate::dispatch::Controller;
@@ -62,9 +62,9 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns how far a move may deviate from its path: 0, except for straight feed moves without rotary motion. With
-    /// rotary motion, corners are not rounded, because F does not define the speed in a rounded corner where A
-    /// reverses.
+    /// Returns how far a move may deviate from its path: 0, except for straight feed moves with a tolerance (G64 P) and
+    /// without rotary motion. With rotary motion, corners are not rounded, because F does not define the speed in a
+    /// rounded corner where A reverses.
     fn tolerance(&self, target: &PerAxis<Coordinate, N>, speed: Speed) -> Tolerance {
         let within = match (speed, self.line.action.motion, self.m.interpreter.modal().path) {
             (Speed::Feed(_), MotionCommand::Line { .. }, PathControl::Within(tolerance)) => tolerance,

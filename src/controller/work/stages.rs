@@ -154,7 +154,7 @@ impl<const N: usize> Controller<N> {
                 self.task = Task::None;
                 self.run_startup_line(index, then);
             }
-            // Each line may send a reply.
+            // Each stored line may send a reply, so it waits until there is room for one.
             Task::Held(caller) if self.m.replies.has_room() => {
                 self.task = Task::None;
                 self.run_held_line(caller);

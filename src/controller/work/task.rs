@@ -93,7 +93,7 @@ pub(crate) struct Job {
     pub(crate) input_before: bool,
     /// Feed of the chords that are still to come, mm/s.
     pub(crate) chord_feed: f32,
-    /// Until when a stage waits.
+    /// Time until which the stage waits.
     pub(crate) until: Instant,
     /// Remaining time of a stage that a hold has suspended.
     left: Duration,
@@ -298,6 +298,6 @@ pub(crate) enum Ask {
     Wanted,
     /// The controller requests the piece now.
     Due,
-    /// Requested.
+    /// The piece has been requested and has not come yet.
     Asked,
 }

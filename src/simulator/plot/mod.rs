@@ -50,7 +50,7 @@ pub fn format_of(path: &Path) -> Result<Format> {
     }
 }
 
-/// Draws a job into a file.
+/// Draws a job into a file, in the format of the file's extension.
 pub fn write(output: Output, drawing: &Drawing, summary: &Summary) -> Result<()> {
     let format = format_of(output.path())?;
     let draw = || {

@@ -1,9 +1,9 @@
 //! Renders the picture as pixels: paints the few kinds of elements in an SVG of [`super::svg`], antialiased, and packs
 //! the pixels as PNG. An unknown element is an error, so other SVGs are not supported.
 //!
-//! To fill an outline, each pixel is mixed with the colour in proportion to the share of it that the outline covers. A
-//! line with a width is an outline, too: a bar for each piece and a mitre on the outer side of each corner, all with
-//! the same sense of rotation, so that they add up to one area.
+//! To fill an outline, each pixel is mixed with the colour in proportion to the share of the pixel that the outline
+//! covers. A line with a width is filled in the same way: its outlines are a bar for each piece and a mitre on the
+//! outer side of each corner, all with the same sense of rotation, so that they add up to one area.
 
 use super::SIZE;
 use super::style::FINE;
@@ -17,7 +17,7 @@ const DENSITY: f32 = 1.5;
 /// Pixels of the PNG per unit of the drawing's SVG.
 const SCALE: f32 = DENSITY / FINE as f32;
 
-/// Number of corners of a circle.
+/// Number of corners of the polygon by which a circle is drawn.
 const CORNERS: u8 = 48;
 
 /// Height of a lower-case x as a fraction of the font size; the SVG uses it to centre text vertically.

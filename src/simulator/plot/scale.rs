@@ -37,7 +37,7 @@ impl Bounds {
 pub(super) struct Scale {
     pub(super) low: f64,
     pub(super) high: f64,
-    /// Distance between marks.
+    /// Distance between two marks, in mm/min or mm.
     pub(super) step: f64,
     pub(super) stops: &'static [(f64, f64, f64)],
 }
@@ -89,8 +89,9 @@ pub(super) fn tight(top: f64) -> (f64, f64) {
     good.min_by(|a, b| (a.0 - a.1 * 1e-6).total_cmp(&(b.0 - b.1 * 1e-6))).unwrap_or((top, top))
 }
 
-/// Dark blue through green to orange. All colours are dark enough for thin lines on white, and their lightness rises
-/// evenly, so they keep their order in greyscale and for colour-blind viewers.
+/// Colours from the lowest speed to the highest: dark blue through green to orange. All colours are dark enough for
+/// thin lines on white, and their lightness rises evenly, so they keep their order in greyscale and for colour-blind
+/// viewers.
 pub(super) const SPEEDS: [(f64, f64, f64); 6] = [
     (48.0, 18.0, 110.0),
     (46.0, 76.0, 158.0),
@@ -104,7 +105,7 @@ pub(super) const SPEEDS: [(f64, f64, f64); 6] = [
 const HEIGHTS: [(f64, f64, f64); 4] =
     [(52.0, 16.0, 40.0), (132.0, 28.0, 62.0), (206.0, 92.0, 70.0), (240.0, 186.0, 130.0)];
 
-/// Returns the colour for `part` from 0 to 1.
+/// Returns the colour at `part` of a scale, from 0 (low end) to 1 (high end).
 pub(super) fn colour(stops: &[(f64, f64, f64)], part: f64) -> RGBColor {
     let at = part.clamp(0.0, 1.0) * (stops.len() - 1) as f64;
     let index = (at as usize).min(stops.len() - 2);

@@ -59,7 +59,8 @@ fn draw_path(
     Ok(())
 }
 
-/// Returns the path with additional points on steep motions, so that each piece has about one height.
+/// Returns the path with additional points on steep motions, so that the height changes by at most about one shade
+/// within each piece.
 pub(super) fn by_height(points: &[Point], scale: &Scale) -> Vec<Point> {
     let mut fine = Vec::with_capacity(points.len());
     fine.extend(points.first());
@@ -123,7 +124,7 @@ fn start_and_end(area: &Area, points: &[Point], project: impl Fn(&Point) -> (i32
     Ok(())
 }
 
-/// Widens both ranges to one scale in mm per pixel, with a margin.
+/// Widens the ranges of both axes so that both have the same scale (mm per pixel), and adds a margin.
 fn equal_scale(low: [f64; 2], high: [f64; 2], pixels: [f64; 2]) -> ([f64; 2], [f64; 2]) {
     let size = [high[0] - low[0], high[1] - low[1]];
     let least = size[0].max(size[1]).max(0.01) * 0.01;

@@ -37,13 +37,13 @@ pub enum Told {
     Noted(Noted),
     /// How the recording ended.
     Ended {
-        /// The text of the entry.
+        /// The entry's text, such as `panic N12 1.000 2.000 0.000` or `reset`.
         text: String,
         /// Whether a failure ended it.
         crash: bool,
-        /// Machine position in micrometres.
+        /// Machine position at the failure, in micrometres.
         place: Vec<i64>,
-        /// Line number (N word).
+        /// Line number (N word) at the failure; 0 if it was not recorded.
         line: u32,
     },
 }

@@ -20,12 +20,12 @@ pub struct Recording {
     pub(super) inputs: Vec<(u64, Input)>,
     /// The text of the recorded job.
     pub(super) job: Option<Vec<u8>>,
-    /// The listing is incomplete.
+    /// Whether the listing of a board has no `end` line, so that its later part is missing.
     pub(super) broken_off: bool,
 }
 
 impl Recording {
-    /// Reads a recording.
+    /// Reads a recording from its text: a file written by `Recorder`, or a log with the listing of a board.
     ///
     /// # Errors
     /// The number of the first line that cannot be read, and the reason.

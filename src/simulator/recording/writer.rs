@@ -15,7 +15,7 @@ pub struct Recorder {
     out: Option<Box<dyn Write>>,
     begin: u64,
     last: String,
-    /// When to look at the state of the machine again, in ticks.
+    /// Tick from which [`Recorder::time_passed`] looks at the state of the machine again.
     next_look: u64,
 }
 

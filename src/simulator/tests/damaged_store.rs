@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-/// Sent after the welcome line, and whenever a command is rejected.
+/// Sent after the welcome line, and before the error if `$X` or `$H` is rejected.
 const TOLD: &str = "[MSG:Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms]\r\n";
 const WELCOME: &str = "\r\nGrbl 1.1h ['$' for help]\r\n";
 

@@ -146,7 +146,8 @@ M30";
     // Lines 30 and 31 make other steps: with G99, the prologue travels at the Z to which G98 would retract.
     let refused = compare_all(&["918=1"], program, "G91 G0 X1.7 Y-2.3 Z4.9\nG90", &[30, 31]);
     let lines: Vec<u64> = refused.iter().map(|(line, _)| *line).collect();
-    // These lines follow G56, but the positions of the job are known in G55 only.
+    // These lines follow G56. The positions of the job are known in G55 only, because the zeros of both systems are
+    // unknown.
     assert_eq!(lines, [50, 51, 52, 53, 54, 55], "{refused:?}");
     assert!(refused.iter().all(|(_, why)| why.starts_with("where ")), "{refused:?}");
 }
@@ -349,7 +350,7 @@ fn any_line(dice: &mut impl FnMut(usize) -> usize, retracts: bool) -> String {
     }
 }
 
-/// Returns dice that fall in the same order each time.
+/// Returns a random number generator that returns the same series for the same seed.
 fn dice_of(seed: u64) -> impl FnMut(usize) -> usize {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     move |sides| {

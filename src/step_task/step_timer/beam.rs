@@ -1,20 +1,20 @@
-//! The power of a laser ([`Beam`]), which changes with the step that begins its segment.
+//! The power of a laser ([`Beam`]). The power of a segment takes effect with the step that begins this segment.
 
 use super::begins::MARKS;
 use crate::boards::{StepOutput, StepPins};
 use crate::shared::Power;
 
-/// The laser power, and its changes that are still ahead: those of generated segments that have not begun yet.
+/// The laser power, and its changes "ahead": those of segments whose start has been generated but not output yet.
 pub struct Beam {
-    /// Changes ahead: time and power.
+    /// Changes ahead, in the order of their times: time and new power.
     marks: heapless::Deque<(u32, u16), MARKS>,
     /// Power of the segment that is being output.
     power: u16,
-    /// Power of the segment generated last.
+    /// Power of the segment whose start was generated last.
     made: u16,
-    /// Power set at the output.
+    /// Power that the output has been set to.
     shown: u16,
-    /// Whether hardware will make the first change at its time.
+    /// Whether hardware is set up to make the first change at its time.
     armed: bool,
 }
 
@@ -23,7 +23,7 @@ impl Beam {
         Beam { marks: heapless::Deque::new(), power: 0, made: 0, shown: 0, armed: false }
     }
 
-    /// Resets power and changes. Call when a motion begins from rest.
+    /// Sets the power to 0 and discards all changes ahead. Call when a motion begins from rest.
     pub fn clear(&mut self) {
         self.marks.clear();
         (self.power, self.made) = (0, 0);
@@ -37,7 +37,7 @@ impl Beam {
         self.marks.is_full()
     }
 
-    /// Returns whether power comes from segments, or hardware can still make a change that is already armed.
+    /// Returns whether power comes from segments, or hardware can still make a change that was armed.
     pub fn is_on(&self) -> bool {
         Power::wanted().from_segments || self.armed
     }
@@ -49,7 +49,7 @@ impl Beam {
             return false;
         }
         if self.marks.is_full() {
-            // The new change replaces the newest stored change. No event lies between the two changes, so no step would
+            // The new change replaces the newest stored one. No event lies between these two changes, so no step would
             // have had the power of the stored one.
             self.marks.pop_back();
         }
@@ -73,8 +73,8 @@ impl Beam {
     }
 
     /// Arms the next change: hardware makes it at its time, and calls the step task. If power does not come from
-    /// segments, hardware only calls the step task, which records the change. Do not use this function while the motion
-    /// can still be delayed, because the time of the change is not final.
+    /// segments, hardware only calls the step task, which records the change. Do not call this function while the
+    /// motion can still be delayed, because until then the time of the change is not final.
     #[inline(never)]
     pub fn arm(&mut self, output: &mut StepPins) {
         if let Some((at, power)) = self.marks.front().copied() {
@@ -83,8 +83,8 @@ impl Beam {
         }
     }
 
-    /// Records all changes whose time has come, and arms the next one. Hardware makes only the first change at its
-    /// time; changes after it can be late.
+    /// Records all changes whose time has come, and arms the next one. Hardware makes only one change at its time; if
+    /// others follow it shortly, this function makes them, perhaps late.
     #[inline(never)]
     pub fn mark(&mut self, output: &mut StepPins) {
         let before = self.marks.len();
@@ -95,19 +95,19 @@ impl Beam {
             self.marks.pop_front();
         }
         if self.marks.len() < before && Power::wanted().from_segments {
-            // Sets the power that hardware should have set, in case that hardware has failed.
+            // Sets the power that hardware should have set, in case it has not, and any later power that is due.
             self.set_power(output, self.power);
         }
         self.arm(output);
     }
 
-    /// Sets the output if the power has changed; while the machine moves, a laser's power is that of the segments.
-    /// Returns whether the output was set. `is_dark`: keep a laser off.
+    /// Sets the output if the wanted power differs from it. While the machine moves, the power of a laser is that of
+    /// the segments. `is_dark`: keep a laser off. Returns whether the output was set.
     #[inline(always)]
     pub fn show(&mut self, output: &mut StepPins, is_at_rest: bool, is_dark: bool) -> bool {
         let power = Power::wanted();
         let level = match (power.from_segments, is_at_rest) {
-            // After a stop or underrun the laser stays off, whatever was set before.
+            // After a stop or underrun the laser stays off, whatever power was wanted before.
             (true, _) if is_dark => 0,
             (true, true) | (false, _) => power.level,
             _ => self.power,
@@ -131,16 +131,16 @@ impl Beam {
         }
     }
 
-    /// Discards all changes ahead, after the output of events has ended.
+    /// Discards all changes ahead. Call when the output of events has ended.
     pub fn end_run(&mut self, output: &mut StepPins) {
         self.marks.clear();
         if self.armed {
-            // It is not known whether hardware has made the armed change, so switch off.
+            // It is unknown whether hardware has made the armed change, so switch off.
             self.set_power(output, 0);
         }
     }
 
-    /// Sets the power until the next change, and disarms hardware. If there is a next change, the caller must arm it
+    /// Sets the output to `level` at once, and disarms hardware. If there is a change ahead, the caller must arm it
     /// again.
     #[inline(never)]
     fn set_power(&mut self, output: &mut StepPins, level: u16) {

@@ -1,11 +1,11 @@
 //! Start times of segments whose first events are generated but not output yet ([`Begins`]). The step task does not
-//! count these segments as begun. While this ring is full, it generates no more events.
+//! count these segments as begun. While this ring is full, the step task generates no more events.
 
-/// Maximum number of segment starts among the events ahead, and of changes of power.
+/// Capacity of the ring of segment starts, and of the queue of changes of power (`beam`).
 pub const MARKS: usize = 32;
 
-/// Ring of the start times of segments that have not begun. It does not contain the segments that are ahead when the
-/// output starts from rest: they count as begun at once, so that `control` prepares the next ones in time. A plain ring
+/// Ring of the start times of segments that have not begun. When the output starts from rest, the ring is emptied: the
+/// segments generated until then count as begun at once, so that `control` prepares the next ones in time. A plain ring
 /// needs less code than a deque.
 pub struct Begins {
     moments: [u32; MARKS],
@@ -27,7 +27,7 @@ impl Begins {
         }
     }
 
-    /// Removes the segments that have begun by `now`.
+    /// Removes the segments that have begun by the time `now`.
     #[inline(always)]
     pub fn pass(&mut self, now: u32) {
         while self.len > 0

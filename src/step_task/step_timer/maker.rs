@@ -1,7 +1,7 @@
-//! Generates step events ahead of time ([`Maker`]): receives segments, has the stepper execute ticks in batches or one
-//! by one, and commits the resulting events to the ring of the step outputs, with changes of direction and power. A
-//! tick is one time at which the stepper decides which axes step; a tick without a step usually needs no event.
-//! Computes when more events are needed.
+//! Generates step events ahead of time ([`Maker`]): receives segments, lets the stepper execute ticks in batches or
+//! singly, and commits the resulting events to the queue of the step outputs. Inserts changes of direction and of laser
+//! power. A tick is one time at which the stepper decides which axes step; a tick without a step usually needs no
+//! event. Computes when more events are needed.
 
 use super::beam::Beam;
 use super::begins::Begins;
@@ -15,13 +15,14 @@ use oxmill_controller::messages::{GangedMotors, SEGMENTS_DEPTH, ToStep, Wiring};
 use oxmill_controller::{StepTiming, Stepper, later, sooner};
 use rtic_sync::channel::Receiver;
 
-/// Cost of an event or tick that is generated alone, measured in events of a batch.
+/// How many events of a run's limit ([`MOST_EVENTS`]) an event or tick uses up if it is generated alone and not in a
+/// batch, because that takes longer.
 const SINGLE_SHARE: usize = 4;
-/// Cost of starting a segment and loading the messages that belong to it, measured in events of a batch. A run starts
-/// at most one segment.
+/// How many events of that limit the start of a segment uses up, with the loading of its messages. A run starts at most
+/// one segment.
 const SEGMENT_SHARE: usize = 16;
-/// Value of `directions` if the directions at the outputs are unknown; an event that writes them precedes the next
-/// tick.
+/// Value of `directions` if the directions at the outputs are unknown. An event that writes the directions is then
+/// inserted before the next tick.
 const UNKNOWN: u8 = u8::MAX;
 
 /// Result of [`Maker::make_one`].
@@ -53,12 +54,12 @@ pub enum Ended {
     Underrun,
 }
 
-/// What the generated events follow.
+/// What comes before the events to be generated.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Onset {
-    /// Rest: the motion has not begun, waits for further segments, and can still be delayed.
+    /// Rest: the output of the motion has not started. It waits for further segments, and can still be delayed.
     FromRest,
-    /// Late events: the motion is being resumed, has not begun again, and can still be delayed.
+    /// Late events: the motion is being resumed, but its output has not started again, and it can still be delayed.
     Resumed,
     /// Events that are being output.
     Joined,
@@ -70,14 +71,14 @@ pub struct Maker {
     pub output: StepPins,
     segments: Receiver<'static, ToStep, SEGMENTS_DEPTH>,
     timing: StepTiming,
-    /// Whether all intervals between ticks of the running segment are in the range in which a batch of ticks is output
-    /// at the computed times.
+    /// Whether all intervals between ticks of the running segment are long enough for a pulse and its pause, and short
+    /// enough to need no inserted events. Only then can ticks be generated in batches.
     is_regular: bool,
     /// Whether events are output one by one, each by an interrupt of its own.
     pub one_by_one: bool,
     /// Time of the event committed last.
     last: u32,
-    /// Earliest time of the next step.
+    /// Earliest time of the next step, after the last pulse and its pause, or the set-up time of the directions.
     free_from: u32,
     directions: u8,
     pub begins: Begins,
@@ -156,7 +157,8 @@ impl Maker {
         self.begins.clear();
     }
 
-    /// Ends the sequence of events: the next event is independent of the last one's time and directions.
+    /// Call when the output has been halted: the next event no longer depends on the time and the directions of the
+    /// last one.
     pub fn break_off(&mut self) {
         self.last = self.output.now();
         self.directions = UNKNOWN;
@@ -166,7 +168,8 @@ impl Maker {
     /// ends.
     #[inline(never)]
     pub fn make(&mut self, from: u32, mut onset: Onset) -> Ended {
-        // Slots that become free during this call are not counted, because they become free one at a time.
+        // Ignore slots that become free during this call: they become free one at a time, which would make batches of
+        // single events.
         let most = StepPins::DEPTH.saturating_sub(self.output.ahead()).min(MOST_EVENTS);
         let (mut room, mut has_begun, mut ended) = (most, false, Ended::No);
         while room > 0 && !self.is_far_ahead(from) {
@@ -220,8 +223,8 @@ impl Maker {
         self.stepper.moment().wrapping_sub(self.free_from) as i32 >= 0 && self.directions == self.stepper.directions()
     }
 
-    /// Generates up to `most` plain ticks in a row and returns how many. If there was no room to generate any, also
-    /// returns `most`.
+    /// Generates up to `most` plain ticks (which do nothing but step) in a row, and returns their number. If there was
+    /// no room for any, returns `most`, which ends the run.
     #[inline(always)]
     fn make_batch(&mut self, most: usize) -> usize {
         let Free { table, words, moments } = self.output.free();
@@ -243,7 +246,8 @@ impl Maker {
             return Made::Nothing;
         }
         if onset == Onset::FromRest && self.stepper.is_moving() {
-            // Before a motion begins there is time, so receive what has arrived, and wait for the next segment.
+            // Before a motion begins there is time: load the messages that have arrived, and wait until the next
+            // segment is there.
             self.receive();
             if self.stepper.lacks_segment() {
                 return Made::Nothing;
@@ -265,10 +269,12 @@ impl Maker {
         if self.stepper.is_idle() || self.waits_for_segment(onset) {
             return Made::Nothing;
         }
-        // A tick without a step makes no edge, so it keeps its time, whatever came before.
+        // A tick without a step makes no edge, so it keeps its planned time, however short the time after the last
+        // pulse.
         let is_edge = self.one_by_one || self.stepper.steps_next();
         let at = if is_edge { self.soonest(later(moment, self.free_from)) } else { moment };
-        // If this tick is delayed, delay all later ones by the same time: catching up would change the speed abruptly.
+        // If this tick is delayed, all later ones are delayed by the same time: to catch up would change the speed
+        // abruptly.
         self.stepper.begin_at(at);
         let tick = self.stepper.tick();
         let is_out = (tick.steps != 0 || self.one_by_one) && self.commit(tick.steps, at);
@@ -299,8 +305,8 @@ impl Maker {
         is_made
     }
 
-    /// Returns `moment`. If events are output by interrupts and the next interrupt cannot meet that time, returns the
-    /// earliest time that it can meet.
+    /// Returns `moment`. If events are output by interrupts and `moment` is too soon for the next interrupt, returns
+    /// the earliest time that the interrupt can meet.
     fn soonest(&self, moment: u32) -> u32 {
         if self.one_by_one { later(moment, self.output.now().wrapping_add(StepPins::SOON)) } else { moment }
     }
@@ -328,13 +334,14 @@ impl Maker {
         }
     }
 
-    /// Returns the latest time at which the segment of the next tick can still be received without an underrun.
+    /// Returns the latest time for a run in which the segment for the next tick can still be received without an
+    /// underrun.
     fn last_chance(&self) -> u32 {
         let margin = if self.one_by_one { StepPins::SOON + BEGIN_TICKS } else { 2 * RUN_TICKS };
         self.output.joins_until(self.stepper.moment()).wrapping_sub(margin)
     }
 
-    /// Returns whether the next tick would be an underrun and there is still time to wait for a segment.
+    /// Returns whether to wait for a segment: the next tick would be an underrun, and there is still time.
     fn waits_for_segment(&self, onset: Onset) -> bool {
         let left = self.last_chance().wrapping_sub(self.output.now()) as i32;
         self.stepper.lacks_segment() && (left > 0 || onset == Onset::FromRest)
@@ -351,8 +358,8 @@ impl Maker {
         self.begins.is_full() || self.beam.is_full()
     }
 
-    /// Returns whether more events should be generated now: too few events are ahead of the time `from`, there are more
-    /// events to generate, and there is room for a batch.
+    /// Returns whether more events should be generated now: too little time after `from` is covered by events ahead,
+    /// there are more events to generate, and there is room for a batch.
     #[inline(always)]
     fn wants_more(&self, from: u32, ahead: usize) -> bool {
         let has_room = ahead + MOST_EVENTS <= StepPins::DEPTH;
@@ -360,8 +367,8 @@ impl Maker {
         has_room && !is_stopped && !self.is_far_ahead(from)
     }
 
-    /// Returns when to generate more events, while events are output; `None` if the output of a single event will call
-    /// the task.
+    /// Returns when to generate more events, while events are output; `None` if the interrupt after a single event will
+    /// call the task.
     #[inline(always)]
     pub fn moment_for_more(&self, now: u32) -> Option<u32> {
         let ahead = self.output.ahead();
@@ -376,14 +383,14 @@ impl Maker {
         if ahead <= left {
             return Some(self.last_chance());
         }
-        // A run that begins a segment and changes directions generates fewer events than are output meanwhile. So it
-        // may be too late to wait until only half of the events ahead are left.
+        // When half of the events ahead are left, or earlier: a run that begins a segment and changes directions
+        // generates fewer events than are output meanwhile.
         let early = sooner(self.output.moment_before(left), self.before_two_runs());
         Some(sooner(early, self.last_chance()))
     }
 
-    /// Returns the time `IN_TIME_TICKS` (two runs, a pause and the start of the output) before the last event ahead,
-    /// but not a time before there is room for a batch.
+    /// Returns the time `IN_TIME_TICKS` (two runs, a pause and the start of the output) before the last event ahead, or
+    /// the time at which there will be room for a batch, if that is later.
     #[inline(never)]
     fn before_two_runs(&self) -> u32 {
         later(

@@ -21,8 +21,8 @@
 //!
 //! Guarantees:
 //! * A requested stop takes effect before anything else in the same run, with an exact step count.
-//! * Late events are delayed, never lost, and all later events by the same amount. If the motors could not follow,
-//!   motion ends with a report.
+//! * Late events are delayed, never lost, and all events after them are delayed by the same time. If the delay is so
+//!   long that the motors could not follow, motion ends with a report.
 //! * A report to `control` is kept until it has been sent.
 //!
 //! The stepper computes ticks, the times at which axes may step, and which axes step at each tick; the board generates
@@ -51,14 +51,14 @@ mod timing;
 enum State {
     /// Nothing is output.
     Rest,
-    /// Messages are collected before the start; the first tick is at this time.
+    /// Messages are collected before the motion starts. Contains the time of its first tick.
     Starting(u32),
-    /// The first events are generated; the first tick is at this time.
+    /// The first events are generated. Contains the time of the first tick, from rest or of a resumed motion.
     Preparing(u32),
     /// Events are output.
     Running,
-    /// The events ahead are still output. After them the motion ends, or is resumed. It is resumed if its next event
-    /// was too late, or if events must be output one by one from there on.
+    /// The events ahead are still output. After them the motion ends. Or it is resumed, if its next event was too late,
+    /// or if from there on events must be output one by one.
     Ending,
 }
 
@@ -66,10 +66,10 @@ enum State {
 pub struct Step {
     maker: Maker,
     state: State,
-    /// Latest allowed time of the next tick of a motion whose events were late; `None` for a motion that begins from
-    /// rest.
+    /// For a motion whose events were late: the time by which its next tick must be output, or else motion is aborted.
+    /// `None` for a motion that begins from rest.
     latest: Option<u32>,
-    /// Time of the next scheduled call for more events.
+    /// Time of the next scheduled run of this task.
     asked: u32,
     wiring: Receiver<'static, Wiring, 2>,
     reports: Reports,
@@ -104,8 +104,8 @@ impl Step {
     /// the power.
     #[inline(never)]
     pub fn run(&mut self) {
-        // A stop comes before all else, because events still begin until it takes effect. No task that requests stops
-        // preempts this task, so one check suffices.
+        // A stop comes before everything else, because events are still output until it takes effect. No task that
+        // requests stops can preempt this task, so one check per run suffices.
         if shared::stops_asked() != self.stops_done {
             self.stop();
         }
@@ -118,8 +118,8 @@ impl Step {
             self.look_at_probe();
         }
         match self.state {
-            // The task was called although no events are needed yet. Generate none, so that other tasks get their pause
-            // after the last run.
+            // The task was called before the scheduled time. Generate no events, so that other tasks get CPU time in
+            // the pause after the last run.
             State::Running | State::Preparing(_) if !self.maker.one_by_one && !due.has(Due::MORE) => self.call_sooner(),
             State::Running => self.go_on(),
             State::Ending => self.end(),
@@ -170,8 +170,8 @@ impl Step {
             self.make(moment);
         }
         let (ahead, now) = (self.maker.output.ahead(), self.maker.output.now());
-        // While no event is ahead, the next tick is the deadline, because the first event can come long after the first
-        // tick.
+        // While no event is ahead, the deadline is the next tick instead of the first: ticks without a step need no
+        // event, so the first event can come long after the first tick.
         let left = if ahead > 0 { moment } else { self.maker.stepper.moment() }.wrapping_sub(now) as i32;
         let is_late = left <= IN_TIME_TICKS as i32;
         let is_time = left <= (IN_TIME_TICKS + SPARE_TICKS) as i32 && self.latest.is_none();
@@ -188,7 +188,8 @@ impl Step {
             self.count_anew();
             self.maker.beam.arm(&mut self.maker.output);
         } else if is_late && !is_all {
-            // No event is ahead yet. Delay the start until an event is ahead, or until more segments have arrived.
+            // No event is ahead yet. Delay the motion, so that the next run can generate an event, or more segments can
+            // arrive.
             let waits = self.latest.is_none() && self.maker.stepper.lacks_segment();
             let by = if waits { START_TICKS } else { IN_TIME_TICKS };
             self.state = State::Preparing(moment.wrapping_add(by));
@@ -197,8 +198,8 @@ impl Step {
         self.call_again();
     }
 
-    /// Delays all generated events that have not begun, and everything after them, by `by` ticks. If that would make
-    /// the first tick, due at `moment`, too late for the motors, aborts the motion instead.
+    /// Delays all generated events that have not begun, and everything after them, by `by` ticks. If the first tick,
+    /// due at `moment`, would then be too late for the motors, aborts the motion instead.
     fn put_off(&mut self, moment: u32, by: u32) {
         if self.latest.is_some_and(|latest| (latest.wrapping_sub(moment.wrapping_add(by)) as i32) < 0) {
             self.ran_dry();
@@ -215,7 +216,7 @@ impl Step {
         self.break_off(net, fault);
     }
 
-    /// Generates more events, if they can directly follow the events ahead.
+    /// Generates more events, if there is time to append them to the events ahead.
     #[inline(always)]
     fn go_on(&mut self) {
         if self.maker.output.fault() {
@@ -226,8 +227,8 @@ impl Step {
         let now = self.maker.output.now();
         let left = self.maker.output.joins_until(self.maker.stepper.moment()).wrapping_sub(now) as i32;
         if !self.maker.one_by_one && (left < RUN_TICKS as i32 || self.maker.stepper.is_watching()) {
-            // It is too late to join, or events must be output one by one from here on. In both cases, generate no more
-            // until the events ahead have been output.
+            // It is too late to append events, or from here on events must be output one by one. In both cases,
+            // generate no more until the events ahead have been output.
             self.state = State::Ending;
         } else {
             self.make(now);
@@ -246,7 +247,7 @@ impl Step {
         };
         let ended = self.maker.make(from, onset);
         if ended == Ended::Underrun {
-            // The reported position is the one after the events ahead, which will still be output.
+            // Report the position after the events ahead, because these will still be output.
             self.reports.underrun = Some(self.maker.stepper.underrun_event());
         }
         if ended != Ended::No {
@@ -263,14 +264,15 @@ impl Step {
         }
     }
 
-    /// Halts the output, and switches off the laser. Returns the cancelled events and steps.
+    /// Halts the output, and switches off the laser if it is in use. Returns the cancelled events and steps.
     #[inline(always)]
     fn halt(&mut self) -> Undone<AXES> {
         let is_on = self.maker.beam.is_on();
         self.maker.output.halt(is_on)
     }
 
-    /// Aborts a running motion: after [`Step::give_up`], the last pulse still gets its full length.
+    /// Aborts a running motion by [`Step::give_up`], and continues in the state `Ending`, so that the last pulse gets
+    /// its full length.
     #[cold]
     fn break_off(&mut self, undone: [i32; AXES], miscounted: bool) {
         self.give_up(undone, miscounted);
@@ -320,23 +322,24 @@ impl Step {
         }
     }
 
-    /// Resumes a motion after the events ahead. The next tick is not before its planned time, and no step is made
-    /// before the set-up time of the directions is over.
+    /// Resumes a motion after the events ahead. The next tick comes at its planned time or later, and the next step
+    /// after the set-up time of the directions.
     #[cold]
     fn resume(&mut self) {
         let planned = self.maker.stepper.moment();
-        // If events are late again before enough have followed ([`Step::count_anew`]), the first deadline stays in
+        // If events are late again before enough events are ahead ([`Step::count_anew`]), the first deadline stays in
         // force.
         let latest = planned.wrapping_add(MOST_LATE_STEPS.wrapping_mul(self.maker.stepper.step_interval()));
         self.latest = Some(self.latest.unwrap_or(latest));
-        // The start needs `IN_TIME_TICKS`; leave time for one more run and pause.
+        // The start of the output needs `IN_TIME_TICKS`. Add the time for one more run and a pause.
         let soon = IN_TIME_TICKS + RUN_TICKS + PAUSE_TICKS;
         let moment = later(planned, self.maker.output.now().wrapping_add(soon));
         self.maker.beam.resume_at(moment);
         self.prepare(moment);
     }
 
-    /// Executes requested stops: ends the pulses, switches off the laser, and discards everything queued.
+    /// Executes the requested stops: halts the output, switches off the laser, and stops the stepper, which then
+    /// discards messages until `control` lets it resume.
     #[cold]
     fn stop(&mut self) {
         let halted_at = self.maker.output.now();
@@ -347,8 +350,8 @@ impl Step {
         let is_still = self.is_before_motion() && !undone.fault;
         self.maker.beam.switch_off(&mut self.maker.output);
         if undone.fault {
-            // The position is lost, whatever the reason for the requested stop. So report the loss first, as a separate
-            // stop.
+            // The position is lost, whatever the stop was requested for. So first report the loss, as a stop of its
+            // own.
             self.give_up(core::mem::take(&mut net), true);
         }
         self.maker.take_back_segments();
@@ -356,7 +359,7 @@ impl Step {
             self.stops_done = self.stops_done.wrapping_add(1);
             let mut event = self.maker.stepper.stop(core::mem::take(&mut net));
             if let StepEvent::Stopped { moving, .. } = &mut event {
-                // If the count is unreliable, the position is as lost as after a stop in motion.
+                // If the step count is unreliable, the position is lost, as after a stop in motion.
                 *moving = !is_still && (*moving || undone.events > 0 || undone.fault);
                 // Only the newest stop is reported, so its report must also say whether the machine was moving at an
                 // older stop.
@@ -366,13 +369,14 @@ impl Step {
             }
             self.reports.stopped = Some(event);
         }
-        // A pulse that has begun was counted, so it gets its full length.
+        // A pulse that has begun counts as a step, so wait in `Ending` until it has its full length.
         self.maker.break_off();
         self.state = State::Ending;
         self.call_again();
     }
 
-    /// Returns whether events are generated but not output yet.
+    /// Returns whether the first events, from rest or of a resumed motion, are being generated and the output has not
+    /// started.
     fn is_preparing(&self) -> bool {
         matches!(self.state, State::Preparing(_))
     }

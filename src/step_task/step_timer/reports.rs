@@ -5,8 +5,8 @@ use crate::shared::Wake;
 use oxmill_controller::messages::{EVENTS_DEPTH, StepEvent};
 use rtic_sync::channel::Sender;
 
-/// Events that have not been sent yet. One slot per kind suffices: after a contact or an underrun nothing moves until
-/// `control` has received and answered the report, and of several stops only the newest must be answered.
+/// Reports that have not been sent yet. One slot per kind suffices: after a contact or an underrun nothing moves until
+/// `control` has received and answered the report, and of several stops only the newest must be reported.
 pub struct Reports {
     /// The probe's contact was detected, but has not been reported yet.
     pub touched: bool,
@@ -30,14 +30,14 @@ impl Reports {
         self.wake.write(());
     }
 
-    /// Sends the reports in the order in which their events happen, while the queue has room. `contact` returns the
-    /// report of a contact.
+    /// Sends the reports in the order in which their events happen, as far as the queue has room. `contact` returns the
+    /// report of a contact of the probe.
     #[inline(never)]
     pub fn send_all(&mut self, contact: impl FnOnce() -> StepEvent<AXES>) {
         if self.touched {
             self.touched = !self.send(contact());
         }
-        // An event must not overtake an earlier event.
+        // A report must not overtake an earlier one that could not be sent.
         if !self.touched
             && let Some(event) = self.underrun
             && self.send(event)

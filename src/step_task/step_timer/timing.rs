@@ -16,7 +16,7 @@ const fn in_ticks(cycles: u32) -> u32 {
 /// each, which is less than the step task needs to prepare the next segment. So several segments must be ready before
 /// the first begins.
 pub const START_TICKS: u32 = 2_000 * TICKS_PER_US;
-/// How far ahead events are generated, if there is room.
+/// How far ahead events are generated, if the queue of events has room.
 pub const HORIZON_TICKS: u32 = 300 * TICKS_PER_US;
 /// Time before a motion's first tick at which the generation of its events begins. An abrupt start has many short
 /// segments, so each of the first runs begins a segment and generates few events.
@@ -32,16 +32,16 @@ pub const BEGIN_TICKS: u32 = in_ticks(1_500);
 /// The output is started at least this long before its first event: time for two more runs, a pause, and the start
 /// itself.
 pub const IN_TIME_TICKS: u32 = 2 * RUN_TICKS + BEGIN_TICKS + PAUSE_TICKS;
-/// Time added to `IN_TIME_TICKS` for a motion that starts from rest, because interrupts can be masked before its output
-/// is started.
+/// Added to `IN_TIME_TICKS` for a motion that starts from rest, because masked interrupts can delay the run that starts
+/// its output.
 pub const SPARE_TICKS: u32 = 100 * TICKS_PER_US;
 /// Minimum pause between the end of a run and the next scheduled run: time for other tasks.
 pub const PAUSE_TICKS: u32 = RUN_TICKS / 4;
-/// Interval of further attempts to report to `control` at rest.
+/// At rest: time until the next attempt to send a report to `control` for which the queue had no room.
 pub const RETRY_TICKS: u32 = 1_000 * TICKS_PER_US;
 /// Time from the end of the last pulse of a motion until the event of this pulse counts as output.
 pub const OUT_TICKS: u32 = 2 * TICKS_PER_US;
-/// After late events, the motion is resumed only if its next tick is late by at most the time of this many steps. Until
-/// then the motors continue to turn. With eight or more microsteps per full step, they stay less than a full step ahead
-/// of their magnetic field.
+/// After late events, the motion is resumed only if its next tick is late by at most the time of this many steps.
+/// Meanwhile no steps come, but the motors continue to turn. With eight or more microsteps per full step, they stay
+/// less than a full step ahead of their magnetic field.
 pub const MOST_LATE_STEPS: u32 = 8;

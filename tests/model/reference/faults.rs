@@ -1,4 +1,4 @@
-//! Faults of inputs, spindle and host: Oxmill reacts to each as its setting says.
+//! Faults of inputs, spindle and host. Settings select Oxmill's reaction to each (`$924` to `$928`).
 
 use super::super::action::{HOST, Pin, SLOW};
 use super::{Mode, Model, Work};
@@ -124,8 +124,8 @@ impl Model {
         }
     }
 
-    /// A host has fallen silent or disconnected. A jog ends. A job stops at once, or waits for a host and can be
-    /// resumed, as its setting says.
+    /// A host has fallen silent or disconnected. A jog ends. A job either stops at once, or waits for a host and can be
+    /// resumed; `$928` selects which.
     pub(super) fn host_fails(&mut self, also: &mut Vec<Model>) {
         self.end_received_jogs();
         let reaction = self.setup.reaction(HOST);

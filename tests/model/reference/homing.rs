@@ -81,7 +81,8 @@ impl Model {
             homing.settles = true;
             homing.time = now.plus(Span::length(DEBOUNCE, 0.0));
         } else if is_new {
-            // Oxmill: when one axis has found its switch, the other axis may move the whole distance again.
+            // Oxmill: when one axis of the cycle has found its switch, the other may still move the whole distance from
+            // there.
             homing.time = now.plus(homing.phase.length());
         }
     }

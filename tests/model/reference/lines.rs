@@ -102,7 +102,7 @@ impl Model {
             },
             _ if matches!(self.mode, Mode::Alarm | Mode::Jog) => self.refuse(9),
             Line::Wrong(_, error) => self.refuse(error),
-            // Oxmill's dialect allows longer lines.
+            // Oxmill's dialect allows longer lines than Grbl's; this one repeats a word.
             Line::TooLong => self.refuse(25),
             Line::Move(axis, to, feed) => self.travel(axis, f64::from(to), feed, also),
             Line::Outside => self.travel(0, action::OUTSIDE, true, also),
@@ -129,7 +129,7 @@ impl Model {
         self.say(format!("error:{error}"));
     }
 
-    /// A valid line in check mode.
+    /// Answers a valid line in check mode, in which nothing moves or is switched on.
     pub(super) fn check(&mut self, line: Line) {
         self.forget_selected();
         match line {
@@ -140,8 +140,8 @@ impl Model {
         self.say("ok");
     }
 
-    /// Returns whether a line waits for the end of the preceding motion. Lines for spindle, coolant or tool wait only if
-    /// they change something; all other lines wait.
+    /// Returns whether a line waits until the preceding motion has ended. Lines for spindle, coolant or tool wait only
+    /// if they change something; all other lines wait.
     pub(super) fn waits_for_rest(&self, line: Line) -> bool {
         match line {
             Line::Spindle(on) => self.spindle != on,
@@ -187,7 +187,7 @@ impl Model {
         self.answer(&[&format!("[GC:* {words}T{} *]", self.selected)]);
     }
 
-    /// Carries out a line that waits for the machine to be at rest.
+    /// Carries out a line that needs the machine at rest. Call when it is.
     pub(super) fn carry_out(&mut self, line: Line) {
         self.forget_selected();
         match line {
@@ -238,7 +238,7 @@ impl Model {
         self.say("ok");
     }
 
-    /// Handles a target beyond the soft limits.
+    /// Brakes because of a target beyond the soft limits; alarm 2 follows when the machine is at rest.
     pub(super) fn forbid(&mut self) {
         self.checked = None;
         self.work = Some(Work::Forbidden);
@@ -248,7 +248,7 @@ impl Model {
         }
     }
 
-    /// Returns the end position of the queued moves; in check mode, of the lines checked.
+    /// Returns the end position of the queued moves; in check mode, that of the lines checked so far.
     pub(super) fn target(&self) -> Places {
         self.checked.or(self.motion.as_ref().map(|motion| motion.target)).unwrap_or(self.place)
     }
@@ -285,7 +285,7 @@ impl Model {
             self.checked.get_or_insert(self.place)[axis] = Some(to);
         } else {
             if self.motion.is_none() && self.place[axis].is_none() {
-                // The machine can have come to rest exactly at the target, so that nothing moves.
+                // The previous motion can have come to rest exactly at this target, so that nothing moves now.
                 let mut there = self.clone();
                 there.place[axis] = Some(to);
                 there.end_move();
@@ -339,7 +339,8 @@ impl Model {
         let time = match length {
             Some(mm) if mm < 1e-9 => Span::at(0.0),
             Some(mm) => Span { from: (mm / speed - 0.005).max(0.001), to: seconds(mm) + SLACK },
-            // The start is unknown. 4 times the travel is longer than any move (up to twice the travel and a jog).
+            // The start is unknown, so the move can be of any length up to twice the travel plus a jog. The maximum
+            // time is that of a longer move, 4 times the travel.
             None => Span { from: 0.0, to: seconds(4.0 * TRAVEL) + SLACK },
         };
         match &mut self.motion {

@@ -2,9 +2,9 @@
 //!
 //! It was written from Grbl's interface and from the differences that Oxmill's book lists, not from the controller;
 //! such a difference is marked "Oxmill:". It models no steps: a motion is a period at whose end the machine is at a
-//! position. Times are known to within a [`Span`], derived from rate and acceleration. If the outcome depends on
-//! whether something happens before an instant within its span, the model splits in two, one for each outcome; what the
-//! machine does next shows which one holds. Apart from these spans, the model leaves only this open:
+//! position. Times are known to within a [`Span`], derived from rate and acceleration. If an event may or may not have
+//! happened when an action ends, because that time lies within the event's span, the model splits in two, one for each
+//! outcome. What the machine does next shows which one holds. Apart from these spans, the model leaves only this open:
 //! * how far an interrupted motion got: the position is taken from the report;
 //! * whether a motion without any step so far counts as one at a reset, an emergency or a hold;
 //! * the order of a host timeout and a waiting line that are due at the same time;
@@ -23,10 +23,11 @@ use std::collections::VecDeque;
 
 /// Pattern for any number of lines of a listing.
 pub const MANY: &str = "[listing]";
-/// Tolerance of all times, s: a motion continues for the segments that are already queued for the step task, and to the
-/// end of a segment.
+/// Tolerance of all times, s. It is needed because a motion that is stopped still makes the segments that are already
+/// queued for the step task, the last one to its end.
 const SLACK: f64 = 0.035;
-/// Delays after a door, s: from spindle on to coolant on, and from coolant on to motion.
+/// Delays after a door has closed and the job is resumed, s: from spindle on to coolant on, and from coolant on to
+/// motion.
 const RESTORE: [f64; 2] = [4.0, 1.0];
 
 /// The earliest and the latest time of an event, s; also the minimum and maximum of a duration.
@@ -78,11 +79,12 @@ enum Work {
     Pause,
     /// Oxmill: the motion of the line, after which single block pauses.
     SingleBlock,
-    /// Oxmill: M6 waits for this tool and the next cycle start. `spindle`: after that its line turns the spindle on.
+    /// Oxmill: M6 waits for the cycle start that confirms this tool. `spindle`: the same line then turns the spindle
+    /// on.
     Tool { tool: u8, spindle: bool },
     /// A jog that follows a jog ended by 0x85.
     LaterJog(Line),
-    /// A forbidden target: the machine locks when it has come to rest and a hold or a door is over.
+    /// A forbidden target: the machine locks when it has come to rest and any hold or door state has ended.
     Forbidden,
     /// `$H`.
     Homing,
@@ -125,7 +127,8 @@ pub struct Model {
     braking: Option<Span>,
     /// Whether the host is disconnected.
     absent: bool,
-    /// Time of the last byte from the host, or the last time when the host timeout was not active.
+    /// Start of the host timeout: the time of the host's most recent byte, or the latest time at which no timeout
+    /// applied.
     heard: Span,
     /// Time since when the spindle has been below its speed.
     slow: Option<Span>,
@@ -311,8 +314,8 @@ impl Model {
                 self.on(*pin) != *on && !(*on && stops.contains(pin) && other)
             }
             Action::Byte(_) | Action::Pass(_) => true,
-            // While the spindle is slow, no line that turns it on and no delay of a door may occur: they would wait for
-            // the at-speed signal.
+            // While the spindle is slow, no line that turns it on and no delay after a door may occur: they would wait
+            // for the at-speed signal.
             Action::SlowSpindle(_) => {
                 let waits = !self.waiting.is_empty() || !matches!(self.work, None | Some(Work::SingleBlock));
                 self.mode == Mode::Free && self.motion.is_some() && !waits
@@ -322,7 +325,7 @@ impl Model {
         }
     }
 
-    /// Returns the possible models after an action.
+    /// Returns the models that are possible after an action, at least one.
     pub fn act(&self, action: &Action) -> Vec<Model> {
         let mut model =
             Model { said: Vec::new(), may_step: self.moves(), must_step: false, heard: self.now, ..self.clone() };
@@ -369,7 +372,8 @@ impl Model {
         all
     }
 
-    /// Advances to a time, with everything that happens until then.
+    /// Advances to the time `end`, s, through all events until then. Appends the models that are possible then to
+    /// `all`.
     fn advance(mut self, end: f64, all: &mut Vec<Model>) {
         self.may_step |= self.moves();
         let ends = [self.next_end(), self.next_silence(), self.next_slowness()];
@@ -480,7 +484,7 @@ impl Model {
         }
     }
 
-    /// The activity whose end [`Model::timer`] returns has ended.
+    /// Handles the end of the activity whose end time [`Model::timer`] returned.
     fn happen(&mut self, also: &mut Vec<Model>) {
         if self.braking.take().is_some() {
             self.rest(also);

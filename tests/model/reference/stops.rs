@@ -69,7 +69,7 @@ impl Model {
         }
     }
 
-    /// Ends a hold or a door.
+    /// Resumes the motion and the line in progress after a hold or a door.
     pub(super) fn go_on(&mut self, also: &mut Vec<Model>) {
         let now = self.now;
         if self.motion.as_ref().is_some_and(|motion| motion.time.from <= 0.0) {
@@ -135,7 +135,8 @@ impl Model {
         }
     }
 
-    /// Another host has connected; it gets the greeting and the messages that it needs.
+    /// Another host has connected. It gets the greeting, and messages about an alarm or about state that no report
+    /// shows.
     pub(super) fn host_comes(&mut self) {
         self.absent = false;
         self.said.clear();
@@ -318,7 +319,7 @@ impl Model {
                 }
             }
             Mode::Door { .. } => {}
-            // Oxmill: a spindle that a fault has left on does not turn at an open door.
+            // Oxmill: an open door switches off a spindle that a fault has left on.
             Mode::Fault { .. } | Mode::Critical => return self.switch_off(),
             Mode::Home(_) => return self.fail_homing(7, also),
             Mode::Alarm | Mode::Check | Mode::Sleep => return,

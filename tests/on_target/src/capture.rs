@@ -38,7 +38,7 @@ macro_rules! raw {
     }};
 }
 
-/// Records the edges of the three lines.
+/// Recorder of the edges on the three lines.
 pub struct Capture {
     timer: pac::TIM4,
     dma: pac::DMA1,
@@ -88,7 +88,7 @@ impl Capture {
         Capture { timer, dma }
     }
 
-    /// Returns the timer's count.
+    /// Returns the timer's present count, in ticks of the step clock.
     pub fn now(&self) -> u16 {
         self.timer.cnt().read().bits() as u16
     }

@@ -1,6 +1,6 @@
 //! Benchmark program: `cargo xtask count` runs it in QEMU, traces each instruction, and prints a table. The
-//! instructions from the entry to the return of a function `unit_*` count for the row of the table that the last call
-//! of a function `row_*` has named.
+//! instructions from the entry to the return of a function `unit_*` are the cost of one call. This cost is added to the
+//! row of the table that the most recent call of a function `row_*` has chosen.
 //!
 //! The step interrupt is the firmware's own code (`step_timer`). This machine lacks the STM32F4's registers, so plain
 //! memory takes their place; the executed instructions are the same. Before each interrupt, the values that a row needs
@@ -81,7 +81,8 @@ mod boards {
     pub type StepPins = step::StepPins<Memory, 1, 1, ()>;
 }
 
-/// Defines the functions `row_*`. Calling one assigns the units that follow to its row.
+/// Defines the functions `row_*`. A call of one assigns the calls of `unit_*` that follow to its row; those after
+/// `row_none` belong to no row.
 macro_rules! rows {
     ($($row:ident)*) => { $(
         #[unsafe(no_mangle)]
@@ -121,7 +122,7 @@ fn register(address: usize) -> *mut u32 {
 
 /// The memory in place of registers, and an emulation of the hardware that outputs events.
 struct Registers {
-    /// Number of events that have been output, and the time of the last event among them.
+    /// Number of events that have been output, and the time of the most recent one.
     out: usize,
     last: u32,
 }
@@ -165,8 +166,8 @@ impl Registers {
         self.read(self.read(Self::MOMENTS_AT) as usize + 4 * (event % Self::RING))
     }
 
-    /// Returns the number of events ahead. The last event is recognized by the slot after it, which holds an earlier
-    /// time.
+    /// Returns the number of events ahead: those in the ring that are not output yet. The last event is recognized by
+    /// the slot after it, which holds an earlier time.
     fn ahead(&self) -> usize {
         let mut last = self.last;
         (self.out..self.out + Self::RING)
@@ -261,8 +262,8 @@ fn step_task() {
     registers.interrupt(Due::CALLED, 0);
     shared::Power { level: 100, from_segments: true }.want();
 
-    // Runs that each generate 32 events while 31 events are ahead. If three axes move, one steps at each tick, and the
-    // other two have counters.
+    // Runs of the step task that each generate 32 events while 31 events are ahead. X steps at each tick. If Y and Z
+    // move too, counters decide at which ticks these axes step.
     let rows: [(extern "C" fn(), [u32; 3]); 2] = [(row_batch_3, [900, 700, 500]), (row_batch_1, [900, 0, 0])];
     for (row, steps) in rows {
         send(&mut to_step, &block(steps, 0, 900, 0, Segment::FLAG_LAST));
@@ -278,8 +279,8 @@ fn step_task() {
     }
 
     // The longest runs: each starts a block with other directions and another power than before, receives both messages
-    // of the block, and generates as many events as it can. Before each run, as many events are ahead as it needs, and
-    // messages for more than one run wait.
+    // of the block, and generates as many events as it can. Before each run, 28 to 50 events are ahead, and messages
+    // for more than one run wait.
     let mut turning = |turn: u8, last: u8| {
         let ticks = 17 + u16::from(turn) * 29 % 97;
         let [first, second] = block([ticks.into(), 15, 10], if turn & 1 == 0 { 0 } else { 7 }, ticks, 0, last);
@@ -428,7 +429,8 @@ fn planning(motion: &mut Planner) {
     let mut observed = Observed::default();
     let mut handed = 0;
     while let Some(message) = unit_prepare(motion, black_box(&observed)) {
-        // A block's first message is the block itself. From the first block on, the units count for the row.
+        // A block's first message is the block itself, and the others are its segments. The calls after the first block
+        // message count for the row.
         match message {
             ToStep::Segment(_) => {
                 handed += 1;
@@ -463,7 +465,7 @@ fn planning(motion: &mut Planner) {
     }
 }
 
-/// Takes all messages of the queued blocks from the planner.
+/// Takes all messages of the queued blocks from the planner, then reports to it that the step task is idle.
 fn run_out(motion: &mut Planner, observed: &mut Observed) {
     while let Some(message) = motion.next(observed) {
         observed.segments_begun += u32::from(matches!(message, ToStep::Segment(_)));
@@ -473,7 +475,7 @@ fn run_out(motion: &mut Planner, observed: &mut Observed) {
     observed.step_idle = false;
 }
 
-/// A planner with the look-ahead of the large boards.
+/// A planner with the look-ahead of the large boards, 512 blocks.
 type FarPlanner = Motion<3>;
 
 #[unsafe(no_mangle)]
@@ -582,7 +584,7 @@ fn text_and_arcs() {
     }
 }
 
-/// A controller with the look-ahead of the smallest board.
+/// A controller with the look-ahead of the smallest board, 256 blocks.
 type Whole = Controller<3>;
 
 /// The lines that wait in the step task, each as (number of segments, ticks of the step clock), the sum of these ticks,
@@ -595,8 +597,8 @@ struct Waiting {
 }
 
 impl Waiting {
-    /// Adds the segments of a line. While the lines last more than `most_ms` in total, begins the oldest line, as a
-    /// machine does that keeps up with its sender.
+    /// Adds the segments of a line. While the waiting lines last more than `most_ms` in total, removes the oldest line,
+    /// because a machine that keeps up with its sender would have started it.
     fn add(&mut self, segments: u32, clocks: u32, most_ms: u32) {
         self.clocks += clocks;
         self.lines.push_back((segments, clocks)).expect("lines of 12 ms");
@@ -656,11 +658,11 @@ fn unit_line(controller: &mut Whole, line: &[u8], segments_begun: u32) -> Outcom
     }
 }
 
-/// A controller that gets lines, with the lines that wait in the step task.
+/// A controller that receives lines, and the lines that wait in the step task.
 struct Streaming {
     controller: &'static mut Whole,
     waiting: Waiting,
-    /// Maximum time of the lines that wait in the step task, ms.
+    /// Maximum total duration of the lines that wait in the step task, ms.
     most_ms: u32,
     text: heapless::String<48>,
 }
@@ -689,7 +691,7 @@ impl Streaming {
         core::fmt::write(&mut self.text, line).expect("a short line");
     }
 
-    /// Sends a line, of which nothing goes to the step task.
+    /// Sends a line while the queue to the step task has no room, so that no message goes there.
     fn queue(&mut self, line: core::fmt::Arguments) {
         self.write(line);
         for byte in self.text.bytes() {
@@ -700,7 +702,7 @@ impl Streaming {
         }
     }
 
-    /// Sends a line, and takes what goes to the step task.
+    /// Sends a line, takes its messages to the step task, and adds its segments to those that wait there.
     fn line(&mut self, line: core::fmt::Arguments) -> Outcome {
         self.write(line);
         let outcome = unit_line(self.controller, black_box(self.text.as_bytes()), self.waiting.begun);
@@ -708,8 +710,8 @@ impl Streaming {
         outcome
     }
 
-    /// Sends the lines of a curve, for points with three decimals, as post-processors write them. The look-ahead is
-    /// full, so that as many blocks go to the step task as lines come. The last lines count for the row.
+    /// Sends the lines of a curve, with points of three decimals, as post-processors write them. The look-ahead is
+    /// full, so that one block goes to the step task for each line that arrives. The last 200 lines count for the row.
     fn curve(&mut self, row: extern "C" fn(), lines: u32, mut point: impl FnMut(u32) -> [i32; 3]) {
         const COUNTED: u32 = 200;
         let (mut answered, mut blocks) = (0, 0);
@@ -762,8 +764,8 @@ fn gentle_line(streaming: &mut Streaming) {
 /// Runs the lines of reliefs and of a spiral, whose turns are so tight that they can limit the speed. Each curve begins
 /// where the one before it ends.
 fn tight_lines(streaming: &mut Streaming) {
-    // Each of these lines lasts longer than those of the gentle curve. With a lower limit, segments would take
-    // precedence over lines; with a higher one, the controller would not want the next block yet.
+    // Each of these lines lasts longer than a line of the gentle curve. With less time, segments would take precedence
+    // over lines; with more, the controller would not want the next block yet.
     streaming.most_ms = 10;
     let micrometres = |mm: f32| libm::roundf(mm * 1000.0) as i32;
     let (x, y) = (600 * 98, 600 * 600 / 10);

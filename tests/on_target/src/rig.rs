@@ -10,13 +10,12 @@ use oxmill_controller::pump::{Pump, Source, round};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile, StepRates, Stepper};
 
-/// Number of axes.
+/// Number of axes of this machine: X, Y and Z.
 pub const AXES: usize = 3;
 /// Capacity of the memory for subroutines, loops and macros, bytes.
 const HELD_BYTES: usize = 6144;
 /// Depth of the look-ahead; the programs here need only a short one.
 pub const BLOCKS: usize = 32;
-/// Frequency of the step clock.
 const STEP_CLOCK_HZ: u32 = 25_000_000;
 
 /// Controller and step generator, with their results.
@@ -27,7 +26,7 @@ pub struct Rig {
     busy: u64,
     moving: bool,
     directions: u8,
-    /// Digest of the steps.
+    /// Digest of the steps, with their times and directions.
     pub digest: Digest,
     /// Net steps at the outputs.
     pub net: [i32; AXES],
@@ -65,8 +64,8 @@ impl Rig {
         };
         static mut STORAGE: Storage<AXES, BLOCKS, HELD_BYTES> = Storage::EMPTY;
         assert!(!LIVES.swap(true, Ordering::Relaxed), "one rig at a time");
-        // SAFETY: unsafe because the storage is lent again for each rig; safe because the flag is cleared only when a
-        // rig is dropped, and with it its controller, which holds the loan.
+        // SAFETY: unsafe because the storage is borrowed again for each rig; safe because the flag is cleared only when
+        // a rig is dropped, and with it its controller, which holds the borrow.
         let storage = unsafe { (&raw mut STORAGE).as_mut_unchecked() };
         *storage = Storage::EMPTY;
         let mut controller = Controller::new(profile, storage.lend(&profile));
@@ -115,7 +114,7 @@ impl Rig {
         !self.moving && self.stepper.is_idle()
     }
 
-    /// Counts the answers.
+    /// Counts the lines `ok` and `error` in the controller's output.
     fn hear(&mut self, bytes: &[u8]) {
         for byte in bytes {
             if *byte == b'\n' {

@@ -1,5 +1,6 @@
-//! Tests of the firmware's memory handling: its own copy routine must change nothing but the target, at all lengths
-//! below 120 bytes and all alignments to 8 bytes, and the pages for the recording must be lent only once.
+//! Tests of the firmware's memory handling. Its own copy routine must copy each byte and change none outside the
+//! target, at all lengths below 120 bytes and all alignments relative to 8 bytes. The memory for the recording must be
+//! handed out only once.
 #![no_std]
 #![no_main]
 #![allow(missing_docs, reason = "code that defmt-test generates")]

@@ -28,7 +28,7 @@ use oxmill_on_target::capture::{Capture, Edges};
 use rtic_sync::channel::{Channel, Receiver, Sender};
 use rtic_sync::signal::Signal;
 
-/// The callback that `setup` requires.
+/// The callback that `setup` requires for a low supply voltage.
 fn low_voltage() -> ! {
     defmt::panic!("the supply is below 2.9 V")
 }
@@ -53,7 +53,7 @@ const TICKS_PER_US: i32 = (boards::PROFILE.step_clock_hz / 1_000_000) as i32;
 const LATEST_PULSE_END_US: i32 = 1;
 /// Maximum delay of an edge, because its transfer may have to wait for other transfers, such as those of the recorder.
 const EDGE_NS: i32 = 250;
-/// Maximum error of a period, because its edges can be delayed.
+/// Maximum error of the period between two pulses, because their edges can be delayed.
 const PERIOD_ERROR_US: i32 = 1;
 /// Maximum error of the time of the last pulse but one of a train (a series of evenly spaced pulses). It is small,
 /// because errors must not accumulate.
@@ -276,7 +276,7 @@ fn interval(rate: u32) -> u32 {
     ((u64::from(boards::PROFILE.step_clock_hz) << INTERVAL_FRACTION_BITS) / u64::from(rate)) as u32
 }
 
-/// Returns the widths of the pulses of a line.
+/// Returns the minimum and maximum pulse width on a line, in ticks.
 fn widths(edges: &Edges) -> Seen {
     let mut seen = Seen::NOTHING;
     for pulse in 0..edges.count() as u32 / 2 {

@@ -45,7 +45,7 @@ mod suite {
     }
 
     /// After a stop, the stepper ignores all queued messages, sent before or after the stop, until `Resume` answers the
-    /// last stop.
+    /// most recent stop.
     #[test]
     fn nothing_queued_survives_a_stop() {
         let mut channel: Channel<ToStep, SEGMENTS_DEPTH> = Channel::new();

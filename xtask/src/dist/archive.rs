@@ -27,7 +27,7 @@ impl Entry {
     }
 }
 
-/// Returns all files below a folder.
+/// Returns an entry for each file below a folder, named by its path in the folder.
 pub fn tree(folder: &Path) -> Result<Vec<Entry>, Failure> {
     let mut entries = Vec::new();
     collect(folder, "", &mut entries)?;
@@ -46,7 +46,7 @@ fn collect(folder: &Path, before: &str, entries: &mut Vec<Entry>) -> Result<(), 
     Ok(())
 }
 
-/// Returns the archive, with all files in one folder.
+/// Returns the packed archive, in which all files are in a folder named `folder`.
 pub fn packed(folder: &str, mut entries: Vec<Entry>) -> Result<Vec<u8>, Failure> {
     entries.sort_by(|a, b| a.name.cmp(&b.name));
     let failed = |error: std::io::Error| format!("{folder}: {error}");
@@ -61,7 +61,7 @@ pub fn packed(folder: &str, mut entries: Vec<Entry>) -> Result<Vec<u8>, Failure>
         tar.append_data(&mut header, format!("{folder}/{}", entry.name), &entry.bytes[..]).map_err(failed)?;
     }
     let tar = tar.into_inner().map_err(failed)?;
-    // The time of a gzip file is 0 by default.
+    // `GzBuilder` writes the time 0 into the header if it gets no other.
     let mut gzip = GzBuilder::new().write(Vec::new(), Compression::best());
     gzip.write_all(&tar).map_err(failed)?;
     gzip.finish().map_err(failed)

@@ -22,7 +22,7 @@ const VERSION: &str = env!("CARGO_PKG_VERSION");
 const TEXTS: [&str; 4] = ["README.md", "CHANGELOG.md", "LICENSE-APACHE", "LICENSE-MIT"];
 /// File name of the page.
 const PAGE: &str = "oxmill.html";
-/// File name of the program.
+/// File name of the program on this system.
 const PROGRAM: &str = if cfg!(windows) { "oxmill.exe" } else { "oxmill" };
 
 /// A part of a release.
@@ -37,7 +37,7 @@ enum Part {
 impl Part {
     /// Returns the parts of these names; all if there are none.
     fn named(names: &[&str]) -> Result<Vec<Part>, Failure> {
-        // QEMU's machine cannot be flashed.
+        // Without QEMU's board, which cannot be flashed.
         let boards = || boards::with_hardware().map(Part::Board);
         let mut parts = Vec::new();
         for name in if names.is_empty() { &["boards", "program", "page", "book"] } else { names } {
@@ -91,7 +91,8 @@ pub fn make(names: &[&str]) -> Result<(), Failure> {
     fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     parts.iter().try_for_each(|part| part.make(&folder, &compiler))?;
     let made = files(&folder)?;
-    // The parts of one release are made on machines of several kinds, so each kind writes its own list.
+    // The parts of one release are made on computers with different systems, so each has a list under the name of its
+    // system.
     write(&folder.join(format!("SHA256SUMS-{}.txt", compiler.host)), sums(&made).as_bytes())?;
     println!("{} files and their checksums in {}", made.len(), folder.display());
     Ok(())
@@ -110,7 +111,7 @@ fn make_board(board: &'static str, folder: &Path, compiler: &Compiler) -> Result
     Sbom::of_board(board).write(compiler, &folder.join(format!("{board}.cdx.json")))
 }
 
-/// Checks the suffix of a file with dfu-util.
+/// Checks the suffix (signature and checksum) of a `.dfu` file with `dfu-suffix`, a program of dfu-util.
 fn check_suffix(path: &Path) -> Result<(), Failure> {
     let checked = Command::new("dfu-suffix").arg("--check").arg(path).output();
     let checked = checked.map_err(|error| format!("dfu-suffix, part of Debian's package dfu-util: {error}"))?;
@@ -232,7 +233,7 @@ mod tests {
         assert_eq!(binstall["pkg-fmt"].as_str(), Some("tgz"));
     }
 
-    /// `serve --web` looks for the page there.
+    /// `serve --web` looks for the page in the folder of the program.
     #[test]
     fn the_page_is_beside_the_program() {
         let packed = archive::packed("oxmill", beside_program(b"run".to_vec(), b"page".to_vec()).unwrap()).unwrap();

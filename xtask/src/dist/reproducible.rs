@@ -14,7 +14,7 @@ const LEFT_OUT: [&str; 2] = ["target", ".git"];
 /// Makes parts of a release twice and compares them.
 pub fn check(names: &[&str]) -> Result<(), Failure> {
     make(names)?;
-    // This path starts with the path of the tree and is longer.
+    // The copy lies below the tree itself: its path begins with the path of the tree, but has another length.
     let second = root().join("target/reproducible");
     let (copy, home) = (second.join("on/another/path"), second.join("another-cargo-home"));
     if second.exists() {
@@ -46,7 +46,7 @@ fn copy_tree(to: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Makes another cargo folder with the same downloads.
+/// Makes another cargo folder that shares the downloads and the configuration of the first one by symbolic links.
 #[cfg(unix)]
 fn link_home(home: &Path, to: &Path) -> Result<(), Failure> {
     fs::create_dir_all(to).map_err(|error| format!("{}: {error}", to.display()))?;

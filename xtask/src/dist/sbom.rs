@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Subject of a bill.
+/// What a bill of materials describes: a file or image, and how cargo builds it.
 pub struct Sbom {
     /// Name of the file or image.
     name: String,
@@ -183,10 +183,10 @@ impl Crates {
             let licence = package["license"].as_str().ok_or_else(|| format!("{name} does not say its licence"))?;
             let mut component = json!({
                 "type": "library", "bom-ref": name, "name": package["name"], "version": package["version"],
-                // Some manifests use the old separator `/`.
+                // Some manifests have the old separator `/` between licences instead of `OR`.
                 "licenses": [{ "expression": licence.replace('/', " OR ") }],
             });
-            // Crates of the workspace are not in a registry.
+            // Crates of the workspace are not in a registry, so they have no checksum and no package-url.
             if !package["source"].is_null() {
                 let sum = self.checksums.get(name).ok_or_else(|| format!("Cargo.lock has no checksum of {name}"))?;
                 component["purl"] = json!(purl("cargo", word(&package["name"]), word(&package["version"])));
@@ -325,7 +325,7 @@ mod tests {
             assert!(black_pill.contains(name) && needed.contains(name), "{name}");
             assert!(!nucleo.contains(name) && !needed_there.contains(name), "{name}");
         }
-        // Crates of the board in QEMU.
+        // A crate that only QEMU's board links must not be listed.
         assert!(!black_pill.iter().chain(&needed).any(|name| name.contains("mps2")));
     }
 

@@ -1,5 +1,5 @@
 //! Isolation of a printed circuit board: two passes around the outlines of traces and pads, then spotting of drill
-//! holes and scoring of the edge. Short cuts and very many short rapids.
+//! holes and scoring of the edge. The cutting moves are short, and there are very many short rapids.
 
 use super::writer::{Writer, square_root};
 use std::io::{Result, Write};
@@ -33,7 +33,7 @@ const GRID: [i64; 2] = [7, 14];
 const GRID_PITCH: i64 = 2_540;
 const GRID_CORNER: [i64; 2] = [41_000, 5_500];
 
-/// Writes the program.
+/// Writes the program: isolation, then spots for the drill, then the edge.
 pub fn write(out: &mut dyn Write) -> Result<()> {
     let mut w = Writer::new(out, 3);
     w.comment("PCB isolation: breakout for a 16-pin chip, and a field of pads")?;
@@ -81,8 +81,9 @@ pub fn write(out: &mut dyn Write) -> Result<()> {
 /// A trace from a terminal to a pin of the chip: down, across, down.
 type Trace = [[i64; 2]; 4];
 
-/// Returns eight traces above the chip and their mirror images below. Traces left of the middle run to the right, so
-/// each of them must turn below its right neighbour; the traces right of the middle are the mirror image.
+/// Returns eight traces above the chip and their mirror images below. A trace left of the middle runs down from its
+/// terminal, then to the right. This cross leg must be lower than that of the right neighbour, or it would cross the
+/// neighbour's leg down from the terminal. The traces right of the middle are the mirror image.
 fn traces() -> Vec<Trace> {
     let mut all = Vec::new();
     for side in [1, -1] {

@@ -5,9 +5,10 @@
 use super::writer::Writer;
 use std::io::{Result, Write};
 
-/// A rounded-rectangle pocket. Lengths are in units of the last decimal place, feeds in tenths of the unit per minute.
+/// A rounded-rectangle pocket. Lengths are in units of the last decimal place (µm or 0.0001 inch), feeds in tenths of
+/// mm/min or inch/min.
 struct Pocket {
-    /// Half the size of the pocket.
+    /// Half the size of the pocket along X and Y.
     half: [i64; 2],
     /// Radius of the corners of the finished wall.
     corner: i64,
@@ -25,11 +26,11 @@ struct Pocket {
     finish_feed: i64,
 }
 
-/// Entry to the next level.
+/// How the tool goes down to the next level.
 enum Entry {
     /// Along a helix of this radius and pitch.
     Helix { radius: i64, pitch: i64 },
-    /// Back and forth along X, by `reach` to each side, down by `fall` each time.
+    /// Back and forth along X, by `reach` to each side of the middle, down by `fall` in each stroke.
     Zigzag { reach: i64, fall: i64 },
 }
 
@@ -100,7 +101,8 @@ pub fn inches(out: &mut dyn Write) -> Result<()> {
 }
 
 impl Pocket {
-    /// Writes the moves between spindle on and spindle off. `words`: for rapid, feed and both arcs.
+    /// Writes the moves between spindle on and spindle off. `words` are the G words for rapid, feed move, clockwise arc
+    /// and counter-clockwise arc.
     fn write(&self, w: &mut Writer, words: [&'static str; 4], entry: &Entry) -> Result<()> {
         let [rapid, line, _, _] = words;
         w.line_to(rapid, [None, None, Some(self.clear)], None)?;
@@ -115,8 +117,8 @@ impl Pocket {
             w.line_to(rapid, [Some(0), Some(0), None], None)?;
             level = next;
         }
-        // Finishing: arrive at the wall in the middle of the upper side, go around counter-clockwise (climb milling),
-        // and leave the same way.
+        // Finishing: arrive on a quarter circle at the middle of the upper wall, go around counter-clockwise (climb
+        // milling), and leave on another quarter circle.
         let [x, y] = self.half.map(|half| half - self.tool_radius);
         let radius = self.corner - self.tool_radius;
         let lead = self.tool_radius;

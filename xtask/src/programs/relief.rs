@@ -4,9 +4,9 @@
 use super::writer::Writer;
 use std::io::{Result, Write};
 
-/// Width of the plate, µm.
+/// Width of the plate along X, µm.
 const WIDTH: i64 = 60_000;
-/// Height of the plate, µm.
+/// Height of the plate along Y, µm.
 const HEIGHT: i64 = 40_000;
 /// Distance between points in a row, µm.
 const POINT: i64 = 100;
@@ -25,7 +25,7 @@ const NM: i64 = 1_000;
 const PETALS: [(i64, i64); 8] =
     [(1000, 0), (707, 707), (0, 1000), (-707, 707), (-1000, 0), (-707, -707), (0, -1000), (707, -707)];
 
-/// Writes the program.
+/// Writes the program: rows along X in alternating directions.
 pub fn write(out: &mut dyn Write) -> Result<()> {
     let mut w = Writer::new(out, 3).compact();
     w.comment("Rosette medallion, 60 x 40 mm, finishing")?;
@@ -54,10 +54,10 @@ pub fn write(out: &mut dyn Write) -> Result<()> {
 fn depth(x: i64, y: i64) -> i64 {
     let (u, v) = (x - WIDTH / 2, y - HEIGHT / 2);
     let ground = -3_200 * NM;
-    // A frame, 2.5 mm wide with sloping sides, 1.2 mm below the top.
+    // A frame along the edge: level for 2 mm, at 1.2 mm below the top of the stock, then 2 mm of slope to the ground.
     let edge = x.min(WIDTH - x).min(y).min(HEIGHT - y);
     let frame = (2_000 * NM).min((4_000 - edge) * NM).max(0);
-    // The dome is elliptic: its height falls with the square of the distance.
+    // The dome is elliptic: its foot is 27 mm from the centre along X and 19 mm along Y.
     let dome = hill(u * 19 / 27, v, 19_000, 1_500 * NM);
     let mut flower = hill(u, v, 4_500, 1_300 * NM);
     for (cos, sin) in PETALS {

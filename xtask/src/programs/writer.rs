@@ -5,7 +5,7 @@ use std::io::{Result, Write};
 /// Axis letters in the order in which they are written.
 const LETTERS: [char; 3] = ['X', 'Y', 'Z'];
 
-/// Output of a program, with the modal state of the last lines.
+/// Output of a program, with the modal state after the lines written so far.
 pub struct Writer<'a> {
     out: &'a mut dyn Write,
     decimals: u32,
@@ -43,12 +43,13 @@ impl<'a> Writer<'a> {
         self.line(line)
     }
 
-    /// Writes a comment.
+    /// Writes a line that is only a comment in parentheses.
     pub fn comment(&mut self, text: &str) -> Result<()> {
         self.line(&format!("({text})"))
     }
 
-    /// Writes a straight move with the word `motion` to the given coordinates.
+    /// Writes a straight move with the word `motion` (such as `G1`) to the given coordinates; nothing if none of them
+    /// changes.
     pub fn line_to(&mut self, motion: &'static str, to: [Option<i64>; 3], feed: Option<i64>) -> Result<()> {
         let mut words = self.motion_word(motion);
         let before = words.len();

@@ -26,7 +26,7 @@ struct Reader {
     rate: f64,
     /// Whether G93 is active.
     is_inverse_time: bool,
-    /// Whether the last call was an event.
+    /// Whether the most recent move or arc has produced an event.
     has_moved: bool,
     events: Vec<Event>,
 }
@@ -44,10 +44,10 @@ pub struct Settings<'a> {
     pub is_told_all: bool,
 }
 
-/// Runs a file. Each process needs its own `home`, where it keeps a tool table.
+/// Runs a file through `rs274` and returns its events. Each process needs its own `home`, where it keeps a tool table.
 pub fn interpret(home: &Path, file: &Path, settings: &Settings) -> Result<Outcome, Failure> {
     let home = std::path::absolute(home).map_err(|e| e.to_string())?;
-    // `rs274` rejects a tool that has no pocket.
+    // Each tool in this table needs a pocket (`P1`): `rs274` rejects a tool without one.
     std::fs::write(home.join("tools.tbl"), settings.tools).map_err(|e| e.to_string())?;
     let output = Command::new("timeout")
         .args([LONGEST, "rs274"])
@@ -62,7 +62,7 @@ pub fn interpret(home: &Path, file: &Path, settings: &Settings) -> Result<Outcom
     for line in String::from_utf8_lossy(&output.stdout).lines() {
         // Format: the number of the call, the line's number or dots, the call.
         let Some((_, numbered)) = line.trim_start().split_once(" N") else {
-            // A message of (PRINT, ...).
+            // A line without a call can be the text of a (PRINT, ...).
             if settings.is_told_all && line.starts_with(super::STATE) {
                 reader.events.push(Event::Message(line.into()));
             }
@@ -80,7 +80,7 @@ pub fn interpret(home: &Path, file: &Path, settings: &Settings) -> Result<Outcom
     Ok(Outcome { events: reader.events, of: Vec::new(), refused: refused.pop().map(str::to_string) })
 }
 
-/// Converts positions from inches to mm for comparison.
+/// Converts the positions in a message from inches to mm; `None` if one of them is not a number.
 fn in_mm(places: &str) -> Option<String> {
     let mut text = String::from(super::PLACES_MARK);
     for place in places.split_whitespace() {
@@ -90,7 +90,7 @@ fn in_mm(places: &str) -> Option<String> {
 }
 
 impl Reader {
-    /// Returns the numbers of a call, in mm.
+    /// Returns the arguments of a call, converted to mm; `None` if one of them is not a number.
     fn lengths(&self, arguments: &str) -> Option<Vec<f64>> {
         let unit = if self.inches { 25.4 } else { 1.0 };
         arguments
@@ -102,7 +102,7 @@ impl Reader {
 
     fn call(&mut self, call: &str) -> Option<()> {
         let (name, arguments) = call.strip_suffix(')')?.split_once('(')?;
-        // Degrees do not depend on the unit of length.
+        // For a program in inches, `lengths` converts all numbers. That of A is in degrees and must be converted back.
         let unit = if self.inches { 25.4 } else { 1.0 };
         let place =
             |numbers: &[f64]| Some([*numbers.first()?, *numbers.get(1)?, *numbers.get(2)?, *numbers.get(3)? / unit]);
@@ -147,7 +147,7 @@ impl Reader {
         Some(())
     }
 
-    /// Records the effects of a call other than motion; called after [`Self::call`].
+    /// Records what [`Self::call`] leaves out: messages, program stops and the rates of G93. Called after it.
     fn tell(&mut self, call: &str) -> Option<()> {
         let (name, arguments) = call.strip_suffix(')')?.split_once('(')?;
         match name {

@@ -50,7 +50,7 @@ fn parameter(random: &mut Random) -> String {
     }
 }
 
-/// Returns an operand of an operator.
+/// Returns an operand: a number, a parameter, a bracket or a function, some of them with a sign.
 fn operand(random: &mut Random, depth: u32) -> String {
     let sign = random.of(&["", "", "", "", "-", "+"]);
     match random.below(if depth == 0 { 6 } else { 12 }) {
@@ -130,7 +130,7 @@ pub fn length(random: &mut Random) -> String {
     }
 }
 
-/// Returns a value for a parameter.
+/// Returns the right-hand side of an assignment to a parameter.
 pub fn value(random: &mut Random) -> String {
     match random.below(20) {
         0..=6 => bounded(random),
@@ -143,7 +143,7 @@ pub fn value(random: &mut Random) -> String {
     }
 }
 
-/// Returns a condition.
+/// Returns a condition in brackets, as `if`, `elseif` and `while` need it.
 pub fn condition(random: &mut Random) -> String {
     match random.below(10) {
         0 => format!("[{}]", random.below(2)),

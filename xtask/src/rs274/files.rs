@@ -68,7 +68,7 @@ pub fn run(paths: &[&str]) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Both interpreters have run the whole program.
+/// Verdict: both interpreters have run the whole program, with the same events.
 pub const ALIKE: &str = "alike";
 const BOTH_REFUSE: &str = "refused by both, alike up to there";
 const DECLINED: &str = "declined by Oxmill alone, alike up to there";

@@ -60,7 +60,7 @@ const BEGIN: &[&str] = &[
 ];
 /// Start of a subroutine: sets its local parameters.
 const OWN: &str = "#<u>=#1 #<v>=[#2 + 1.31713] #4=#3";
-/// Parameters and names of the state; a line shows some of them.
+/// Parameters that show the machine's state. A state line prints some of them.
 const STATE: [&str; 30] = [
     "#5420",
     "#5421",
@@ -93,10 +93,10 @@ const STATE: [&str; 30] = [
     "#<_selected_tool>",
     "#<_call_level>",
 ];
-/// Stored positions, in the unit of the machine.
+/// Parameters with stored positions, in the unit of the machine: mm in Oxmill, inches in `rs274`.
 const PLACES: [&str; 12] =
     ["#5161", "#5162", "#5183", "#5211", "#5212", "#5213", "#5221", "#5222", "#5223", "#5241", "#5322", "#5383"];
-/// Maximum number of statements that are tried at the end to find one that is rejected.
+/// Maximum number of statements that are tried at the end of a batch to find one that Oxmill rejects.
 const MORE: usize = 60;
 /// Positions beyond this, mm, can be out of Oxmill's range.
 const FAR: f64 = 10_000.0;
@@ -240,7 +240,7 @@ impl Writer {
         true
     }
 
-    /// Returns a line in another spelling.
+    /// Returns a line, sometimes in another spelling: in lower case, with a comment, more blanks or a line number.
     fn spelled(&mut self, line: String) -> String {
         if line.starts_with(['(', '%', '/']) || !self.percent(12) {
             return line;
@@ -498,7 +498,7 @@ impl Writer {
         lines
     }
 
-    /// Returns a loop that counts in its own parameter, so that it ends.
+    /// Returns a loop that counts its passes in a parameter of its own, so that it ends.
     fn repetition(&mut self, depth: u32) -> Vec<String> {
         let label = self.label();
         let counter = format!("#{}", 28 + depth);
@@ -595,7 +595,7 @@ impl Writer {
         if calls_itself {
             let inner = self.label();
             lines.extend([
-                // The condition is needed because the body can change #3.
+                // Without the upper limits the recursion could be too deep, because the body can change #3.
                 format!("{inner} if [#3 GT 0 AND #3 LT 4 AND #<_call_level> LT 4]"),
                 format!("{label} call [#1 / 2] [#2 + #3] [#3 - 1]"),
                 "#5=[#<_value> / 2 + #3]".into(),
@@ -666,7 +666,8 @@ impl Writer {
         lines
     }
 
-    /// Returns a line that should be rejected, each for another reason, depending on the state.
+    /// Returns a statement with a line that should be rejected, sometimes within an `if` or a `repeat`. The lines have
+    /// different faults.
     fn wrong(&mut self) -> Vec<String> {
         const ALONE: [&str; 22] = [
             "G0 X[1 / 0]",

@@ -30,9 +30,9 @@ const RATE_TOLERANCE: f64 = 2e-4;
 /// Minimum rate in G93: `rs274` replaces lower rates by 0.1 units of the program per minute. Here in mm/min, for
 /// programs in mm and in inches.
 const LEAST_RATES: [f64; 2] = [0.1, 2.54];
-/// Prefix of messages in programs.
+/// First word of the messages that programs send, except those with stored positions ([`PLACES_MARK`]).
 const STATE: &str = "state";
-/// Prefix of messages that show stored positions, which are in inches in `rs274`.
+/// First word of messages that show stored positions, which are in inches in `rs274`.
 const PLACES_MARK: &str = "places";
 /// Moves shorter than this, mm, are ignored on both sides.
 const NO_MOVE: f64 = 0.0075;
@@ -106,7 +106,7 @@ impl Event {
 /// Result of a batch.
 pub struct Outcome {
     pub events: Vec<Event>,
-    /// The line of each event, where known.
+    /// For each event, the index of the line that caused it; empty for `rs274`.
     pub of: Vec<usize>,
     /// Text of the rejected line, if any; Oxmill's `events` end before it.
     pub refused: Option<String>,
@@ -198,7 +198,7 @@ impl Totals {
     }
 }
 
-/// Programs with subprograms, each in a file of its own, because it ends with M30.
+/// Compares this number of programs with subprograms. Each is in a file of its own, because it ends with M30.
 fn batch_of_files(home: &Path, seed: u64, programs: usize) -> Result<Found, Failure> {
     let mut found = Found { lines: 0, events: 0, refused: false, difference: None };
     for number in 0..programs {
@@ -266,7 +266,7 @@ fn write(home: &Path, lines: &[String]) -> Result<PathBuf, Failure> {
     Ok(file)
 }
 
-/// Returns the first difference.
+/// Returns a description of the first difference, with the lines before it; `None` if there is none.
 fn compare(lines: &[String], ours: &Outcome, theirs: &Outcome) -> Option<String> {
     for (at, event) in ours.events.iter().enumerate() {
         match theirs.events.get(at) {

@@ -17,11 +17,11 @@ const CLEARANCE: Coordinate = Coordinate(2_540_000);
 #[derive(Clone)]
 pub struct Mill {
     interpreter: Interpreter<AXES>,
-    /// End position of the last event, machine coordinates.
+    /// End position of the most recent event, machine coordinates.
     place: [f64; AXES],
-    /// Whether the end of the last event is missing in the events, because it was a spline.
+    /// Whether this position is missing in the events, because the most recent event was a spline.
     is_place_untold: bool,
-    /// Whether the move of the last line is so short that rounding decides if there is a move at all.
+    /// Whether a move of the most recent line is so short that rounding decides if there is a move at all.
     is_doubtful: bool,
 }
 
@@ -38,7 +38,7 @@ impl Mill {
         Mill { interpreter: Interpreter::default(), place: [0.0; AXES], is_place_untold: false, is_doubtful: false }
     }
 
-    /// Returns whether rounding decides if the last line has a move.
+    /// Returns whether rounding decides if the most recent line has a move.
     pub fn is_doubtful(&self) -> bool {
         self.is_doubtful
     }

@@ -2,9 +2,9 @@
 //!
 //! Lines that Oxmill rejects are omitted, except that a batch can end with one: `rs274` must reject it, too. Not
 //! generated, because the book lists them as differences: G88; a change of offsets, of the plane or of G98 and G99
-//! within a series of cycles; another rotation under G92, for which LinuxCNC loses its position; arcs and cycles
-//! outside the plane of a rotation; pecks smaller than their clearance; G53 with G91; a change of units, or M70, under
-//! a tool offset; a tool offset along A.
+//! within a series of cycles; a change of rotation while G92 is active, because LinuxCNC then loses its position; arcs
+//! and cycles in another plane than that of a rotation; pecks smaller than the clearance of peck cycles; G53 with G91;
+//! a change of units, or M70, while a tool offset is active; a tool offset along A.
 
 use super::Outcome;
 use super::ours::Mill;
@@ -29,7 +29,7 @@ const BEGIN: &[&str] = &[
     "M70",
 ];
 
-/// Maximum number of statements that are tried at the end to find one that is rejected.
+/// Maximum number of statements that are tried at the end of a batch to find one that Oxmill rejects.
 const MORE: usize = 60;
 
 pub struct Batch {
@@ -45,7 +45,8 @@ struct Writer {
     plane: usize,
     /// `inches`, `incremental` and `plane` in the state that M70 has saved.
     kept: (bool, bool, usize),
-    /// Whether M61 has set the tool in the spindle: the machine stub of `rs274` looks up a tool's offset only at M6.
+    /// Whether M61 has set the tool in the spindle. Then no G43 without H is generated, because the machine stub of
+    /// `rs274` looks up a tool's offset only at M6.
     is_tool_named: bool,
     /// Number of subroutines so far.
     subroutines: usize,
@@ -139,7 +140,7 @@ impl Writer {
         if self.percent(25) { format!("{words} A{}", self.degrees()) } else { words }
     }
 
-    /// The same without A.
+    /// Returns words of some of the axes X, Y and Z, at least one.
     fn linear_axes(&mut self) -> String {
         let mut words = String::new();
         while words.is_empty() {
@@ -173,7 +174,8 @@ impl Writer {
                 self.refused = None;
                 true
             }
-            // `rs274` accepts these lines.
+            // Not a rejected line for the comparison: `rs274` accepts arcs and cycles in another plane than that of a
+            // rotation.
             Err(Error::NotInRotatedPlane) => false,
             Err(_) => {
                 self.refused = Some(line);
@@ -303,7 +305,7 @@ impl Writer {
             0 => format!("{word}{helix} {}{i:.5} {}{j:.5}{turns}", CENTRES[first], CENTRES[second]),
             1 => {
                 // The longer the chord relative to the radius, the more the centre depends on the rounding of the end
-                // point.
+                // point. So the chord is shorter than 0.9 of the diameter.
                 let share = 0.1 + self.below(80) as f64 / 100.0;
                 let (a, b) = (2.0 * radius * share * angle.cos(), 2.0 * radius * share * angle.sin());
                 let sign = if self.percent(30) { "-" } else { "" };

@@ -1,14 +1,15 @@
-//! Random programs with subprograms in Fanuc's style: O numbers behind the end, called by M98 with and without L, also
-//! from subprograms. They share the parameters of their caller.
+//! Random programs with subprograms in Fanuc's style: they follow the M30 of the main program, each after its O number,
+//! and are called by M98 with and without a repeat count (L), also from subprograms. A subprogram shares the parameters
+//! of its caller.
 
 use oxmill_test_support::Random;
 
 /// Maximum number of subprograms.
 const MOST: u64 = 4;
 
-/// Returns a program.
+/// Returns a program with 1 to [`MOST`] subprograms; the same seed gives the same program.
 pub fn program(seed: u64) -> String {
-    // Spreads neighbouring seeds.
+    // Multiplied, so that neighbouring seeds give unlike programs.
     let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
     let subprograms = 1 + random.below(MOST);
     let mut text = String::from("%\nG21 G90 G17 G94 G49 G40 G80 F300\n#1=2 #2=-1.5 #3=0.25\nG0 X1 Y0 Z0\n");
@@ -26,7 +27,7 @@ pub fn program(seed: u64) -> String {
     text + "%\n"
 }
 
-/// Returns the number of a subprogram, with leading zeros now and then.
+/// Returns the O number of a subprogram, which is 100 times `number`. The second one has a leading zero.
 fn label(number: u64) -> String {
     if number == 2 { "0200".into() } else { (100 * number).to_string() }
 }

@@ -182,11 +182,11 @@ impl<const BASE: usize> Uart<BASE> {
     pub const RX_INTERRUPT_ENABLE: u32 = 8;
 
     registers! {
-        /// Data.
+        /// Data: a read takes the received byte, a write sends a byte.
         data set_data 0x0;
-        /// State.
+        /// State of sender and receiver: `TX_FULL`, `RX_FULL`.
         state set_state 0x4;
-        /// Control.
+        /// Control: the `ENABLE` bits above.
         control set_control 0x8;
         /// Interrupt status; writing 1 clears the bit.
         interrupts clear_interrupts 0xC;
@@ -205,13 +205,13 @@ impl<const BASE: usize> Timer<BASE> {
     pub const INTERRUPT_ENABLE: u32 = 8;
 
     registers! {
-        /// Control.
+        /// Control: the `ENABLE` bits above.
         control set_control 0x0;
         /// Current value.
         value set_value 0x4;
         /// Value loaded after 0.
         reload set_reload 0x8;
-        /// Interrupt status; writing 1 clears it.
+        /// Interrupt status; writing 1 clears the interrupt.
         interrupts clear_interrupts 0xC;
     }
 }
@@ -228,7 +228,7 @@ impl<const BASE: usize> WatchdogTimer<BASE> {
     registers! {
         /// Value to count down from; writing it restarts the count.
         reload set_reload 0x0;
-        /// Control.
+        /// Control: the `ENABLE` bits above.
         control set_control 0x8;
         /// A write clears the interrupt and restarts the count.
         cleared clear 0xC;
@@ -240,11 +240,11 @@ pub type Watchdog = WatchdogTimer<0x4000_8000>;
 
 /// First UART: the host.
 pub type Uart0 = Uart<0x4000_4000>;
-/// Second UART.
+/// Second UART: the test stand.
 pub type Uart1 = Uart<0x4000_5000>;
-/// First timer.
+/// First timer: calls the step task.
 pub type Timer0 = Timer<0x4000_0000>;
-/// Second timer.
+/// Second timer: the step clock.
 pub type Timer1 = Timer<0x4000_1000>;
 
 /// The peripherals, each with one owner.
@@ -261,7 +261,7 @@ impl Peripherals {
     /// Returns all peripherals, even if they already have owners.
     ///
     /// # Safety
-    /// The caller makes sure that no two owners use one peripheral in ways that disturb each other.
+    /// The caller must ensure that two owners of the same peripheral do not disturb each other.
     pub unsafe fn steal() -> Self {
         Self { UART0: Uart(()), UART1: Uart(()), TIMER0: Timer(()), TIMER1: Timer(()), WATCHDOG: WatchdogTimer(()) }
     }

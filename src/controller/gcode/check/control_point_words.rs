@@ -17,13 +17,15 @@ use crate::units::{Decimal, WeightedPoint};
 const POINTS: MotionMode = MotionMode::Spline(SplineKind::Nurbs);
 
 impl<const N: usize> Draft<'_, N> {
-    /// Whether a curve has been started, and the tool is still at its start.
+    /// Whether a curve has been started, G5.2 is the motion mode in force, and the tool is still at the start of the
+    /// curve.
     fn has_control_points(&self) -> bool {
         let here = in_xy(&self.state.position);
         self.state.modal.motion == POINTS && self.state.control_points.iter().any(|points| points.begin_at(here))
     }
 
-    /// If a curve has been started: refuses every motion mode other than G5.2, except `MotionMode::Cancelled` (G80).
+    /// While a curve is open, refuses every motion mode except G5.2, which continues the curve, and G80, which drops
+    /// it.
     pub(super) fn leaves_control_points(&self, mode: MotionMode) -> Result<(), Error> {
         let leaves = !matches!(mode, POINTS | MotionMode::Cancelled);
         if leaves && self.has_control_points() { Err(Error::ControlPointsNotEnded) } else { Ok(()) }
@@ -73,7 +75,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// Reads L. Without L, a curve that has begun keeps its order, and a new curve has the order 3.
+    /// Reads L. Without L, an open curve keeps its order, and a new curve has the order 3.
     fn order(&mut self, begins: bool) -> Result<u8, Error> {
         if !self.take(b'L') {
             return Ok(if begins { ORDER } else { self.order_so_far() });

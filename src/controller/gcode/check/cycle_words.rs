@@ -1,5 +1,5 @@
-//! Canned cycles (G73 to G89): reads hole, levels, peck, dwell and repeats from a line. A word that the line lacks has
-//! its last value, as long as the lines before have the same cycle in the same plane. The result is a
+//! Canned cycles (G73 to G89): reads hole, levels, peck, dwell and repeats from a line. A word that the line lacks
+//! keeps its most recent value, as long as the previous lines have the same cycle in the same plane. The result is a
 //! [`Cycle`](crate::gcode::Cycle) that the controller executes step by step.
 
 use super::draft::Draft;
@@ -12,18 +12,18 @@ use crate::gcode::values::{along, reachable, seconds};
 use crate::messages::SpindleDirection;
 use crate::units::{Coordinate, Decimal};
 
-/// Maximum number of repetitions (L).
+/// Maximum number of holes that one line can request (L).
 const REPEATS_MAX: i32 = 1_000_000;
 
 impl<const N: usize> Draft<'_, N> {
-    /// G73 to G89. A word that the line lacks has its last value, if the motion mode before the line was the same cycle
-    /// in the same plane.
+    /// G73 to G89. A word that the line lacks keeps its most recent value, if the motion mode before the line was the
+    /// same cycle in the same plane.
     pub(super) fn cycle(&mut self, kind: CycleKind) -> Result<(), Error> {
         let modal = self.action.modal;
         if modal.feed_mode == FeedMode::InverseTime {
             return Err(Error::CycleNeedsPerMinute);
         }
-        // An M6 on the line can stop the spindle, so such a line needs its own spindle word.
+        // An M6 on the line can stop the spindle, so a line with M6 needs its own M3 or M4.
         let stopped = self.action.tool_change && self.line.spindle.is_none();
         if kind.stops_spindle() && (stopped || modal.spindle == SpindleDirection::Off) {
             return Err(Error::SpindleNotTurning);
@@ -137,7 +137,7 @@ impl<const N: usize> Draft<'_, N> {
         words.level + self.tool_offset(axes.linear)
     }
 
-    /// Reads L: the number of holes. With G90 all of them are at the same place, with G91 in a row.
+    /// Reads L, the number of holes. With G90 all holes are at the same position, with G91 they form a row.
     fn repeats(&mut self) -> Result<u32, Error> {
         if !self.take(b'L') {
             return Ok(1);

@@ -17,7 +17,7 @@ use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, Decimal, per_second};
 use oxmill_sqrt::square_root;
 
-/// Letters of an arc's centre.
+/// Letters that give the centre of an arc.
 pub(super) const CENTRE: Letters = Letters::of(b"IJK");
 
 /// Kind of line that is checked.
@@ -38,8 +38,8 @@ fn squared_ways<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coor
     squares
 }
 
-/// Returns the feed for F with G93. Not inlined, so that the division is not part of the code for lines in which F is a
-/// speed.
+/// Returns the feed for F with G93. Not inlined, so that the code for lines in which F is a speed does not contain the
+/// division.
 #[inline(never)]
 fn inverse_time(feed: Decimal) -> Feed {
     Feed::InverseTime(60.0 / feed.to_f32())
@@ -55,7 +55,7 @@ pub(super) struct Draft<'a, const N: usize> {
     pub(super) claim: Claim,
     /// Letters of value words that no step has used yet.
     pub(super) unused: Letters,
-    /// Rotation of the line's coordinates.
+    /// Rotation of the line's coordinates; `None` if they are not rotated.
     pub(super) rotated: Option<RotatedPlane>,
     /// Scaling of the line's coordinates, which is applied before the rotation.
     pub(super) scaled: Option<&'a Scaling>,
@@ -64,8 +64,8 @@ pub(super) struct Draft<'a, const N: usize> {
 }
 
 impl<'a, const N: usize> Draft<'a, N> {
-    /// Starts with the modal state and applies the line's modal words. If no command of the line uses the axis words,
-    /// they are a motion in the present motion mode.
+    /// Starts the check of a line: copies the modal state and applies the line's modal words. Axis words that no
+    /// command of the line uses are a motion in the motion mode in force.
     pub(super) fn begin(
         state: &'a Interpreter<N>,
         line: &'a Parsed<N>,
@@ -118,8 +118,8 @@ impl<'a, const N: usize> Draft<'a, N> {
         has
     }
 
-    /// Returns `others` with new values for the axes that have a word: `place` computes the value from the axis and its
-    /// word.
+    /// Returns `others` with new values for the axes that have a word. `place` computes the new value from the axis and
+    /// the value of its word.
     pub(super) fn with_axis_words(
         &self,
         others: PerAxis<Coordinate, N>,
@@ -142,7 +142,7 @@ impl<'a, const N: usize> Draft<'a, N> {
         }
     }
 
-    /// Returns the value of an axis word. Degrees do not depend on the unit of lengths.
+    /// Returns the value of an axis word: a length in the line's unit, or degrees for a rotary axis.
     pub(super) fn axis_length(&self, axis: Axis) -> Coordinate {
         let value = self.line.axis.get(axis).unwrap_or(Decimal::ZERO);
         match axis {
@@ -182,7 +182,7 @@ impl<'a, const N: usize> Draft<'a, N> {
         along(&self.action.tool_length, axis)
     }
 
-    /// Returns F of G94 or G95, mm/s.
+    /// Returns F of G94 or G95 as a speed in mm/s.
     pub(super) fn feed_per_second(&self) -> f32 {
         let modal = &self.action.modal;
         if FULL_IMAGE && modal.feed_mode == FeedMode::PerRevolution {

@@ -1,5 +1,6 @@
-//! Common words of CAM programs: some mean here what they mean on other controls (G54.1 P, G154 P, U V W of G28),
-//! others have no effect. A word without effect is accepted, and a notice tells the host once.
+//! Words that CAM programs write for other controls. Some have the same meaning here (G54.1 P, G154 P, U V W of G28).
+//! Others are accepted without effect; for those that switch the look-ahead and for M29, the host gets a message once
+//! per program.
 
 use super::draft::{CENTRE, Draft};
 use crate::axes::PerAxis;
@@ -11,7 +12,7 @@ use crate::gcode::word::{Group, Groups, Letters};
 use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, Decimal};
 
-/// Number of Grbl's systems, which precede the first system that G54.1 selects.
+/// Number of coordinate systems before G59.1, which G54.1 P1 selects.
 const BEFORE_THE_FIRST: usize = CoordinateSystem::OF_GRBL;
 
 impl<const N: usize> Draft<'_, N> {
@@ -56,7 +57,8 @@ impl<const N: usize> Draft<'_, N> {
         if self.line.value(b'P') == Decimal::from_int(2) { Ok(()) } else { Err(Error::ValueOutOfRange) }
     }
 
-    /// Returns the intermediate point of G28 and G30. U, V and W give it as distances from the present position.
+    /// Returns the intermediate point of G28 and G30. U, V and W give this point as distances from the present
+    /// position, even with G90.
     pub(super) fn point_on_the_way(&mut self) -> Result<PerAxis<Coordinate, N>, Error> {
         let distances = self.line.extended.distances;
         if distances.is_empty() {
@@ -71,7 +73,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(point)
     }
 
-    /// Whether D is the only unused word and stands where it is allowed: on a line with G40 or G43 to G49, or alone.
+    /// Whether D is the only unused word of the line and is allowed there: on a line with G40 or G43 to G49, or alone.
     #[inline(never)]
     pub(super) fn is_radius_register(&self) -> Result<bool, Error> {
         let mut others = self.line.values;

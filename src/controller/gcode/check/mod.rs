@@ -34,7 +34,8 @@ pub(super) use draft::Purpose;
 /// Maximum line number.
 const LINE_NUMBER_MAX: i32 = 10_000_000;
 
-/// Checks the words of a line.
+/// Checks the words of a line in the present modal state, and writes the result to `action`. After an error, `action`
+/// is not valid.
 pub(super) fn check<const N: usize>(
     state: &Interpreter<N>,
     line: &Parsed<N>,
@@ -43,7 +44,8 @@ pub(super) fn check<const N: usize>(
     action: &mut Action<N>,
 ) -> Result<(), Error> {
     let mut draft = Draft::begin(state, line, dialect, purpose, action);
-    // Most lines have no extended words, and this function must be fast, so one test skips the steps for them.
+    // Most lines have no extended words, and this function must be fast. So one test skips all steps that only extended
+    // words need.
     let is_extended = line.extended.any;
     if is_extended {
         draft.sign_of_p()?;
@@ -90,7 +92,8 @@ pub(super) fn check<const N: usize>(
         ) && matches!(action.after.keeping, Keeping::Leave)
             && action.after.notice.is_none();
     } else {
-        // Grbl computes the target of a line before the G92.1 of this line acts, so the offset changes only here.
+        // Grbl computes the target of a line before a G92.1 on the same line acts. So in its dialect the offset changes
+        // only here, after the motion.
         if dialect == Dialect::Grbl {
             draft.offset_acts();
         }
@@ -111,7 +114,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// F stays in force only with G94. With G93 each motion needs its own F. After a change of the feed mode F is
+    /// With G94 and G95, F stays in force. With G93, each motion needs its own F. After a change of the feed mode, F is
     /// undefined.
     fn feed(&mut self) -> Result<(), Error> {
         if self.line.extended.keep.is_some() {
@@ -195,7 +198,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G61, G61.1, G64 and the tolerances of G64. Without P, or with P0, the path is exact. The default of Q is P.
+    /// G61, G61.1, and G64 with its tolerances P and Q. G64 without P, or with P0, keeps the path exact. The default of
+    /// Q is P.
     fn path_control(&mut self) -> Result<(), Error> {
         let Some(path) = self.line.extended.path else { return Ok(()) };
         self.action.modal.path = path;
@@ -250,18 +254,18 @@ impl<const N: usize> Draft<'_, N> {
         Err(Error::UnusedWords)
     }
 
-    /// Whether the line consists of an O number only, or of a line number and an O number.
+    /// Whether the line consists of an O number alone, or of a line number (N) and an O number.
     fn is_program_number(&self) -> bool {
         let mut others = self.unused;
         others.remove(Letters::of(b"N"));
         others == Letters::of(b"O") && self.line.groups == Groups::default() && !self.state.computed.assigns()
     }
 
-    /// Sets [`Action::digit`].
+    /// Sets [`Action::digit`], the value of the last decimal place of the axis words.
     #[inline(always)]
     fn precision(&mut self) {
         let action = &mut *self.action;
-        // A cycle passes exactly through its points, and the curve of a spline is given exactly.
+        // The points of a cycle and the curve of a spline count as exact, not as rounded to the last decimal place.
         let exact =
             matches!(action.motion, MotionCommand::Cycle(_) | MotionCommand::Spline(_) | MotionCommand::Nurbs(_));
         action.digit = if exact { 0.0 } else { last_digit(action.modal.units, self.line.places) };
@@ -270,7 +274,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Sets the effects of the line other than its motion.
+    /// Sets the program flow, whether the line uses a machine position, and whether the work offset changes. M2 and M30
+    /// also reset modal state, rotation and scaling.
     fn finish(self) {
         let action = self.action;
         action.flow = match self.line.flow {
@@ -303,7 +308,7 @@ impl<const N: usize> Draft<'_, N> {
     }
 }
 
-/// Returns the value of the last of `places` decimal places, in mm.
+/// Returns the value in mm of the last of `places` decimal places, within the limits of [`Action::digit`].
 fn last_digit(units: Units, places: u8) -> f32 {
     match units {
         Units::Mm => match places {

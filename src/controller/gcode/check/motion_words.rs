@@ -127,7 +127,7 @@ impl<const N: usize> Draft<'_, N> {
         let turns = self.turns()?;
         let feed = self.feed_of_motion();
         let (i, j) = (Coordinate(centre.first), Coordinate(centre.second));
-        // If the radius of an arc is 0, only the straight move of the other axes remains.
+        // If the radius of an arc is 0, the line is a straight move of the axes outside the plane.
         self.action.motion = if arc::is_point(centre) {
             MotionCommand::Line { via: None, target, feed: self.feed_to(&target) }
         } else {
@@ -137,13 +137,13 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// Returns the vector from the start to the centre of an arc that gives its centre (I, J, K).
+    /// Returns the vector from the start to the centre of an arc, from the words I, J and K.
     fn centre(&mut self, axes: PlaneAxes) -> Result<Vector, Error> {
         let (first, second) = (centre_letter(axes.first), centre_letter(axes.second));
         let (has_first, has_second) = (self.line.values.has(first), self.line.values.has(second));
         let absolute = self.dialect != Dialect::Grbl && self.action.modal.arc_distance == ArcDistance::Absolute;
-        // If I, J and K are distances, one of the two words for the plane can be missing, and counts as 0. If they are
-        // coordinates, both are required.
+        // Two of the words I, J and K belong to the plane. As distances, one of the two may be missing and counts as 0.
+        // As coordinates, both are required.
         if !(has_first || has_second) || absolute && !(has_first && has_second) {
             return Err(Error::NoPlaneOffsets);
         }

@@ -1,5 +1,5 @@
-//! Offsets and stored positions: G10 L2 and L20, G28 and G30 with their .1 forms, G52, G53, and G92 with its .1 to .3
-//! forms. Changes go into the line's action and take effect when the line is committed.
+//! Offsets and stored positions: G10 L2 and L20, G28, G28.1, G30, G30.1, G52, G53, and G92 to G92.3. Changes go into
+//! the line's action and take effect when the line is committed.
 
 use super::draft::Draft;
 use crate::axes::{Axis, LINEAR, PerAxis};
@@ -60,14 +60,14 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Restores the offset of G92 if `acts`, otherwise clears it.
+    /// If `acts` is true, restores the G92 offset that G92.2 has suspended; otherwise sets the offset in force to 0.
     pub(super) fn let_offset_act(&mut self, acts: bool) {
         self.action.g92 = if acts { self.state.offsets.g92_kept } else { PerAxis::all(Coordinate::ZERO) };
         self.action.after.g92_acts = acts;
     }
 
-    /// G10. L2 gives the system's origin in machine coordinates; L20 moves the origin so that the present position gets
-    /// the given coordinates. The distance mode has no effect.
+    /// G10. L2 sets the system's origin to the given machine coordinates; L20 moves the origin so that the present
+    /// position has the given coordinates. The distance mode has no effect.
     fn set_system(&mut self) -> Result<(), Error> {
         let line = self.line;
         let of_tool = self.dialect != Dialect::Grbl && line.value(b'L') == Decimal::from_int(1);
@@ -78,7 +78,8 @@ impl<const N: usize> Draft<'_, N> {
         if !line.values.has(b'P') && !line.values.has(b'L') {
             return Err(Error::ValueWordMissing);
         }
-        // Grbl checks P first, so a wrong system is reported before an unknown L.
+        // In Grbl's dialect, P is checked first, as in Grbl: a wrong system is reported before an unknown L. The other
+        // dialects check L first.
         if self.dialect != Dialect::Grbl {
             // If another word of the line has already used P, the G10 has no P.
             if line.values.has(b'P') && !self.unused.has(b'P') {
@@ -139,7 +140,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G92: the present position gets the given coordinates, in whichever system is active.
+    /// G92: shifts the work coordinates so that the present position has the given coordinates in the active system.
     fn set_offset(&mut self) -> Result<(), Error> {
         if self.line.axes.is_empty() {
             return Err(Error::NoAxisWords);
@@ -159,8 +160,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// G28, G30: moves the named axes to the stored position by way of the given point. Without axis words it moves all
-    /// axes, and directly.
+    /// G28, G30: moves the axes that have a word to the stored position, through the intermediate point that the words
+    /// give. Without axis words, moves all axes directly.
     fn go_to_stored(&mut self, which: StoredOffset) -> Result<(), Error> {
         if FULL_IMAGE && which == StoredOffset::G30 && self.dialect != Dialect::Grbl && self.take(b'P') {
             self.second_position()?;

@@ -1,6 +1,5 @@
 //! Outputs and inputs of programs: M62 to M65 switch an output, M66 waits for an input or reads one, M67 and M68 set an
-//! analog output. P or E is the number of the pin. Whether the board has this pin is checked when the line is carried
-//! out.
+//! analog output. P or E is the number of the pin. Whether the board has this pin is checked when the line is executed.
 
 use super::draft::Draft;
 use crate::error::Error;
@@ -11,7 +10,7 @@ use crate::image::FULL_IMAGE;
 use crate::units::{Decimal, Duration};
 
 impl<const N: usize> Draft<'_, N> {
-    /// M62 to M68. A dwell or an arc on the same line can use the same P, as in LinuxCNC.
+    /// M62 to M68. If the line also has a dwell or an arc with P, both words use the same P, as in LinuxCNC.
     pub(super) fn pins(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.extended.pins.filter(|_| FULL_IMAGE) else { return Ok(()) };
         let (has_p, has_e) = (self.line.values.has(b'P'), self.line.values.has(b'E'));
@@ -65,7 +64,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(whole(value)?.unsigned_abs())
     }
 
-    /// Reads L of M66; the default is L0.
+    /// Reads L of M66, the condition to wait for; the default is L0.
     fn wait(&self) -> Result<InputWait, Error> {
         Ok(match whole(self.line.value(b'L'))? {
             0 => InputWait::Nothing,

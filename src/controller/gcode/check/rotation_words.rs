@@ -1,5 +1,6 @@
-//! G68 and G69: which plane of the line is rotated, and by how much. Also G10 in a rotated coordinate system, and the
-//! words that are refused while the plane is rotated. `targets` rotates the coordinates of a line.
+//! G68 and G69: determines in which plane and by which angle the coordinates of a line are rotated. Also handles G10 in
+//! a rotated coordinate system, and refuses words that cannot be used while coordinates are rotated. `targets` applies
+//! the rotation.
 
 use super::draft::Draft;
 use crate::axes::{Axis, PerAxis};
@@ -36,7 +37,7 @@ impl<const N: usize> Draft<'_, N> {
                 self.rotated = self.plane_with(None)?;
                 self.scaling()?;
                 let rotation = self.new_rotation()?;
-                // An angle of 0 rotates nothing, in any plane.
+                // A G68 with the angle 0 has the effect of G69.
                 let rotation = Some(rotation).filter(|rotation| rotation.angle != Angle::ZERO);
                 self.action.rotated.rotation = Some(rotation);
                 self.plane_with(rotation.as_ref()).map(|_| ())
@@ -58,7 +59,7 @@ impl<const N: usize> Draft<'_, N> {
         self.state.offsets.rotated_plane(system, &self.action.g92, &self.action.tool_length, rotation)
     }
 
-    /// G68: R is the angle. Along an axis of the plane without a word, the centre is at the present position. The
+    /// G68: R is the angle. Along an axis of the plane that has no word, the centre is at the present position. The
     /// distance mode has no effect.
     fn new_rotation(&mut self) -> Result<Rotation, Error> {
         let plane = self.action.modal.plane;
@@ -84,8 +85,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(Rotation { plane, angle: Angle::of(self.line.value(b'R')), centre })
     }
 
-    /// While a plane is rotated, refuses arcs, splines and cycles in another plane: after the rotation it would not be
-    /// a plane of two machine axes.
+    /// While a plane is rotated, refuses arcs, splines and cycles in another plane: after the rotation, that plane
+    /// would no longer contain two machine axes.
     pub(super) fn needs_plane(&self, axes: PlaneAxes) -> Result<(), Error> {
         match self.rotated {
             Some(rotated) if FULL_IMAGE && rotated.axes != axes => Err(Error::NotInRotatedPlane),
@@ -106,8 +107,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Refuses an angle for the active system while G68 rotates another plane: with both, every following line would be
-    /// refused.
+    /// Refuses an angle for the active system, which rotates X and Y, while G68 rotates another plane. With both, every
+    /// following line would be refused.
     pub(super) fn keeps_planes(&self, system: CoordinateSystem) -> Result<(), Error> {
         let turned = self.action.rotated.angle.is_some_and(|angle| angle != Angle::ZERO);
         let ends = self.line.extended.rotation == Some(false);
@@ -136,7 +137,7 @@ impl<const N: usize> Draft<'_, N> {
     }
 
     /// G10 L20 of a rotated system: moves its origin along both axes so that the tool gets the coordinates of the line.
-    /// Returns whether the system is rotated.
+    /// Returns whether the system is rotated; if not, nothing is set.
     pub(super) fn moves_rotated_origin(&mut self, system: CoordinateSystem) -> Result<bool, Error> {
         if !FULL_IMAGE || self.dialect == Dialect::Grbl {
             return Ok(false);
@@ -155,7 +156,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(true)
     }
 
-    /// Moves an offset, in machine coordinates, so that the tool gets the coordinates of the line.
+    /// Returns `offset`, in machine coordinates, moved so that the tool gets the coordinates of the line's words.
     fn moved_by(&self, rotated: RotatedPlane, offset: [Coordinate; 2]) -> [Coordinate; 2] {
         match self.named_in(rotated) {
             Some(place) => {
@@ -166,7 +167,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G10 L10 and L11 of a rotated system: sets the offset of the tool. Returns whether the system is rotated.
+    /// G10 L10 and L11 in a rotated system: sets the offset of the tool. `present` is its offset before the line.
+    /// Returns whether the system is rotated; if not, nothing is set.
     pub(super) fn sets_rotated_tool(&mut self, l: i32, present: &PerAxis<Coordinate, N>) -> Result<bool, Error> {
         self.needs_no_rotation()?;
         let offsets = &self.state.offsets;

@@ -14,12 +14,13 @@ use crate::units::{Coordinate, Decimal};
 const FACTOR_MAX: Decimal = Decimal::from_int(100);
 
 impl<const N: usize> Draft<'_, N> {
-    /// G51 starts a scaling and replaces an earlier one, G50 ends it. Other lines use the scaling in force.
+    /// G51 starts a scaling, which replaces an earlier scaling; G50 ends it. All other lines are scaled by the scaling
+    /// in force.
     #[inline(never)]
     pub(super) fn scaling(&mut self) -> Result<(), Error> {
         match self.line.extended.scaling {
             Some(true) => {
-                // With a rotation, factors and centre are along the program's axes, not the machine's.
+                // If coordinates are rotated, factors and centre apply along the program's axes, not the machine's.
                 let scaling = self.new_scaling()?;
                 let acts = [Axis::X, Axis::Y, Axis::Z].into_iter().any(|axis| scaling.scales(axis));
                 self.action.rotated.scaled.scaling = Some(acts.then_some(scaling));
@@ -35,7 +36,7 @@ impl<const N: usize> Draft<'_, N> {
     }
 
     /// G51: P is the factor of X, Y and Z; or I, J and K are one factor each, and a negative I or J mirrors. Along an
-    /// axis without a word, the centre is at the present position. The distance mode has no effect.
+    /// axis that has no word, the centre is at the present position. The distance mode has no effect.
     fn new_scaling(&mut self) -> Result<Scaling, Error> {
         let named = self.line.axes;
         if Axis::of_machine::<N>().skip(3).any(|axis| named.has(axis)) {
@@ -50,12 +51,12 @@ impl<const N: usize> Draft<'_, N> {
         } else {
             return Err(Error::ValueWordMissing);
         };
-        // A mirrored Z would turn a retract into a plunge.
+        // A negative factor would mirror Z, so that a retract becomes a plunge.
         let [_, _, z] = factors;
         if factors.contains(&Decimal::ZERO) || z < Decimal::ZERO {
             return Err(Error::ValueOutOfRange);
         }
-        // A factor this large is most likely in thousandths, as industrial controls expect it.
+        // A factor above 100 is most likely written in thousandths, as some industrial controls expect it.
         if factors.iter().any(|factor| factor.0.unsigned_abs() > FACTOR_MAX.0.unsigned_abs()) {
             return Err(Error::ThousandfoldScaling);
         }
@@ -91,7 +92,7 @@ impl<const N: usize> Draft<'_, N> {
     /// Stores the remainders that are left from rounding a scaled target.
     #[inline(never)]
     pub(super) fn keep_rest(&mut self, incremental: bool) {
-        // A jog changes nothing but the position.
+        // A jog changes only the position.
         if self.scaling_of(incremental).is_none() || self.purpose == Purpose::Jog {
             return;
         }
@@ -129,13 +130,13 @@ impl<const N: usize> Draft<'_, N> {
         Ok(first != second)
     }
 
-    /// Converts a scaled vector in the plane of an arc back to the program's scale. The length is right, but the
-    /// direction of a mirrored vector can be wrong.
+    /// Converts a scaled vector in the plane of an arc back to the program's scale. Only its length is correct: if the
+    /// arc is mirrored, the direction can be wrong.
     #[inline(never)]
     pub(super) fn written_vector(&self, axes: PlaneAxes, vector: Vector) -> Vector {
         let Some(scaling) = self.scaling_of(false) else { return vector };
-        // The factor of the second axis is the same or, if the arc is mirrored, its negative; for the length the sign
-        // does not matter.
+        // The factors of the two axes are equal or, if the arc is mirrored, opposite. The sign does not affect the
+        // length.
         let written = |way| scaling.written_way(axes.first, way);
         Vector { first: written(vector.first), second: written(vector.second) }
     }

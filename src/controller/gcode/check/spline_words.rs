@@ -13,7 +13,7 @@ use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
 impl<const N: usize> Draft<'_, N> {
-    /// Refuses a negative P. P of G5 may be negative, because it is a distance.
+    /// Refuses a negative P, except with G5, where P is a distance.
     pub(super) fn sign_of_p(&self) -> Result<(), Error> {
         let is_distance =
             self.claim == Claim::Motion && self.action.modal.motion == MotionMode::Spline(SplineKind::Cubic);
@@ -21,7 +21,7 @@ impl<const N: usize> Draft<'_, N> {
     }
 
     /// For G5, I and J lead from the start to the first control point, P and Q from the end to the second. For G5.1, I
-    /// and J lead from the start to the only control point. They are always distances, as in LinuxCNC.
+    /// and J lead from the start to the only control point. These words are distances even with G90.1, as in LinuxCNC.
     #[inline(never)]
     pub(super) fn spline(&mut self, kind: SplineKind) -> Result<(), Error> {
         if !FULL_IMAGE {
@@ -47,7 +47,7 @@ impl<const N: usize> Draft<'_, N> {
             }
             (SplineKind::Cubic | SplineKind::Nurbs, _) => {
                 let arriving = self.vector(b"PQ")?.ok_or(Error::ValueWordMissing)?;
-                // Without I and J, the curve continues the last G5 smoothly if it starts at the end of that G5.
+                // Without I and J, the curve continues the most recent G5 smoothly, if it starts where that G5 ended.
                 let last = self.state.tangent.iter().flatten().find(|tangent| tangent.place == in_xy(&start));
                 (near_start.or(last.map(|tangent| tangent.way)).ok_or(Error::ValueWordMissing)?, arriving)
             }
@@ -62,7 +62,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// Returns the vector that two words give in the plane, along the machine's axes; `None` without the words.
+    /// Returns the vector that two words give in X and Y, converted to machine axes; `None` if the line has neither
+    /// word.
     #[inline(never)]
     fn vector(&mut self, letters: &[u8; 2]) -> Result<Option<[Coordinate; 2]>, Error> {
         let [has_first, has_second] = letters.map(|letter| self.take(letter));

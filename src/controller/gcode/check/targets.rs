@@ -1,5 +1,5 @@
-//! Targets of axis words: from the program's coordinates to those of the machine, through scaling, rotation and
-//! offsets, absolute or incremental. Every move to a point passes through here; most need no scaling and no rotation.
+//! Converts axis words to a target in machine coordinates, through scaling, rotation and offsets, absolute or
+//! incremental. Every move to a point uses this file; most moves need neither scaling nor rotation.
 
 use super::draft::{Draft, Purpose};
 use crate::axes::{Axis, PerAxis};
@@ -29,7 +29,7 @@ impl<const N: usize> Draft<'_, N> {
     }
 
     /// Returns the target in scaled or rotated coordinates. An axis without a word keeps its program coordinate.
-    /// Distances of jogs are along the axes of the machine, as the buttons and the reports show them.
+    /// Incremental jogs move along the machine's axes, which jog buttons and position reports show.
     #[inline(never)]
     fn transformed_target(&mut self) -> PerAxis<Coordinate, N> {
         let incremental = self.action.modal.distance == Distance::Incremental;
@@ -44,7 +44,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Rotates `target`, which was computed without the rotation. Also notes the position in the program's coordinates.
+    /// Rotates `target`, which was computed without the rotation. Also stores the target in the action as the program
+    /// wrote it.
     fn rotated_target(
         &mut self,
         rotated: RotatedPlane,

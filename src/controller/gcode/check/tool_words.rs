@@ -1,5 +1,5 @@
 //! Tools: T selects, M6 changes, M61 names the tool in the spindle. G43 to G49 set the tool length offset, from the
-//! table or from axis words; G10 L1, L10 and L11 set or remove an entry of the table.
+//! tool table or from axis words. G10 L1, L10 and L11 set an entry of the table, or remove one.
 
 use super::draft::Draft;
 use crate::axes::{AxisMask, PerAxis};
@@ -31,8 +31,8 @@ impl<const N: usize> Draft<'_, N> {
         if self.line.extended.tool_change {
             self.action.tool_change = modal.tool != self.state.spindle_tool;
             self.action.after.spindle_tool = modal.tool;
-            // G28.1 and G30.1 store the present position, and a tool change moves away from it. So an M6 on the same
-            // line does not count as alone.
+            // G28.1 and G30.1 store the present position, but a tool change moves away from it. So an M6 with one of
+            // them does not count as alone on its line.
             let stores = matches!(self.line.non_modal, Some(NonModal::StorePosition(_)));
             self.action.after.tool_alone = self.claim == Claim::Nobody && self.line.tool_length.is_none() && !stores;
         }
@@ -88,7 +88,7 @@ impl<const N: usize> Draft<'_, N> {
         let number = if number == 0 { self.action.after.spindle_tool } else { number };
         let measured = self.state.measured_offset(number);
         let known = measured.or_else(|| self.state.tools.offset(number));
-        // If no length of any tool is known, the table is not in use, and G43 has length 0.
+        // If no length of any tool is known, the tool table is not in use, and the offset of G43 is 0.
         if known.is_none() && self.state.knows_no_length() {
             self.action.after.notice = Some(Notice::NoTools);
             return Ok(PerAxis::all(Coordinate::ZERO));
@@ -97,7 +97,7 @@ impl<const N: usize> Draft<'_, N> {
     }
 
     /// G10 L1, L10, L11: set the offset of tool P in the table, for the next G43. L1 without axis words removes the
-    /// tool.
+    /// tool, unless it has I, J, Q or R.
     pub(super) fn set_tool(&mut self, l: i32) -> Result<(), Error> {
         let number = whole(self.line.value(b'P'))?.unsigned_abs();
         if !self.line.values.has(b'P') {
@@ -108,8 +108,8 @@ impl<const N: usize> Draft<'_, N> {
         }
         let known = self.state.tools.offset(number);
         let has_room = self.state.tools.slot(entry_number(number, self.state.is_checking())).is_some();
-        // I, J, Q and R give angles, orientation and radius. LinuxCNC's table has them, this table does not, so they
-        // are ignored.
+        // I, J, Q and R give angles, orientation and radius of the tool. This table, unlike LinuxCNC's, does not hold
+        // these values, so the words are ignored.
         let unkept = Letters::of(b"IJQR");
         let describes = l == 1 && self.unused.has_any(unkept);
         if l == 1 {
@@ -125,7 +125,7 @@ impl<const N: usize> Draft<'_, N> {
         }
         let offsets = &self.state.offsets;
         // The machine position at which the tip of the tool has the coordinate 0. L10 refers to the active system with
-        // its G92, L11 to the ninth system, which belongs to a fixture.
+        // the G92 offset; L11 refers to G59.3, the system of a fixture, without G92.
         let origin = if l == 11 {
             offsets.system(CoordinateSystem::G59_3)
         } else {

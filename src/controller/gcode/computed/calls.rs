@@ -8,8 +8,9 @@ use crate::error::Error;
 use crate::gcode::state::{Interpreter, ProgramPlace};
 
 impl<const N: usize> Interpreter<N> {
-    /// Begins a call. `back`: the position to which the call returns, or [`STREAM`]. If a call from the stream cannot
-    /// begin, stops the text that should run.
+    /// Begins a call. `back`: the position in the held text to which the call returns, or [`STREAM`] for a call in a
+    /// line of the host. If a call from the stream cannot begin, stops the held text that the caller has already
+    /// started.
     pub(super) fn call(
         &mut self,
         kind: FrameKind,
@@ -41,10 +42,10 @@ impl<const N: usize> Interpreter<N> {
         self.saved.abandon(0);
     }
 
-    /// Abandons the program, because the rest of it will not run, or because another host has taken over. Forgets open
-    /// conditions and loops, and all recorded lines except macros. Ends G68 and G51, because no other program expects
-    /// them. In the middle of a held program and among subprograms, the lines that follow are refused up to the next
-    /// program.
+    /// Abandons the program. Call this when its remaining lines will not run, or when another host has taken over.
+    /// Forgets open conditions and loops, and all recorded lines except macros. Ends G68 and G51, because no other
+    /// program expects them. If a program is held, or the host is sending subprograms, the lines that follow are
+    /// refused until another program begins.
     pub fn abandon_program(&mut self) {
         if self.is_held() || self.place == ProgramPlace::Subprogram {
             self.place = ProgramPlace::Refused;
@@ -56,7 +57,8 @@ impl<const N: usize> Interpreter<N> {
         self.saved.abandon(0);
     }
 
-    /// Abandons the program and its subprograms, and refuses all lines that follow, up to the next program.
+    /// Abandons the program and its subprograms, and refuses all lines that follow until another program begins.
+    /// Returns the error for the present line.
     #[cold]
     #[inline(never)]
     pub(in crate::gcode) fn refuse_rest(&mut self) -> Error {

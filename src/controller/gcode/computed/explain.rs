@@ -15,8 +15,8 @@ use crate::number::{Digits, read};
 use core::fmt::Write;
 
 impl<const N: usize> Interpreter<N> {
-    /// Writes what is wrong with an O word, or with the block that a line belongs to. Returns `false` if the error has
-    /// another cause.
+    /// Writes what is wrong with an O word, or with the block that a line belongs to. Writes nothing and returns
+    /// `false` if the error has another cause.
     #[inline(never)]
     pub(in crate::gcode) fn explain_flow(&self, line: &[u8], error: Error, out: &mut Reason) -> bool {
         let behind_words = match error {
@@ -86,7 +86,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Explains M98, M99 and G65.
+    /// Explains M98, M99, G65 and G66.
     #[inline(never)]
     fn explain_call(&self, line: &[u8], order: &OWord, error: Error, out: &mut Reason) {
         let name: &[u8] = match order.keyword {
@@ -177,7 +177,7 @@ impl<const N: usize> Interpreter<N> {
         let word = keyword.map_or(b"".as_slice(), |(word, _)| word);
         let parts: [&[u8]; 4] = match behind_line_number(line).first() {
             Some(b'O') => [b"O", order.label, b" ", word],
-            // A loop of Fanuc's macros.
+            // `WHILE [..] DO1`, the loop of Fanuc's macros.
             _ if order.keyword == Keyword::While => [b"WHILE", b" DO", order.label, b""],
             _ => [b"END", order.label, b"", b""],
         };
@@ -261,7 +261,8 @@ impl<const N: usize> Interpreter<N> {
         say(out, "% has no O% % before it", &[name, label, opening]);
     }
 
-    /// Returns the first parameter in a text that has no value or does not exist.
+    /// Returns the first parameter in a text that cannot be read: a name without a value, or a number that does not
+    /// exist. (A number without a value is read as 0.)
     #[inline(never)]
     pub(in crate::gcode) fn unset_parameter<'t>(&self, text: &'t [u8]) -> Option<&'t [u8]> {
         (0..text.len()).find_map(|at| {

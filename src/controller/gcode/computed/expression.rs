@@ -1,5 +1,5 @@
-//! Values of expressions: `[#1 + 2] * 3`, functions and operators of RS274NGC. A `Reader` reads one operand after the
-//! other, without recursion.
+//! Values of expressions: `[#1 + 2] * 3`, functions and operators of RS274NGC. A `Reader` reads one operand after
+//! another, without recursion.
 //!
 //! ```text
 //!  value     = number | [ sum ] | # value | #<name> | function[ sum ] | ATAN[ sum ]/[ sum ] | EXISTS[#...] | - value | + value
@@ -131,7 +131,7 @@ impl Binary {
     }
 }
 
-/// Operation whose value or right operand has not been read yet.
+/// Operation that waits because its value or right operand has not been read yet.
 #[derive(Clone, Copy, Debug)]
 enum Waiting {
     Negation,
@@ -140,7 +140,7 @@ enum Waiting {
     Function(Function),
     /// Arc tangent that waits for its second bracket, with the value of the first.
     AtanOver(Real),
-    /// Operator that waits for its right operand, with the left one.
+    /// Operator that waits for its right operand, with the value of its left operand.
     Operator(Binary, Real),
 }
 
@@ -195,8 +195,8 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         self.waiting.push(waiting).map_err(|_| Error::TooDeep)
     }
 
-    /// Adds everything before an operand (signs, brackets, functions) to the waiting list. Returns the value of the
-    /// operand.
+    /// Reads the next operand and returns its value. Adds the signs, brackets and functions before it to the waiting
+    /// list.
     fn operand(&mut self) -> Result<Real, Error> {
         loop {
             if let Some((value, used)) = Real::read(self.rest) {
@@ -231,8 +231,8 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         }
     }
 
-    /// Reads the text after `EXISTS[#`, up to the bracket. Returns 1 if the name is set, or if a parameter with the
-    /// number can exist; otherwise 0.
+    /// Reads the text after `EXISTS[#`, including the closing bracket. Returns 1 if the named parameter is set, or if
+    /// the number is that of a possible parameter; otherwise 0.
     fn exists(&mut self) -> Result<Real, Error> {
         let found = if self.takes(b"<") {
             let (name, rest) = name(self.rest)?;
@@ -246,7 +246,8 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         if self.takes(b"]") { Ok(Real::truth(found)) } else { Err(Error::ExpressionSyntax) }
     }
 
-    /// Passes a value to the operations that wait for it. Returns `None` if another operand is needed.
+    /// Passes a value to the operations that wait for it. Returns the value of the whole expression, or `None` if
+    /// another operand has to be read first.
     fn complete(&mut self, value: Real) -> Result<Option<Real>, Error> {
         let mut value = value;
         loop {

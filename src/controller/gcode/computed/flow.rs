@@ -11,8 +11,8 @@
 //!   │              a subprogram after the end: ─────┴─────┴──▶ Recording ── M99 ─────┘  │
 //!   └─────────────────────────────── the end of the text, M2, an error ─────────────────┘
 //! ```
-//! An error while lines are held for a subprogram drops all of them (see `subprograms`). A subprogram for which no
-//! program waits is forgotten at its M99.
+//! If an error occurs while a program is held for a subprogram, all its held lines are dropped (see `subprograms`). A
+//! subprogram for which no program waits is forgotten at its M99.
 //!
 //! A condition is not recorded, because the lines of its false branches are only skipped. Subroutines and loops are
 //! held as text of bounded size, because a serial link sends each line only once. A subroutine or loop that does not
@@ -30,8 +30,8 @@ use crate::lent::Lent;
 /// not larger.
 #[cfg(feature = "alloc")]
 pub(super) const MOST_HELD: usize = 12_288;
-/// Minimum capacity of the held text, in bytes. A line takes one byte more than its length. This is enough for a probing
-/// subroutine of 150 lines and the loop that calls it.
+/// Minimum capacity of the held text, in bytes: enough for a probing subroutine of 150 lines and the loop that calls
+/// it. A held line takes one byte more than its length.
 #[cfg(feature = "alloc")]
 pub const LEAST_HELD: usize = 6144;
 /// Maximum number of bytes of the held text that macros may take; the rest is for programs.
@@ -47,10 +47,10 @@ pub(super) const LABELS: usize = 384;
 pub(super) const ARGUMENTS: usize = 30;
 /// Maximum number of jumps back in held text during one line of the host, to detect endless loops.
 pub(super) const PASSES: u32 = 100_000;
-/// Return position of a call from the stream.
+/// Return position of a call from the stream: after the call, the program continues with the host's next line.
 pub(super) const STREAM: u16 = u16::MAX;
 
-/// A line of held text: its words, and its message.
+/// A line of held text: its words, followed by its message with the mark (see `split_remark`).
 pub type HeldLine = heapless::Vec<u8, 256>;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,15 +70,15 @@ pub(super) enum Keyword {
     EndRepeat,
     Break,
     Continue,
-    /// The number of a subprogram, as the held text has it.
+    /// The first line of a held subprogram: its number, and [`PROGRAM`] as keyword.
     Program,
-    /// M98.
+    /// M98: calls a subprogram.
     CallProgram,
-    /// G65.
+    /// G65: calls a subprogram with arguments.
     CallMacro,
-    /// G66.
+    /// G66: begins a modal call.
     BeginModalCall,
-    /// M99.
+    /// M99: ends a subprogram.
     Back,
     /// M10, M11, M100 to M199, which call a macro.
     CallMacroOfM,
@@ -90,7 +90,8 @@ pub(super) enum Keyword {
     Unknown,
 }
 
-/// The keyword of a held subprogram. No line of a host has it, because small letters become capitals.
+/// The keyword that begins a subprogram in the held text. No line of a host can have it, because small letters are
+/// converted to capitals.
 pub(super) const PROGRAM: &[u8] = b"sub";
 
 /// The keywords. Of two keywords that begin alike, the longer one comes first: `ELSEIF` before `ELSE`.
@@ -112,7 +113,8 @@ pub(super) const KEYWORDS: [(&[u8], Keyword); 15] = [
     (b"CONTINUE", Keyword::Continue),
 ];
 
-/// A line with an O word, or with M98, M99 or G65, which have no label.
+/// A line with an O word, or with another word that controls the flow: M98, M99, G65, G66, GOTO, THEN, or an M word
+/// that calls a macro. `label` is empty for M98, M99, G65 and G66.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OWord<'a> {
     pub(super) label: &'a [u8],
@@ -121,8 +123,8 @@ pub(super) struct OWord<'a> {
 }
 
 impl<'a> OWord<'a> {
-    /// Reads the O word of a line, without its message; `None` for every other line, including a number without a
-    /// keyword, such as `O1000`. The label may be an expression.
+    /// Reads the O word of a line; ignores the line's message. Returns `None` for every other line, including a number
+    /// without a keyword, such as `O1000`. The label may be an expression.
     pub(super) fn of(line: &'a [u8]) -> Option<OWord<'a>> {
         let (line, _) = split_remark(line);
         let line = behind_line_number(line);
@@ -152,7 +154,7 @@ impl<'a> OWord<'a> {
         }
     }
 
-    /// Reads M98, M99, G65, and M words that call macros.
+    /// Reads M98, M99, G65, G66, GOTO, and M words that call macros.
     fn of_call(line: &'a [u8]) -> Option<OWord<'a>> {
         let (letter, number) = line.split_first()?;
         let zeros = number.iter().take_while(|digit| **digit == b'0').count();
@@ -249,7 +251,8 @@ impl<'a> OWord<'a> {
         if self.is_well_formed() { Ok(()) } else { Err(Error::FlowSyntax) }
     }
 
-    /// Whether the line can still belong to the program after an M2 or M30 within a block. A call cannot.
+    /// Whether the line can still belong to the program after an M2 or M30 within a block. Calls, M99, THEN and GOTO
+    /// cannot.
     pub(super) fn may_follow_end(&self) -> bool {
         !matches!(
             self.keyword,
@@ -327,7 +330,7 @@ impl FrameKind {
     }
 }
 
-/// How often a subprogram runs.
+/// How often a call runs its subprogram.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Passes {
     /// Remaining passes, including the current one.
@@ -340,11 +343,11 @@ pub(super) struct Passes {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Frame {
     pub(super) kind: FrameKind,
-    /// Length of its label in bytes.
+    /// Length of the frame's label in bytes.
     pub(super) label: u8,
-    /// Position to which a loop jumps back or a call returns.
+    /// Position in the held text to which the loop jumps back or the call returns.
     pub(super) at: u16,
-    /// The loop ends with this pass.
+    /// Whether the loop ends with this pass.
     pub(super) leaving: bool,
     /// The number of the host's line at which the block or call began, counted from the first received line.
     begun: u32,
@@ -353,21 +356,23 @@ pub(super) struct Frame {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum FlowState {
     Streaming,
-    /// Lines are recorded; their text begins at this position. With an error, they are refused instead.
+    /// Lines of a block are recorded; the block begins at this position of the held text. With an error, the block's
+    /// lines are refused instead.
     Recording(u16, Option<Error>),
-    /// The program is recorded from the call of an unknown subprogram on.
+    /// The program's lines are recorded, from the call of an unknown subprogram on.
     Holding,
     /// The recorded program has ended, and waits for the definition of a subprogram.
     Waiting,
-    /// Held text runs. With a position, the text comes from the stream, such as a loop: it begins at this position and
-    /// is dropped at its end.
+    /// Held text runs. With a position: the text is that of a loop or another line of the stream. It begins at this
+    /// position and is dropped when it has run.
     Running(Option<u16>),
 }
 
 /// Buffer of the held text, with the capacity for hosts.
 #[cfg(feature = "alloc")]
 pub(super) type HeldText = heapless::Vec<u8, MOST_HELD>;
-/// Buffer of the held text. A view, because each board lends memory of its own size.
+/// Buffer of the held text. The type is a view without a fixed capacity, because the capacity differs from board to
+/// board.
 #[cfg(not(feature = "alloc"))]
 pub(super) type HeldText = heapless::vec::VecView<u8>;
 
@@ -376,41 +381,42 @@ pub(super) type HeldText = heapless::vec::VecView<u8>;
 #[derive(Debug, PartialEq)]
 pub(super) struct FlowControl {
     pub(super) text: Lent<HeldText>,
-    /// Maximum number of bytes of the text.
+    /// Maximum number of bytes in `text`.
     pub(super) most: usize,
-    /// Number of bytes at the start of the text that are macros. The end of a program keeps these bytes.
+    /// Number of bytes at the start of the text that belong to macros. These bytes remain when a program ends.
     pub(super) macros: u16,
     pub(super) frames: heapless::Vec<Frame, DEPTH>,
     labels: heapless::Vec<u8, LABELS>,
     pub(super) state: FlowState,
-    /// Lines are skipped up to the next O word of the innermost frame.
+    /// Whether lines are skipped, up to the next O word with the label of the innermost frame.
     pub(super) skipping: bool,
     /// Position of the next line to run.
     pub(super) next: u16,
-    /// Number of frames that belong to the stream. The frames after them belong to the running text.
+    /// Number of frames that lines of the host have opened. The frames after them belong to the running text.
     pub(super) below: u8,
     passes: u32,
     pub(super) skipped: u32,
-    /// The number of the host's present line, counted from the first received line.
+    /// Number of the host's present line; the first received line is 1.
     pub(super) line: u32,
-    /// The number of the host's line at which the recorded text began.
+    /// Number of the host's line with which the recording began.
     pub(super) recorded_from: u32,
-    /// The last line was an M2 or M30 that was skipped or recorded.
+    /// Whether the previous line was an M2 or M30 that was skipped or recorded.
     pub(super) after_end: bool,
     /// If a block was still open at the end of the program: the number of the host's line at which this block began.
     pub(super) cut: Option<u32>,
     /// Position of a call whose subprogram is not known yet. When the subprogram is known, the program continues with
     /// this call.
     pub(super) waiting: Option<u16>,
-    /// Position of the text that is held for the call at `waiting`.
+    /// Start of the text that is held for the call at `waiting`.
     held_from: u16,
-    /// Number of the unknown subprogram that was called last.
+    /// Number of the subprogram in the most recent call of an unknown subprogram.
     pub(super) missing: u32,
-    /// Number of open conditions and loops in the subprogram that is recorded.
+    /// Number of conditions and loops that are open in the subprogram being recorded.
     pub(super) within: u8,
-    /// The present line comes from the host, so the host can still send a subprogram that is missing.
+    /// Whether the present line comes from the host, which can still send a missing subprogram. A startup line does
+    /// not.
     pub(super) of_host: bool,
-    /// The call that follows each line with a move.
+    /// The modal call (G66), which follows each line that moves an axis.
     pub(super) modal: ModalCall,
 }
 
@@ -463,14 +469,14 @@ impl FlowControl {
         self.modal.end();
     }
 
-    /// Ends the program: resets the state, but notes in `cut` at which line a still open block began.
+    /// Ends the program: resets the state. If a block is still open, stores in `cut` the line at which the block began.
     pub fn end_program(&mut self) {
         let cut = self.open_since();
         self.reset();
         self.cut = cut;
     }
 
-    /// Returns the number of the host's line at which the outermost open block began.
+    /// Returns the number of the host's line at which the outermost open block began; `None` if no block is open.
     pub(super) fn open_since(&self) -> Option<u32> {
         let of_stream = match self.state {
             FlowState::Running(_) => usize::from(self.below),
@@ -481,7 +487,7 @@ impl FlowControl {
         self.frames.get(..of_stream)?.first().map(|frame| frame.begun).or(recorded)
     }
 
-    /// Whether lines of the host are recorded.
+    /// Whether lines of the host are recorded, in a block or in a held program.
     pub(super) fn records(&self) -> bool {
         matches!(self.state, FlowState::Recording(..) | FlowState::Holding)
     }
@@ -491,7 +497,7 @@ impl FlowControl {
         self.skipping || matches!(self.state, FlowState::Recording(..))
     }
 
-    /// The held line at a position.
+    /// Returns the held line at a position; `None` after the last line.
     pub(super) fn line(&self, at: u16) -> Option<&[u8]> {
         let (length, rest) = self.text.get(usize::from(at)..)?.split_first()?;
         rest.get(..usize::from(*length))
@@ -557,7 +563,7 @@ impl FlowControl {
         None
     }
 
-    /// Drops the first definition of a subroutine of the program.
+    /// Drops the program's first subroutine with this label; macros stay.
     pub(super) fn drop_sub(&mut self, label: &[u8]) {
         if let Some((from, behind)) = self.find_own(label)
             && let Some(end) = self.end_of_sub(behind, label)
@@ -567,9 +573,9 @@ impl FlowControl {
         }
     }
 
-    /// Drops a refused subroutine, whose text begins at `from`, and an older one with the same label. The label is kept
-    /// with an erroneous `endsub`, so that a call of this label is an error and does not run a macro with the same
-    /// label.
+    /// Drops a refused subroutine, whose text begins at `from`, and an older subroutine with the same label. In its
+    /// place, a subroutine with this label and an invalid `endsub` remains. So a call of this label is an error, and
+    /// does not run a macro with the same label.
     pub(super) fn refuse_sub(&mut self, from: u16, label: &[u8], end: &[u8]) {
         let opening = 1 + self.line(from).map_or(0, <[u8]>::len);
         self.text.truncate(usize::from(from) + opening);
@@ -634,9 +640,8 @@ impl FlowControl {
         self.passes = 0;
     }
 
-    /// Holds the lines of the program from here on, because of a call in the running text whose subprogram is not known
-    /// yet. The call is at `at`. `is_complete`: the program has been held up to its end, so only subprograms can
-    /// follow.
+    /// Starts to hold the lines of the program, because the call at `at` in the running text calls a subprogram that is
+    /// not known yet. `is_complete`: the program has been held up to its end, so only subprograms can follow.
     pub(super) fn wait(&mut self, at: u16, is_complete: bool) {
         let end = self.text.len() as u16;
         self.held_from = if let FlowState::Running(Some(from)) = self.state {
@@ -659,7 +664,8 @@ impl FlowControl {
         self.below = 0;
     }
 
-    /// Continues with the call that has waited for its subprogram. Returns whether a call has waited.
+    /// Runs the call that has waited for its subprogram, and then the held program after it. Returns whether a call was
+    /// waiting.
     pub(super) fn go_on(&mut self) -> bool {
         let Some(at) = self.waiting.take() else { return false };
         self.state = FlowState::Running(Some(self.held_from));
@@ -668,7 +674,7 @@ impl FlowControl {
         true
     }
 
-    /// Stops the running text, whether or not it has reached its end.
+    /// Stops the running text, whether or not it has reached its end, and closes the blocks and calls within it.
     pub fn stop(&mut self) {
         if let FlowState::Running(of_loop) = self.state {
             if let Some(at) = of_loop {

@@ -1,8 +1,8 @@
 //! Words of Fanuc's macros: `IF [..] THEN`, and GOTO within held text. `WHILE [..] DO1` .. `END1` are loops like those
 //! of O words (see `flow`). Also calls of macros by M words: M10, M11, M100 to M199.
 //!
-//! A jump stays in the text that runs: a subprogram, a subroutine, a loop, or the held part of a program. It leaves the
-//! loops that do not contain its target. A jump into a loop is an error at the end of that loop. The stream has no
+//! A jump stays within the running text: a subprogram, a subroutine, a loop, or the held part of a program. It leaves
+//! the loops that do not contain its target. A jump into a loop is an error at the end of that loop. The stream has no
 //! jumps, because its earlier lines are gone and its later ones have not come.
 
 use super::flow::{FlowControl, FlowState, FrameKind, HeldLine, Keyword, OWord};
@@ -53,16 +53,16 @@ impl FlowControl {
         OWord::of(line).filter(is_known)
     }
 
-    /// Returns the start of the text in which a jump looks for its target: the innermost subprogram or subroutine, or
-    /// the held lines of the program.
+    /// Returns the start of the text in which a jump looks for its target: the called subprogram or subroutine that is
+    /// running, or else the held lines of the program.
     #[inline(never)]
     fn beginning(&self) -> Option<u16> {
         let mut labels = self.labels();
         for frame in self.frames.get(usize::from(self.below)..)?.iter().rev() {
             let (others, label) = labels.split_at_checked(labels.len().checked_sub(usize::from(frame.label))?)?;
             if frame.kind.is_call() {
-                // A subroutine of the program and a macro can have the same label, so look only among those of the
-                // running text.
+                // A subroutine of the program and a macro can have the same label. So look among the macros if the
+                // running text is a macro, otherwise among the program's subroutines.
                 let found = if self.next < self.macros { self.find_macro(label) } else { self.find_own(label) };
                 return found.map(|(_, begin)| begin);
             }
@@ -71,8 +71,8 @@ impl FlowControl {
         if let FlowState::Running(from) = self.state { from } else { None }
     }
 
-    /// Looks for the line number from `from` on, up to the end of the subprogram or of the program. Returns the
-    /// position of the first line that has it.
+    /// Looks for a line number (N) from position `from` to the end of the subprogram or of the program. Returns the
+    /// position of the first line with this number.
     #[inline(never)]
     fn numbered(&self, number: i64, from: u16) -> Option<u16> {
         let mut at = from;

@@ -1,4 +1,4 @@
-//! Finds M words in the text of a line. Such a line is recorded or skipped, so its words have not been evaluated.
+//! Finds M words in the text of a line that is recorded or skipped. The words of such a line have not been evaluated.
 
 /// Whether a line has an M word with one of these numbers, written as a plain integer.
 pub(super) fn has_m_word(line: &[u8], numbers: &[&[u8]]) -> bool {

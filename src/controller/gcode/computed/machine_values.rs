@@ -18,21 +18,23 @@ use crate::units::{Coordinate, DECIMAL_ONE, DECIMAL_PLACES, Decimal};
 const SELECTORS: &[u8] = b"DGHLMNOPT";
 
 impl<const N: usize> Interpreter<N> {
-    /// Stores the input that M66 has read, for #5399; `None` after a timeout.
+    /// Stores the level of the input that M66 has read, for #5399: 1 if active, 0 if inactive, -1 after a timeout
+    /// (`None`).
     pub fn set_input_read(&mut self, active: Option<bool>) {
         self.computed.input_read = active.map_or(-1, i8::from);
     }
 
-    /// Stores the result of the last probing move, in machine coordinates, for #5061 to #5070.
+    /// Stores the result of a probing move for #5061 to #5070. `place` is in machine coordinates; the parameters have
+    /// it in program coordinates.
     pub fn set_probed(&mut self, place: &PerAxis<Coordinate, N>, succeeded: bool) {
         self.computed.probed = self.to_program(place);
         self.computed.probe_succeeded = succeeded;
     }
 
-    /// Writes a message to `out` with its parameters (`#5`, `#<name>`) replaced by values, for `(DEBUG, ...)`. Values
-    /// have six decimals; after `%d` none, after `%f` four, after `%.2f` two. These formats are removed. A name that is
-    /// not set becomes `######`. Assignments of the line being checked count. Text beyond the capacity of `out` is cut
-    /// off.
+    /// Writes a message to `out` with its parameters (`#5`, `#<name>`) replaced by values, for `(DEBUG, ...)`. A value
+    /// has six decimals. The formats `%d` (no decimals), `%f` (four) and `%.2f` (two) apply to all values after them,
+    /// and are removed from the text. A name that is not set becomes `######`. Assignments of the line being checked
+    /// are already in effect here. Text beyond the capacity of `out` is cut off.
     pub fn expand<const LENGTH: usize>(&self, remark: &[u8], out: &mut heapless::Vec<u8, LENGTH>) {
         let (mut rest, mut places) = (remark, 6);
         while let Some((byte, behind)) = rest.split_first() {
@@ -197,7 +199,7 @@ impl<const N: usize> Interpreter<N> {
             b"RETRACT_OLD_Z" => truth(!modal.retract_to_r),
             b"FEED_OVERRIDE" => truth(!modal.overrides_held.feed),
             b"SPEED_OVERRIDE" => truth(!modal.overrides_held.spindle),
-            // These values never change. (In LinuxCNC `#<_task>` is 0 in the preview.)
+            // These values are constant here. (In LinuxCNC, `#<_task>` is 0 while the preview is drawn.)
             b"TASK" | b"METRIC_MACHINE" | b"SPINDLE_RPM_MODE" | b"LATHE_RADIUS_MODE" | b"FEED_HOLD" => truth(true),
             b"SPINDLE_CSS_MODE" | b"LATHE_DIAMETER_MODE" | b"ADAPTIVE_FEED" => truth(false),
             // The version of LinuxCNC that has these parameters: 2.9.
@@ -298,8 +300,8 @@ fn tenfold(word: &str) -> Option<Real> {
     Some(Real::from_decimal(Decimal(number.value.0 * 10)))
 }
 
-/// Rounds to the nearest hundredth if the difference is at most 0.0001, as LinuxCNC does with computed numbers that
-/// select something. Values below 0.5 are not rounded, because P can be a short time or a small tolerance.
+/// Rounds to the nearest hundredth if that changes the value by at most 0.0001, as LinuxCNC does with computed numbers
+/// that select something. Values below 0.5 are not rounded, because P can be a short time or a small tolerance.
 fn to_hundredths(value: Decimal) -> Decimal {
     const HUNDREDTH: i64 = DECIMAL_ONE / 100;
     const NEAR: i64 = DECIMAL_ONE / 10_000;

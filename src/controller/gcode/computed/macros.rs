@@ -1,8 +1,8 @@
 //! Macros (`$Mn=line`): numbered lines that survive programs, resets and power cycles. They can define subroutines,
 //! which a program can call.
 //!
-//! Macros are the first lines of the held text (see `flow`), and the end of a program keeps them. Numbers without a
-//! line have an empty line if a higher number is in use.
+//! Macros are the first lines of the held text (see `flow`), and remain there when a program ends. The held text has a
+//! line for each number up to the highest number in use; the line of an unused number is empty.
 
 use super::flow::{FlowControl, FlowState, MOST_MACROS};
 use crate::error::Error;
@@ -12,8 +12,8 @@ use crate::gcode::state::Interpreter;
 pub(super) const LINES: usize = 64;
 
 impl FlowControl {
-    /// Returns the macro line with this number. The line is empty if only higher numbers are in use; after the last
-    /// used number the result is `None`.
+    /// Returns the macro line with this number. The line of an unused number is empty; above the highest number in use
+    /// the result is `None`.
     fn macro_line(&self, index: usize) -> Option<&[u8]> {
         let mut at = 0;
         for _ in 0..index {
@@ -30,7 +30,7 @@ impl FlowControl {
         Some(at + 1 + self.line(at)?.len() as u16)
     }
 
-    /// Replaces the macro line with this number, and adds missing lines before it as empty lines. This moves all text
+    /// Replaces the macro line with this number, and adds empty lines for missing lower numbers. This moves all text
     /// after the line, including the subroutines of a program, so it is refused while a subroutine, loop or condition
     /// is open.
     fn set_macro_line(&mut self, index: usize, line: &[u8]) -> Result<(), Error> {
@@ -82,7 +82,7 @@ impl FlowControl {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// Returns the macro line with this number, 0 to 63; `None` after the last used number.
+    /// Returns the macro line with this number, 0 to 63; `None` above the highest number in use.
     pub fn macro_line(&self, index: usize) -> Option<&[u8]> {
         self.computed.flow.macro_line(index)
     }

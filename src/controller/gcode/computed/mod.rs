@@ -33,16 +33,16 @@ pub use flow::HeldLine;
 #[cfg(feature = "alloc")]
 pub use flow::LEAST_HELD;
 
-/// Memory lent to [`Computed`].
+/// References to the memory of one [`Computed`]; on hosts, boxes.
 #[derive(Debug)]
 pub(super) struct ComputedMemory {
     cells: Lent<Cells>,
     text: Lent<HeldText>,
-    /// Maximum number of bytes of the text.
+    /// Maximum number of bytes in `text`.
     held: usize,
 }
 
-/// Owner, on a board, of the memory that is lent to [`Computed`], with `HELD` bytes for held text.
+/// Static storage for the memory of one [`Computed`] on a board, with `HELD` bytes for held text.
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
 pub(super) struct ComputedStorage<const HELD: usize> {
@@ -72,16 +72,16 @@ impl ComputedMemory {
 pub(super) struct Computed<const N: usize> {
     parameters: Parameters,
     flow: FlowControl,
-    /// Value that the last subroutine has returned.
+    /// Value that the most recent subroutine returned; `None` if it returned no value.
     returned: Option<Real>,
-    /// Result of the last probing move, in the work coordinates of that time.
+    /// Position of the most recent probing result, in the program coordinates at that time.
     probed: PerAxis<Coordinate, N>,
     probe_succeeded: bool,
-    /// Last input read by M66: 1 (active), 0 (inactive), or -1 (timeout).
+    /// Result of the most recent M66: 1 (input active), 0 (inactive) or -1 (timeout).
     input_read: i8,
     /// O number of the program; 0 if it has none.
     program: u32,
-    /// The last held program that did not fit.
+    /// Size of the most recent held program that did not fit.
     overflow: Overflow,
 }
 
@@ -99,7 +99,7 @@ impl<const N: usize> Computed<N> {
         }
     }
 
-    /// Forgets everything except the macros.
+    /// Forgets parameters, results and held text, except the macros.
     pub fn reset(&mut self) {
         self.parameters.reset();
         self.flow.reset();
@@ -109,7 +109,7 @@ impl<const N: usize> Computed<N> {
         self.input_read = 0;
     }
 
-    /// Ends G66.
+    /// Ends the modal call of G66.
     pub fn end_modal_call(&mut self) {
         self.flow.modal.end();
     }
@@ -119,22 +119,24 @@ impl<const N: usize> Computed<N> {
         self.flow.modal.is_active()
     }
 
-    /// Forgets the O number of the program, and G66.
+    /// Forgets the program's O number, ends G66, and ends the count of the bytes that a held program lacks. Called when
+    /// another program begins.
     pub fn forget_number(&mut self) {
         self.end_modal_call();
         self.program = 0;
         self.overflow.end();
     }
 
-    /// If the last held program did not fit into the memory: adds a further refused line to the number of bytes by
-    /// which it is too long. Counts only in builds with `reasons`.
+    /// If a held program did not fit into the memory, counts a further refused line of it, to tell by how many bytes
+    /// the program is too long. Counts only in builds with `reasons`.
     pub fn count_refused(&mut self, line: &[u8]) {
         if REASONS {
             self.overflow.count(&self.flow, line);
         }
     }
 
-    /// Whether programs have left no state that another program could read, except macros and the last probe position.
+    /// Whether programs have left no state that another program could read. Macros and the most recent probe position
+    /// are not considered.
     pub fn is_blank(&self) -> bool {
         let text = self.flow.text.len() == usize::from(self.flow.macros) && !self.flow.modal.is_active();
         text && self.parameters.is_empty() && self.returned.is_none() && self.input_read == 0

@@ -1,4 +1,4 @@
-//! Fanuc's modal calls: from `G66 P1001 A5` on, each line that moves an axis is followed by a call of the subprogram with
+//! Fanuc's modal calls: after `G66 P1001 A5`, each line that moves an axis is followed by a call of the subprogram with
 //! these arguments, up to `G67` or the end of the program.
 //!
 //! ```text
@@ -7,13 +7,13 @@
 //!  G67          ──▶ the call is forgotten
 //! ```
 //! Guarantees: the lines of the called subprogram do not trigger the call again. The arguments are plain numbers, so
-//! each call gets the same ones. A refused line in running text ends the modal call, so that the machine does not drill
-//! where the program did not mean to.
+//! each call gets the same values. A refused line ends the modal call, so that the machine does not drill at positions
+//! that the program did not intend.
 
-/// Maximum length of the kept call.
+/// Maximum length of the stored call, in bytes.
 const LONGEST: usize = 80;
 
-/// A modal call.
+/// The modal call of G66, or none.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct ModalCall {
     /// The call, as a line with G65; empty if there is none.
@@ -21,7 +21,7 @@ pub(super) struct ModalCall {
     /// Number of calls with arguments that were active when G66 was read. Lines at other levels do not trigger the
     /// modal call.
     level: u8,
-    /// The call comes next, because the line before it has moved an axis.
+    /// Whether the call comes next, because the previous line moves an axis.
     is_due: bool,
 }
 
@@ -32,8 +32,8 @@ impl ModalCall {
         !self.line.is_empty()
     }
 
-    /// Keeps the call with these arguments of G66, which was read at this level of calls. If the arguments are too
-    /// long, keeps no call and returns false.
+    /// Stores the call with the arguments of a G66 at this level of calls. If the arguments are too long, stores no
+    /// call and returns `false`.
     pub fn begin(&mut self, arguments: &[u8], level: u8) -> bool {
         self.end();
         self.level = level;
@@ -44,24 +44,24 @@ impl ModalCall {
         kept
     }
 
-    /// Returns the call, if it comes next. It comes only once.
+    /// Returns the call if it comes next, and marks it as done.
     pub fn take_due(&mut self) -> Option<heapless::Vec<u8, LONGEST>> {
         core::mem::take(&mut self.is_due).then(|| self.line.clone())
     }
 
-    /// The level of calls at which the call was made.
+    /// Returns the level of calls at which G66 was read.
     pub fn level(&self) -> u8 {
         self.level
     }
 
-    /// Forgets the call.
+    /// Ends the modal call.
     pub fn end(&mut self) {
         self.line.clear();
         self.is_due = false;
     }
 
-    /// Examines the line that runs next, at this level of calls. Ends the modal call at G67, or if the level is lower
-    /// than that of G66. Makes the call due if the line moves an axis.
+    /// Examines the line that runs next, at this level of calls. Ends the modal call if the line has G67, or if `level`
+    /// is lower than that of G66. Makes the call due if the line moves an axis.
     #[inline(never)]
     pub fn look_at(&mut self, line: &[u8], level: u8) {
         if level < self.level || level == self.level && has_g_word(line, &[670]) {
@@ -91,7 +91,7 @@ fn has_g_word(line: &[u8], tenths: &[u32]) -> bool {
     })
 }
 
-/// Returns the words of a line that are in no bracket and no name: the letter, and the text after it.
+/// Returns the words of a line outside brackets and names: for each word its letter, and the text after the letter.
 fn words(line: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
     let (mut depth, mut before) = (0_usize, b' ');
     line.iter().enumerate().filter_map(move |(at, byte)| {
@@ -100,7 +100,7 @@ fn words(line: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
             b']' | b'>' => depth = depth.saturating_sub(1),
             _ => {}
         }
-        // Letters after a letter, a sign or `=` are those of a function.
+        // A letter after a letter, a sign or `=` belongs to the name of a function.
         let is_within = before.is_ascii_uppercase() || matches!(before, b'=' | b'+' | b'-');
         let begins = depth == 0 && byte.is_ascii_uppercase() && !is_within;
         before = *byte;

@@ -9,15 +9,15 @@ use crate::gcode::state::{Interpreter, ProgramPlace};
 use crate::gcode::word::Word;
 use crate::units::Coordinate;
 
-/// No memory for held text.
+/// Minimum capacity of the held text, in bytes: this build holds no text.
 #[cfg(feature = "alloc")]
 pub const LEAST_HELD: usize = 0;
 
-/// No memory is lent.
+/// Empty: this build has no parameters and no held text.
 #[derive(Debug)]
 pub(super) struct ComputedMemory;
 
-/// No memory is owned.
+/// Empty: this build has no parameters and no held text.
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
 pub(super) struct ComputedStorage<const HELD: usize>;
@@ -72,7 +72,7 @@ impl<const N: usize> Computed<N> {
 
     pub fn end_program(&mut self) {}
 
-    /// Always true: programs leave no such state.
+    /// Returns `true`: there are no parameters and subroutines that a program could leave behind.
     pub fn is_blank(&self) -> bool {
         true
     }
@@ -113,7 +113,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    /// Abandons the program and its subprograms, and refuses all lines that follow, up to the next program.
+    /// Abandons the program, and refuses all lines that follow until another program begins. Returns the error for the
+    /// present line.
     #[cold]
     #[inline(never)]
     pub(in crate::gcode) fn refuse_rest(&mut self) -> Error {
@@ -122,7 +123,7 @@ impl<const N: usize> Interpreter<N> {
         Error::OutOfPlace
     }
 
-    /// Returns the error: there are no calls.
+    /// Returns `error`: a line cannot be a call.
     pub fn direct_refused(&mut self, _: &[u8], _: &[u8], error: Error) -> Result<Direction, Error> {
         Err(error)
     }
@@ -163,7 +164,7 @@ impl<const N: usize> Interpreter<N> {
         0
     }
 
-    /// Returns the end: there are no recorded lines.
+    /// Returns [`Held::End`]: there are no recorded lines.
     pub fn next_held(&mut self, _: &mut HeldLine) -> Result<Held, Error> {
         Ok(Held::End)
     }

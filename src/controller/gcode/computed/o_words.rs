@@ -21,10 +21,10 @@ type Label = heapless::Vec<u8, LABELS>;
 const RESTORE: &[u8] = b"M72";
 
 impl<const N: usize> Interpreter<N> {
-    /// Returns what to do with a line of the host. `number` counts the received lines up to this one; `remark` is the
-    /// line's message with its mark (see `split_remark`); a line can consist of a message alone. If an error is
-    /// returned, no part of the line has been carried out. If the value of a condition is an error, none of its
-    /// branches will run.
+    /// Returns what to do with a line of the host. `number` is the number of lines received up to this one. `remark` is
+    /// the line's message with its mark (see `split_remark`); `line` is empty if the line consists of a message alone.
+    /// If an error is returned, no part of the line has been executed. If the value of a condition cannot be computed,
+    /// none of its branches will run.
     #[inline]
     pub fn direct(&mut self, line: &[u8], remark: &[u8], number: u32) -> Result<Direction, Error> {
         self.computed.begin();
@@ -45,8 +45,8 @@ impl<const N: usize> Interpreter<N> {
         self.direct_order(line, remark, order)
     }
 
-    /// Begins the call of a subroutine from a line that does not belong to the program. The lines of the subroutine
-    /// come next. Returns whether the line is a call.
+    /// Begins the call of a subroutine from a startup line, which does not belong to the host's program. The lines of
+    /// the subroutine run next. Returns `false` if the line has no O word.
     ///
     /// # Errors
     /// The errors of a call; [`Error::FlowSyntax`] for all other O words; [`Error::NotIdle`] while a block is open.
@@ -68,8 +68,8 @@ impl<const N: usize> Interpreter<N> {
         self.computed.flow.skipped
     }
 
-    /// Returns the number of the host's line at which the outermost open block (sub, loop, condition) began. If a
-    /// program has ended with an open block, returns the line at which that block began.
+    /// Returns the number of the host's line at which the outermost open block (sub, loop, condition) began. If no
+    /// block is open but the previous program ended within one, returns the line at which that block began.
     pub fn open_since(&self) -> Option<u32> {
         let flow = &self.computed.flow;
         flow.open_since().or(flow.cut)
@@ -80,7 +80,7 @@ impl<const N: usize> Interpreter<N> {
         self.computed.flow.open_since().is_some()
     }
 
-    /// Handles a tape mark, which separates programs. A block that is still open is dropped, and is an error.
+    /// Handles a tape mark (`%`), which separates programs. If a block is still open, drops it and returns an error.
     ///
     /// # Errors
     /// [`Error::FlowSyntax`]; [`Error::OutOfPlace`] if the program waits for a subprogram.
@@ -96,7 +96,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Detects that a program has ended within a block. After an M2 or M30 that was skipped or recorded, only O words
-    /// other than calls can belong to the same program. So any other line belongs to the next program. In this case,
+    /// other than calls can belong to the same program. Any other line belongs to the next program; for such a line,
     /// drops the open blocks and refuses the line.
     fn look_for_end(&mut self, line: &[u8], order: Option<OWord>) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
@@ -130,8 +130,8 @@ impl<const N: usize> Interpreter<N> {
         self.direct_part(line, remark, order)
     }
 
-    /// Decides what to do with a line, or with a part of one. Records it if it belongs to a subroutine or loop, and
-    /// executes its O word.
+    /// Decides what to do with a line, or with one part of a line that `split_call` has split. Records it if it belongs
+    /// to a subroutine or loop, and executes its O word.
     fn direct_part(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
         if let Some(directed) = self.direct_subprogram(line, remark, order) {
             return directed;
@@ -175,8 +175,8 @@ impl<const N: usize> Interpreter<N> {
                 flow.state = FlowState::Recording(from, held.err());
                 flow.recorded_from = flow.line;
                 if held.is_err() {
-                    // Label and keyword of the refused block are needed in the held text to recognize its end. Without
-                    // room for them, all following lines are refused.
+                    // The label and keyword of the refused block must be in the held text, so that the end of the block
+                    // is recognized. If there is no room for them, all following lines are refused.
                     let length = line.len() - order.arguments.len();
                     flow.hold(line.get(..length).unwrap_or(&[]), &[], 0)?;
                 }
@@ -188,8 +188,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(Direction::Done)
     }
 
-    /// Records a line of a subroutine or loop. At its end, a loop runs. If a line is refused or does not fit, all lines
-    /// up to the end of the block are refused, and the block is dropped.
+    /// Records a line of a subroutine or loop. The line that ends a loop starts its first pass. If a line is refused or
+    /// does not fit, all lines up to the end of the block are refused, and the block is dropped.
     fn record(
         &mut self,
         line: &[u8],
@@ -239,7 +239,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Writes the next line of the running text to `line`, which stays empty if that line is skipped. An error stops
+    /// Writes the next line of the running text to `line`. `line` is empty if the next line is skipped. An error stops
     /// the running text.
     pub fn next_held(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         self.computed.begin();
@@ -254,8 +254,8 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Records that a line of the host was refused, possibly before `direct` was called for it. A subroutine or loop
-    /// that is being recorded would lack this line, so it is refused up to its end; a held program or a subprogram is
-    /// dropped, and all lines that follow are refused.
+    /// being recorded would lack this line, so its remaining lines are refused. A held program or a subprogram being
+    /// recorded is dropped, and all lines that follow are refused.
     pub fn line_refused(&mut self, error: Error) {
         self.computed.begin();
         self.computed.end_modal_call();
@@ -291,8 +291,8 @@ impl<const N: usize> Interpreter<N> {
             line.clear();
             return Ok(Held::Again);
         };
-        // `endsub` is never skipped, because the line after it belongs to another subroutine. The number of a
-        // subprogram is not skipped either.
+        // `endsub` is never skipped, because the line after it does not belong to the subroutine. The first line of the
+        // next subprogram is not skipped either.
         let ends = order.ends_skipping() && flow.is_of_last(order.label)
             || matches!(order.keyword, Keyword::EndSub | Keyword::Program);
         if flow.skipping && !ends {
@@ -335,7 +335,8 @@ impl<const N: usize> Interpreter<N> {
             Keyword::If => {
                 let flow = &mut self.computed.flow;
                 flow.push(FrameKind::If(true), order.label, 0)?;
-                // From here on all branches are skipped, so an error in the condition leaves them skipped.
+                // All branches count as skipped until the condition has been evaluated. So if the condition is an
+                // error, none of them runs.
                 flow.skipping = true;
                 order.must_be_well_formed()?;
                 let holds = self.condition(order.arguments)?;
@@ -362,7 +363,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Returns whether a branch of the innermost condition has been taken.
+    /// Returns whether a branch of the innermost condition has run. Fails if the innermost block is not a condition
+    /// with this label.
     fn has_taken(&mut self, label: &[u8]) -> Result<bool, Error> {
         match self.computed.flow.last(label)?.kind {
             FrameKind::If(taken) => Ok(taken),
@@ -376,7 +378,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    /// Executes `while`, `do`, `repeat` and their ends, `break` and `continue`. These occur only in recorded lines.
+    /// Executes the first and last lines of loops, `break` and `continue`, in the held line at `at`. Lines of the host
+    /// never come here, because loops are always recorded first.
     fn go_round(&mut self, order: OWord, at: u16) -> Result<(), Error> {
         let next = self.computed.flow.next;
         match order.keyword {
@@ -476,7 +479,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Executes `return`, `endsub` and M99: returns to the line after the call, with a value, or begins the next pass
-    /// of a subprogram. If M73 requires it, the next line is M72, which restores the state.
+    /// of a subprogram. If M73 has saved a state in the call, writes M72 to `line`, which restores this state.
     fn leave_call(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         let order = OWord::of(line).ok_or(Error::FlowSyntax)?;
         let is_back = order.keyword == Keyword::Back;
@@ -525,7 +528,8 @@ impl<const N: usize> Interpreter<N> {
         Err(if is_back { Error::OutOfPlace } else { Error::FlowSyntax })
     }
 
-    /// Returns the values of a call. An M word gives P and Q to its macro, in this order.
+    /// Returns the arguments of a call: parameter numbers from #1, and values. An M word passes P as #1 and Q as #2 to
+    /// its macro.
     fn arguments(&self, order: &OWord) -> Result<heapless::Vec<(u8, Real), ARGUMENTS>, Error> {
         let mut values = heapless::Vec::new();
         let mut rest = order.arguments;

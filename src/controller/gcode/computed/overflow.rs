@@ -6,25 +6,25 @@ use super::m_words::has_m_word;
 use crate::gcode::REASONS;
 use crate::gcode::program_number::{number_of, subprogram_number};
 
-/// Length of `ENDSUB` and `O`, which the held text has in place of M99.
+/// Length of `O` and `ENDSUB`. With the number between them, they replace M99 in the held text.
 const END_OF_SUBPROGRAM: usize = 7;
 
 /// A held program that did not fit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Excess {
-    /// Length of the text that would be held by now.
+    /// Length that the held text would have by now, in bytes.
     held: usize,
-    /// How much longer the text is than the memory.
+    /// Number of bytes by which the text and its spare bytes exceed the memory.
     lacking: usize,
-    /// Length of the number of the present subprogram; 0 in the program.
+    /// Number of digits of the present subprogram's number; 0 in the program.
     digits: usize,
-    /// The present subprogram is the one for which the program waited.
+    /// Whether the present subprogram is the one for which the program waited.
     is_awaited: bool,
-    /// Lines are counted, because they still belong to the program or its subprograms.
+    /// Whether further lines are counted, because they still belong to the program or its subprograms.
     counts: bool,
 }
 
-/// The last held program that did not fit; takes no memory in a build that does not count.
+/// The most recent held program that did not fit; takes no memory in a build that does not count.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Overflow([Excess; REASONS as usize]);
 
@@ -39,7 +39,7 @@ impl Overflow {
         }
     }
 
-    /// Counts a further line. The number of the next subprogram after the awaited one ends the count.
+    /// Counts a further line. The count ends at the number of the subprogram that follows the awaited one.
     pub fn count(&mut self, flow: &FlowControl, line: &[u8]) {
         for excess in self.0.iter_mut().filter(|excess| excess.counts) {
             match subprogram_number(line) {
@@ -49,7 +49,7 @@ impl Overflow {
                     excess.digits = number.len();
                     excess.add(1 + line.len() + PROGRAM.len(), flow.most);
                 }
-                // M99 does not raise `lacking`, because the last M99 needs no spare bytes.
+                // M99 does not raise `lacking`, because the text that replaces it may use the spare bytes.
                 None if has_m_word(line, &[b"99"]) => excess.held += 1 + END_OF_SUBPROGRAM + excess.digits,
                 None => excess.add(1 + line.len(), flow.most),
             }
@@ -61,13 +61,14 @@ impl Overflow {
         self.0.iter_mut().for_each(|excess| excess.counts = false);
     }
 
-    /// While lines are counted: returns by how many bytes the program is too long so far.
+    /// Returns by how many bytes the program is too long so far; `None` if no lines are being counted.
     #[cfg(feature = "reasons")]
     pub fn so_far(&self) -> Option<usize> {
         self.0.first().filter(|excess| excess.counts).map(|excess| excess.lacking)
     }
 
-    /// Returns by how many bytes the last program that did not fit was too long; `None` if all programs have fit.
+    /// Returns by how many bytes the most recent program that did not fit was too long; `None` if all programs have
+    /// fit.
     pub fn lacking(&self) -> Option<usize> {
         self.0.first().map(|excess| excess.lacking).filter(|lacking| *lacking > 0)
     }

@@ -26,7 +26,7 @@ pub(super) const NAME_LENGTH: usize = 32;
 const HEAD: usize = 2;
 /// Size of the part of a cell after its key, in bytes.
 const TAIL: usize = 9;
-/// Level of the parameters that all calls share.
+/// Level in the cells of global parameters, which all calls share.
 const GLOBAL: u8 = u8::MAX;
 /// Highest number of a local parameter.
 const LOCAL_END: i64 = 30;
@@ -34,7 +34,7 @@ const LOCAL_END: i64 = 30;
 /// Highest number of a parameter.
 const NUMBER_MAX: i64 = 5999;
 
-/// A key as it is stored.
+/// The key of a parameter in its cell: two bytes of a number, or a name.
 type Key = heapless::Vec<u8, NAME_LENGTH>;
 
 /// Buffer of cells.
@@ -45,7 +45,8 @@ pub(super) type Cells = heapless::Vec<u8, { CAPACITY + OF_A_LINE }>;
 #[derive(Debug, PartialEq)]
 pub(super) struct Parameters {
     cells: Lent<Cells>,
-    /// Number of bytes of `cells` that are in force.
+    /// Number of bytes of `cells` with values in force. The bytes after them hold the assignments of the line being
+    /// checked.
     in_force: usize,
     /// Number of bytes by which `in_force` grows when the line is committed.
     growth: usize,
@@ -173,7 +174,7 @@ impl Parameters {
         self.forget_locals();
     }
 
-    /// Begins a call. `arguments` are the numbers of the parameters that it gets, and their values.
+    /// Begins a call. `arguments`: numbers and values of the local parameters with which the call begins.
     pub fn enter_call(&mut self, arguments: &[(u8, Real)]) -> Result<(), Error> {
         self.level += 1;
         for (number, value) in arguments {
@@ -226,13 +227,12 @@ impl Parameters {
         }
     }
 
-    /// Returns the key and the level under which a parameter is stored. Fails if no parameter can have this number or
-    /// name.
+    /// Returns the key and the level under which a parameter is stored, or an error for an invalid number or name.
     fn stored_as(&self, reference: ParameterReference) -> Result<(Key, u8), Error> {
         match reference {
             ParameterReference::Number(number) if (1..=NUMBER_MAX).contains(&number) => {
-                // The first byte of this key is less than the first byte of every name, so it never equals the key of a
-                // name.
+                // The first byte of a number's key is at most 23. Names begin with a printable character, so no name
+                // has the same key.
                 let key = Key::from_slice(&(number as u16).to_be_bytes()).unwrap_or_default();
                 Ok((key, if number <= LOCAL_END { self.level } else { GLOBAL }))
             }

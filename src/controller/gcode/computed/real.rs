@@ -2,8 +2,8 @@
 //! comparisons, roots, and series for sine, arc tangent, logarithm and exponential.
 //!
 //! * Sums, differences and products with results of up to 18 digits are exact: `10.1 + 0.2` is exactly 10.3.
-//! * A sum or difference below 10⁻¹⁴ of its larger operand is considered a rounding error and becomes 0. So 1/3 + 1/3 +
-//!   1/3 equals 1. This also applies to comparisons, whole parts and remainders.
+//! * A sum or difference below 10⁻¹⁴ of its larger operand is considered a rounding error and becomes 0. Comparisons,
+//!   whole parts and remainders use such differences, so 1/3 + 1/3 + 1/3 counts as equal to 1.
 //! * Quotients and square roots are correct in 18 digits. Sine, cosine, arc tangent and logarithm are within 10⁻¹⁵,
 //!   powers with a fractional exponent within a relative 10⁻¹³.
 //! * All arithmetic is integer arithmetic: results are the same on every machine, and every operation takes a bounded
@@ -20,7 +20,7 @@ use core::cmp::Ordering;
 const DIGITS: u32 = 18;
 /// Exclusive upper limit of a mantissa.
 const MANTISSA_END: i64 = 1_000_000_000_000_000_000;
-/// Number of digits by which a mantissa can be extended in an `i128`.
+/// Number of decimal digits by which a mantissa can be extended in an `i128`.
 const SPARE_DIGITS: u32 = 20;
 /// Maximum decimal exponent of a number's first digit: 10^41 and more is an error.
 const EXPONENT_MAX: i32 = 40;
@@ -30,13 +30,14 @@ const EXPONENT_MIN: i32 = -50;
 /// A number: mantissa × 10^exponent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Real {
-    /// Without trailing zeros.
+    /// At most 18 digits, without trailing zeros.
     mantissa: i64,
     exponent: i8,
 }
 
-/// Returns the remainder of a division. Not inlined, because an `i128` division takes a few KB on a 32-bit processor.
-/// The remainder fits 64 bits because one of the operands does.
+/// Returns the remainder of a division. Not inlined, because the code of an `i128` division takes a few KB on a 32-bit
+/// processor. One of the operands must fit 64 bits; then the remainder does, too, because it is no larger than either
+/// operand.
 #[inline(never)]
 fn remainder(dividend: i128, divisor: i128) -> i64 {
     (dividend % divisor) as i64
@@ -46,7 +47,8 @@ impl Real {
     pub const ZERO: Real = Real::int(0);
     pub const ONE: Real = Real { mantissa: 1, exponent: 0 };
 
-    /// Creates a whole number. The last digit must not be 0, except in 0 itself.
+    /// Creates a whole number. Its last digit must not be 0, because mantissas have no trailing zeros; 0 itself is
+    /// allowed.
     const fn int(mantissa: i64) -> Real {
         Real { mantissa, exponent: 0 }
     }
@@ -87,7 +89,7 @@ impl Real {
         }
     }
 
-    /// Creates a number of at most 18 digits that is known to be in range.
+    /// Creates a number that the caller knows to be in range.
     #[inline(never)]
     fn known(mantissa: i64, exponent: i32) -> Real {
         Self::new(i128::from(mantissa), exponent).unwrap_or(Real::ZERO)
@@ -136,8 +138,8 @@ impl Real {
         Self::from_decimal(Decimal(value.0))
     }
 
-    /// Converts an `f32`. The result is rounded to seven digits, because an `f32` keeps no more digits of a program's
-    /// number.
+    /// Converts an `f32`. The result is rounded to seven digits, because an `f32` holds only about seven digits of the
+    /// number that the program wrote.
     pub fn from_f32(value: f32) -> Real {
         let Real { mantissa, exponent } = Self::from_coordinate(Coordinate::from_mm_f32(value));
         Self::rounded(i128::from(mantissa), exponent.into(), 7).unwrap_or(Real::ZERO)
@@ -328,7 +330,7 @@ impl Real {
         Self::new(integer_root(wide.unsigned_abs()) as i128, exponent / 2)
     }
 
-    /// Raises `self` to a power. For a whole exponent it multiplies, so that squares stay exact.
+    /// Raises `self` to a power. For a whole exponent, computes it by multiplication, so that squares are exact.
     pub fn power(self, exponent: Real) -> Result<Real, Error> {
         if exponent.floor() == exponent && exponent.abs().is_below(Self::int(i64::from(i32::MAX))) {
             let count = (exponent.to_decimal().0 / crate::units::DECIMAL_ONE) as i32;
@@ -367,7 +369,7 @@ impl Real {
 /// whole.
 const TOLERANCE: Real = Real { mantissa: 1, exponent: -4 };
 
-/// A sum that is smaller than its larger operand divided by this number counts as 0.
+/// A sum counts as 0 if it is smaller than its larger operand divided by this number.
 const ROUNDING: u128 = 100_000_000_000_000;
 
 /// Returns a power of ten; if it exceeds `i128`, the maximum of that type.
@@ -383,7 +385,7 @@ fn divided(value: i128, divisor: i128) -> i128 {
     value.saturating_add(half) / divisor
 }
 
-// Functions, in binary fixed point: a unit is 2^-60.
+// The functions compute in binary fixed point: one unit is 2^-60.
 
 const BITS: u32 = 60;
 const UNIT: i64 = 1 << BITS;
@@ -394,8 +396,8 @@ const ROOT_OF_HALF: i64 = 815_238_614_083_298_888;
 /// Number of terms after which every series here has converged.
 const TERMS: i64 = 64;
 
-/// Decimal places of a function's result. They are fewer than 2^-60 would allow, so that a result that should be 0.5 is
-/// exactly 0.5.
+/// Decimal places to which a function's result is rounded. Units of 2^-60 would allow more places, but then a result
+/// that should be 0.5 might not be exactly 0.5.
 const PLACES: u32 = 16;
 /// Decimal places of a result that is an angle in degrees.
 const PLACES_OF_DEGREES: u32 = 14;
@@ -443,7 +445,7 @@ fn tangent_series(x: i64, sign: i64) -> i64 {
 }
 
 impl Real {
-    /// Converts to units of 2^-60. The size of the number must be at most 2^60.
+    /// Converts to units of 2^-60. The absolute value of the number must be at most 2^60.
     #[inline(never)]
     fn to_fixed(self) -> i128 {
         let power = ten_to(i32::from(self.exponent).unsigned_abs());
@@ -451,7 +453,8 @@ impl Real {
         if self.exponent >= 0 { wide.saturating_mul(power).saturating_mul(1 << BITS) } else { (wide << BITS) / power }
     }
 
-    /// Converts from units of 2^-60, rounded to decimal places; the size must be below 2^10.
+    /// Converts from units of 2^-60, rounded to `places` decimal places. The absolute value of the number must be below
+    /// 2^10.
     #[inline(never)]
     fn from_fixed(value: i128, places: u32) -> Real {
         let wide = value * ten_to(places);
@@ -549,8 +552,8 @@ impl Real {
         if Self::known(100, 0).is_below(self) {
             return Err(Error::InvalidResult);
         }
-        // The result would be below 10^-40, so it becomes 0. For a slightly smaller `self`, `scale` would be 2^137,
-        // which is out of range (10^41).
+        // The result would be below 10^-40, so it becomes 0. It cannot be computed: for a slightly smaller `self`,
+        // `scale` would be 2^137, which exceeds the range of numbers (10^41).
         if self.is_below(Self::known(-94, 0)) {
             return Ok(Real::ZERO);
         }
@@ -572,8 +575,8 @@ impl Real {
     }
 }
 
-/// Returns the angle of a slope from 0 to 1, in degrees. Half of an angle with slope t has the slope t / (1 + √(1 +
-/// t²)).
+/// Returns the angle of a slope from 0 to 1, in degrees. Halves the angle twice, so that the series converges fast:
+/// half of an angle with slope t has the slope t / (1 + √(1 + t²)).
 fn slope(slope: Real) -> Real {
     let mut t = slope.to_fixed() as i64;
     for _ in 0..2 {

@@ -10,13 +10,14 @@
 //!                                                                   ▲   number              │ call of an unknown number
 //!                                                                   └──────────── Waiting ◀─┘
 //! ```
-//! Guarantees: no line of a subprogram is executed except by a call. If a line of the held program or of a subprogram
-//! is refused before the program goes on, none of the held lines is executed, and all lines that follow are refused.
-//! The same holds if the machine rests meanwhile, because then the next line can be that of another file. M99 without a
-//! call means that a subprogram has been taken for the program: all following lines are refused. A subprogram is valid
-//! only in its file: if no program waits for it, the subprogram is read and forgotten.
+//! Guarantees: a line of a subprogram is executed only by a call. If a line of the held program or of a subprogram is
+//! refused before the program continues, none of the held lines is executed, and all lines that follow are refused. The
+//! same happens if the machine is idle and the host sends nothing for a while, because the next line can then be that
+//! of another file. M99 without a call means that a subprogram has been taken for the program: all following lines are
+//! refused. A subprogram is valid only in its file: if no program waits for the subprogram, it is read and forgotten.
 //!
-//! M98 and G65 do not call macros. Otherwise a file whose subprogram has the number of a macro would move differently.
+//! M98 and G65 do not call macros. Otherwise a call in a file whose own subprogram comes later would run a macro with
+//! the same number instead.
 
 use super::Computed;
 use super::expression;
@@ -31,17 +32,18 @@ use crate::gcode::remark::split_remark;
 use crate::gcode::state::{Interpreter, ProgramPlace};
 use core::fmt::Write;
 
-/// Maximum number of repeats (L).
+/// Maximum number of passes of a call (L).
 const MOST_REPEATS: i64 = 9999;
 /// Highest number of a subprogram.
 const HIGHEST: i64 = 99_999_999;
-/// The letters of G65's arguments: the first one sets #1, the second one #2, and so on. A point has no letter.
+/// The letters of G65's arguments: the first one sets #1, the second one #2, and so on. A point stands for a parameter
+/// without a letter.
 const LETTERS: &[u8; 26] = b"ABCIJKDEF.H.M...QRSTUVWXYZ";
 
 /// The number of a subprogram, or a line that consists of O, the number and a keyword.
 type ShortLine = heapless::Vec<u8, 16>;
 
-/// The words of M98, G65 or G66.
+/// The values of the words of M98, G65 or G66.
 pub(super) struct Call {
     number: u32,
     pub(super) label: ShortLine,
@@ -50,7 +52,7 @@ pub(super) struct Call {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// Whether the lines of a program are held.
+    /// Whether the host's lines are being held as part of a program that has called an unknown subprogram.
     #[inline]
     pub(in crate::gcode) fn is_holding(&self) -> bool {
         self.computed.flow.state == FlowState::Holding
@@ -61,13 +63,14 @@ impl<const N: usize> Interpreter<N> {
         self.computed.flow.records()
     }
 
-    /// Returns the number of the subprogram for which a program waits.
+    /// Returns the number of the subprogram for which a program waits; `None` if no program waits.
     pub fn awaited_subprogram(&self) -> Option<u32> {
         let flow = &self.computed.flow;
         flow.waiting.map(|_| flow.missing)
     }
 
-    /// Handles a line, or a part of one, of a held program or of a subprogram; returns `None` for all others.
+    /// Handles a line of a held program or of a subprogram, or a part of such a line. Returns `None` for all other
+    /// lines.
     #[inline(never)]
     pub(super) fn direct_subprogram(
         &mut self,
@@ -86,8 +89,9 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Decides on a line of the host that the check has refused with `error`. M98 after other words is a call that
-    /// follows these words. M99 after other words has no call to return from, so the rest of the program is refused.
+    /// Decides on a line of the host that the check has refused with `error`. If M98 follows other words, these words
+    /// are executed before the call. M99 after other words has no call to return from, so all following lines are
+    /// refused.
     #[cold]
     #[inline(never)]
     pub fn direct_refused(&mut self, line: &[u8], remark: &[u8], error: Error) -> Result<Direction, Error> {
@@ -103,8 +107,9 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Executes M98, G65 or `IF [..] THEN` in a line of the host (`call`), after the words before it. The line is held
-    /// and runs like a loop. If the subprogram is unknown, the program is held from the call on.
+    /// Executes M98, G65, G66 or `IF [..] THEN` in a line of the host (`call`), after the `words` before it. The line
+    /// is added to the held text and runs there, as a loop does. If the subprogram is unknown, the program is held from
+    /// the call on.
     #[inline(never)]
     pub(super) fn run_call(
         &mut self,
@@ -132,8 +137,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(Direction::Run)
     }
 
-    /// Appends a line of the host to the held text, and makes the flow continue there, so that the line runs next. If
-    /// there is no room, refuses the rest of the program.
+    /// Appends a line of the host to the held text, where it runs next. If there is no room, refuses all lines that
+    /// follow.
     pub(super) fn run_line(&mut self, line: &[u8], remark: &[u8]) -> Result<Direction, Error> {
         let flow = &mut self.computed.flow;
         let from = flow.text.len() as u16;
@@ -147,13 +152,13 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Examines a line with an O number after the end of a program, or a line among subprograms. Returns whether the
-    /// line belongs to a held program or to a subprogram; if not, the caller refuses it. For a line of a subprogram,
-    /// sets the place to [`ProgramPlace::Subprogram`].
+    /// line belongs to a held program or to a subprogram; otherwise the caller refuses it. If the line belongs to a
+    /// subprogram, the place becomes [`ProgramPlace::Subprogram`].
     #[inline(never)]
     pub(in crate::gcode) fn look_among_subprograms(&mut self, line: &[u8]) -> bool {
         let flow = &self.computed.flow;
         let belongs = match flow.state {
-            // `hold_line` decides on this line: it refuses a number before the end of the program.
+            // `hold_line` decides on this line. It refuses an O number before the end of the program.
             FlowState::Holding => return true,
             FlowState::Recording(..) => self.is_held(),
             FlowState::Waiting => subprogram_number(line).is_some(),
@@ -167,7 +172,7 @@ impl<const N: usize> Interpreter<N> {
         belongs
     }
 
-    /// Takes note of the number of the program.
+    /// Stores the O number of the program, unless the program has ended.
     #[inline(never)]
     pub(super) fn note_number(&mut self, line: &[u8]) {
         if self.place == ProgramPlace::Program {
@@ -183,8 +188,8 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Holds a line of the program after the call of an unknown subprogram. If the line cannot belong to the program,
-    /// or does not fit, refuses it and all lines that follow. After the end of the program, the number of a subprogram
-    /// begins the definition of that subprogram.
+    /// or the memory is full, refuses the line and all lines that follow. After the end of the program, the number of a
+    /// subprogram begins the definition of that subprogram.
     #[inline(never)]
     fn hold_line(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
         let flow = &mut self.computed.flow;
@@ -207,7 +212,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(Direction::LeftOut)
     }
 
-    /// Refuses a line of a held program or of a subprogram, and all that follow.
+    /// Refuses a line of a held program or of a subprogram, and all lines that follow. `subprogram`: number of the
+    /// subprogram to which the line belongs.
     fn refuse_held(&mut self, error: Error, line: &[u8], remark: &[u8], subprogram: Option<&[u8]>) {
         let Computed { flow, overflow, .. } = &mut self.computed;
         if REASONS && error == Error::OutOfMemory && flow.waiting.is_some() {
@@ -218,14 +224,14 @@ impl<const N: usize> Interpreter<N> {
         self.refuse_rest();
     }
 
-    /// Returns by how many bytes, at least, the last held program that did not fit was too long; `None` if all programs
-    /// have fit.
+    /// Returns by how many bytes, at least, the most recent held program that did not fit was too long; `None` if all
+    /// programs have fit.
     pub fn lacking_bytes(&self) -> Option<usize> {
         self.computed.overflow.lacking()
     }
 
-    /// Begins the definition of a subprogram. If there already is one with this number, or no room, refuses this line
-    /// and all that follow.
+    /// Begins the definition of a subprogram. If a subprogram with this number exists, or there is no room, refuses
+    /// this line and all lines that follow.
     #[inline(never)]
     fn define(&mut self, label: &[u8]) -> Result<Direction, Error> {
         self.place = ProgramPlace::Subprogram;
@@ -250,10 +256,10 @@ impl<const N: usize> Interpreter<N> {
         Ok(Direction::LeftOut)
     }
 
-    /// Records a line of a subprogram. M99 ends the subprogram, unless the M99 is within a condition or loop. At the
-    /// end, the program that waits for the subprogram goes on. If no program waits, the subprogram is forgotten,
-    /// because no later program may call it. A line that has a program number, M2 or M30, or does not fit, is refused,
-    /// and so are all lines that follow.
+    /// Records a line of a subprogram. M99 ends the subprogram, unless the M99 is within a condition or loop. Then the
+    /// program that waits for the subprogram continues. If no program waits, the subprogram is forgotten, because no
+    /// later program may call it. If a line has a program number, M2 or M30, or if the memory is full, refuses the line
+    /// and all lines that follow.
     #[inline(never)]
     fn record_subprogram(
         &mut self,
@@ -298,7 +304,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(Direction::LeftOut)
     }
 
-    /// Executes M98 or G65 in the held line at `at`. Returns `false` if the program now waits for the subprogram.
+    /// Executes M98 or G65 in the held line at `at`. Returns `false` if the subprogram is unknown and the program now
+    /// waits for it.
     #[inline(never)]
     pub(super) fn call_from_text(&mut self, order: &OWord, at: u16) -> Result<bool, Error> {
         let call = self.read_call(order)?;
@@ -325,7 +332,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(false)
     }
 
-    /// Executes G66 in the held line at `at`. Returns `false` if the program now waits for the subprogram.
+    /// Executes G66 in the held line at `at`. Returns `false` if the subprogram is unknown and the program now waits
+    /// for it.
     #[inline(never)]
     pub(super) fn begin_modal_call(&mut self, order: &OWord, at: u16) -> Result<bool, Error> {
         let call = self.read_call(order)?;
@@ -333,7 +341,8 @@ impl<const N: usize> Interpreter<N> {
             return self.await_subprogram(&call, at);
         }
         let (level, modal) = (self.computed.level(), &self.computed.flow.modal);
-        // Within the called subprogram, it would take the place of the call that goes on after the return.
+        // A G66 in the subprogram that the modal call runs would replace the modal call, which must remain active after
+        // the return.
         if modal.is_active() && modal.level() < level {
             return Err(Error::TooDeep);
         }
@@ -351,7 +360,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Executes the modal call if the line before moved an axis. Returns whether it did.
+    /// Executes the modal call if the previous line moves an axis. Returns whether the call was executed.
     #[inline(never)]
     pub(super) fn call_if_due(&mut self) -> Result<bool, Error> {
         let flow = &mut self.computed.flow;
@@ -378,12 +387,12 @@ impl<const N: usize> Interpreter<N> {
         self.run_line(line, remark)
     }
 
-    /// Reads the words of M98 or G65.
+    /// Reads the words of M98, G65 or G66.
     #[inline(never)]
     pub(super) fn read_call(&self, order: &OWord) -> Result<Call, Error> {
         let is_macro = order.keyword != Keyword::CallProgram;
         let is_modal = order.keyword == Keyword::BeginModalCall;
-        // The calls that G66 causes come later, and the value of an expression could change meanwhile.
+        // G66 causes calls later in the program, and the value of an expression could change until then.
         if is_modal && order.arguments.iter().any(|byte| matches!(byte, b'#' | b'[')) {
             return Err(Error::NotSupported);
         }
@@ -434,7 +443,7 @@ impl<const N: usize> Interpreter<N> {
 }
 
 impl FlowControl {
-    /// Holds a line of a program or of a subprogram, unless its O word cannot stand there.
+    /// Adds a line of a program or of a subprogram to the held text. Refuses O words that are not allowed there.
     #[inline(never)]
     fn hold_order(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<(), Error> {
         match order {
@@ -457,7 +466,7 @@ impl FlowControl {
         self.go_back(begin)
     }
 
-    /// Counts the open conditions and loops of the subprogram that is recorded from `from` on.
+    /// Updates the number of open conditions and loops of the subprogram that is recorded from `from` on.
     #[inline(never)]
     fn count_blocks(&mut self, from: u16, order: Option<OWord>) {
         let Some(order) = order else { return };
@@ -482,8 +491,8 @@ impl FlowControl {
     }
 }
 
-/// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. A line that begins like this and is no
-/// [`OWord`] is not supported.
+/// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. If such a line is not an [`OWord`], it is
+/// not supported.
 pub(super) fn is_jump(line: &[u8]) -> bool {
     let line = behind_line_number(line);
     [b"IF".as_slice(), b"WHILE", b"END", b"GOTO"].iter().any(|word| line.starts_with(word))

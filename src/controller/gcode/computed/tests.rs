@@ -75,7 +75,7 @@ fn decimals_are_exact() {
     }
 }
 
-/// A rounded quotient still gives whole results: `1/3*3` is 1.
+/// Although quotients are rounded, comparisons and whole parts treat `1/3*3` as 1.
 #[test]
 fn parts_of_a_whole_make_the_whole() {
     for (text, value) in [
@@ -223,7 +223,7 @@ fn numbers_of_programs() {
     assert_eq!(Real::read(b"-1"), None);
 }
 
-/// An expression that can be evaluated in `f64`.
+/// An expression as a tree, which can also be evaluated in `f64`.
 #[derive(Clone, Debug)]
 enum Tree {
     Number(i64, u32),
@@ -283,7 +283,7 @@ impl Tree {
                         let value = a.value / b.value;
                         Estimate::new(value, (a.error + value.abs() * b.error) / b.value.abs())
                     }
-                    // The result is in range only for a base of 0 or near 1, so these powers are left out.
+                    // The result would be in range only for a base of 0 or near 1, so such powers are not tested.
                     "**" if b.value.abs() > 1e9 => None,
                     "**" => {
                         let value = a.value.powf(b.value);
@@ -320,7 +320,7 @@ impl Tree {
             }
             Tree::Atan(y, x) => {
                 let (y, x) = (y.estimate()?, x.estimate()?);
-                // The result is near -180 or 180 degrees, and the error of the ordinate decides which of them.
+                // The result can be near -180 or near 180 degrees, depending on the error of y, so it is not compared.
                 if y.value.abs() <= 2.0 * y.error && x.value < 0.0 {
                     return None;
                 }
@@ -379,7 +379,7 @@ fn too_great_a_result() {
     }
 }
 
-/// The list of O words for lines after the end of a program has the same words as the list of those that are executed.
+/// `O_WORDS`, used for lines after the end of a program, has the same keywords as `KEYWORDS`, used to execute them.
 #[test]
 fn keywords_are_the_o_words() {
     assert_eq!(KEYWORDS.map(|(name, _)| name), crate::gcode::program_number::O_WORDS);

@@ -33,7 +33,8 @@ struct ReadableLine<'a, const N: usize> {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// Explains a line whose words do not fit together, or do not fit the present modal state.
+    /// Explains a line whose words do not fit each other or the present modal state. `action` is the result of the
+    /// failed check.
     #[inline(never)]
     pub(super) fn explain_meaning(
         &self,
@@ -171,7 +172,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         self.modal.motion.word().as_bytes()
     }
 
-    /// Returns the word that uses the axis words.
+    /// Returns the word that uses the axis words: a G word such as G10 or G28, otherwise the motion word in force.
     #[inline(never)]
     fn command(&self) -> &'a [u8] {
         let numbers = [40, 100, 280, 281, 300, 301, 510, 520, 530, 680, 920, 921, 922, 923];
@@ -332,7 +333,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         }
     }
 
-    /// Reports a missing word of M62 to M68. Returns whether a word is missing.
+    /// Explains which word is missing in M62 to M68. Returns whether one is missing.
     #[inline(never)]
     fn missing_of_pin(&self, word: &[u8], lacks: &mut impl FnMut(&str, &[u8], &str)) -> bool {
         let has = |letter: u8| self.parsed.values.has(letter);
@@ -589,7 +590,8 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         })
     }
 
-    /// Returns the first axis whose word, or whose target, is out of range.
+    /// Returns the first axis whose word or target is beyond the range of coordinates (50 m); `None` if there is no
+    /// such axis.
     #[inline(never)]
     fn too_far(&self) -> Option<Axis> {
         let end = self.end();
@@ -666,7 +668,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         if absolute || self.modal.units == Units::Inch || [x, y] == [0, 0] {
             return say(out, "Correct I, J or the end", &[]);
         }
-        // The nearest centre that is equally far from both ends.
+        // Suggest the centre that is equally far from both ends of the arc and nearest to the programmed centre.
         let square = |[a, b]: [i64; 2]| a as f32 * a as f32 + b as f32 * b as f32;
         let part = 0.5 - (x as f32 * i as f32 + y as f32 * j as f32) / square([x, y]);
         for (axis, (centre, way)) in [axes.first, axes.second].into_iter().zip([(i, x), (j, y)]) {

@@ -1,8 +1,9 @@
 //! Explains what is wrong with a refused line, in a sentence that names the word: "Q is missing in G83". A refused line
-//! has changed nothing, so the line can be read again here, word by word, in the state in which it was refused.
+//! has changed nothing. So this module can read the line again, word by word, in the same state in which it was
+//! refused.
 //!
 //! Guarantees:
-//! * Accepted lines cost no time.
+//! * Accepted lines take no additional time.
 //! * The sentence says what to change, so that the user need not consult a document.
 //! * The sentence contains no brackets, because a bracket would end a `[MSG:...]`.
 //! * Words are named as received: in capitals, without blanks. The wrong word comes before the first colon, advice
@@ -25,8 +26,8 @@ use words::Text;
 pub(super) use sentence::say;
 
 impl<const N: usize> Interpreter<N> {
-    /// Writes to `out` what is wrong with a line that has just been refused; writes nothing if the error number says
-    /// everything. `action` is the action that the check has written.
+    /// Writes to `out` what is wrong with a line that has just been refused; writes nothing if the text of the error
+    /// number is sufficient. `action` is the action that the failed check has left.
     #[cold]
     #[inline(never)]
     pub fn explain(

@@ -1,4 +1,4 @@
-//! Parts of a sentence about a refused line: words of the line, lengths, numbers.
+//! Composes sentences about refused lines from a template, words of the line, lengths and numbers.
 
 use crate::gcode::Reason;
 use crate::number::{self, Digits};
@@ -29,7 +29,7 @@ pub(super) fn name(out: &mut Reason, text: &[u8]) {
     }
 }
 
-/// Appends a length in mm with three decimals.
+/// Appends a length in mm with three decimals. `units` is in units of 0.1 nm.
 #[inline(never)]
 pub(super) fn millimetres(out: &mut Reason, units: i64) {
     let thousandths = (units.unsigned_abs() + DECIMAL_ONE as u64 / 2000) / (DECIMAL_ONE as u64 / 1000);

@@ -10,7 +10,7 @@ use crate::gcode::word::Groups;
 use crate::gcode::{Dialect, Reason};
 use crate::image::FULL_IMAGE;
 
-/// A refused line.
+/// The text of a refused line, and the dialect in which it was read.
 #[derive(Clone, Copy)]
 pub(super) struct Text<'a> {
     pub line: &'a [u8],
@@ -26,7 +26,7 @@ pub(super) struct RefusedWord {
 }
 
 impl<'a> Text<'a> {
-    /// Returns the words of the line, one after the other.
+    /// Returns the words of the line, from left to right.
     pub fn words(self) -> impl Iterator<Item = &'a [u8]> {
         let mut start = 0;
         core::iter::from_fn(move || {
@@ -66,7 +66,7 @@ fn beginning(text: &[u8], names: &[&'static [u8]]) -> Option<&'static [u8]> {
     names.iter().copied().find(|name| text.starts_with(name))
 }
 
-/// Functions. At the beginning of a value they are part of it, not separate words.
+/// Names of functions. At the beginning of a value, their letters belong to the value and do not begin other words.
 const FUNCTIONS: [&[u8]; 14] = [
     b"ABS[", b"ACOS[", b"ASIN[", b"ATAN[", b"COS[", b"EXISTS[", b"EXP[", b"FIX[", b"FUP[", b"LN[", b"ROUND[", b"SIN[",
     b"SQRT[", b"TAN[",
@@ -106,7 +106,7 @@ pub(super) fn end_of(line: &[u8], start: usize) -> usize {
     at.min(line.len())
 }
 
-/// Refused words, by their numbers in tenths, and what to write instead.
+/// Sentences about refused G words, by the numbers of the words in tenths. Most sentences say what to write instead.
 const INSTEAD_OF_G: [(&[u16], &str); 14] = [
     (
         &[330, 331, 760, 840],
@@ -171,14 +171,15 @@ impl<const N: usize> Interpreter<N> {
         parsed.read_apart(line, dialect, self)
     }
 
-    /// Explains a word that is refused alone or because of earlier words. `told` is the error of the whole line.
+    /// Explains a word that is refused alone or because of earlier words. `told` is the error with which the line was
+    /// refused.
     #[inline(never)]
     pub(super) fn explain_word(&mut self, text: &Text, found: RefusedWord, told: Error, out: &mut Reason) {
         let line = text.line;
         let word = line.get(found.start..found.end).unwrap_or_default();
         let before = line.get(..found.start).unwrap_or_default();
         let letter = word.first().copied().unwrap_or_default();
-        // The error of the line has another cause, so this word does not explain it.
+        // The line was refused for another reason, so this word does not explain its error.
         if found.error != told {
             return;
         }
@@ -226,7 +227,7 @@ impl<const N: usize> Interpreter<N> {
             Error::ReadOnlyParameter => {
                 say(out, "% belongs to the machine: set one of your own, such as #100", &[word_name(word)]);
             }
-            // Words that this build lacks.
+            // Errors of words that this build lacks.
             error => {
                 say(out, "%: ", &[word_name(word)]);
                 let _ = out.extend_from_slice(error.text().as_bytes());
@@ -234,7 +235,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Explains text that is not a word, or has no number.
+    /// Explains text that is not a word, or a word without a valid number.
     #[inline(never)]
     fn explain_text(&mut self, text: &Text, found: RefusedWord, word: &[u8], before: &[u8], out: &mut Reason) {
         let (letter, rest) = word.split_first().unwrap_or((&0, &[]));
@@ -243,7 +244,7 @@ impl<const N: usize> Interpreter<N> {
         let grbl = text.dialect == Dialect::Grbl;
         let count = |what: u8| word.iter().filter(|byte| **byte == what).count();
         match (*letter, rest) {
-            // The line filter leaves only `)` of a line whose nested remark is not closed.
+            // The line filter leaves only `)` of a line whose nested comment is not closed.
             (b')', []) if text.line.len() == 1 => {
                 say(out, "a remark is not closed: each parenthesis needs its other half", &[])
             }
@@ -375,7 +376,7 @@ impl<const N: usize> Interpreter<N> {
     }
 }
 
-/// Returns the last word of `before`, or a text that says that there is none.
+/// Returns the last word of `before`; "the beginning" if `before` is empty.
 #[inline(never)]
 fn last_word(before: &[u8]) -> &[u8] {
     let mut start = 0;
@@ -389,7 +390,8 @@ fn last_word(before: &[u8]) -> &[u8] {
     b"the beginning"
 }
 
-/// Returns a word without the part after `=` and without a computed value.
+/// Returns the part of a word before `=` or before a computed value: its letter, or the parameter that it sets. Returns
+/// the whole word if it has neither.
 #[inline(never)]
 pub(super) fn word_name(word: &[u8]) -> &[u8] {
     let end = word.iter().position(|byte| matches!(byte, b'=' | b'[')).unwrap_or(word.len());

@@ -176,7 +176,8 @@ fn no_turn_that_limits_is_left_out_in_advance() {
     }
 }
 
-/// Returns how many times longer than its straight distance a piece's path is. Some are, by moves without a step.
+/// Returns the ratio of a piece's path length to its straight length. It exceeds 1 for some pieces, as if moves without
+/// a step preceded them.
 fn winding(place: usize) -> f32 {
     if place % 50 < 15 { 1.0 + 0.3 * (place % 50) as f32 } else { 1.0 }
 }
@@ -210,8 +211,8 @@ fn profile(points: &[[f32; 2]], limits2: &[f32], rule: &TurnRule<2>) -> Vec<f32>
     speeds2
 }
 
-/// Returns the entry limits of a path's pieces, and how many bends have been found. `attainable`: whether limits that
-/// the machine cannot exceed anyway are omitted.
+/// Returns the entry limits (speed²) of a path's pieces, and how many bends have been found. `attainable`: whether
+/// limits that the machine cannot exceed anyway are omitted.
 fn entry_limits(points: &[[f32; 2]], fast2: f32, rule: &TurnRule<2>, attainable: bool) -> (Vec<f32>, usize) {
     let place = |point: &[f32; 2]| PerAxis(point.map(|mm| Coordinate((f64::from(mm) * 1.0e7) as i64)));
     let mut chain = Chain::new(Lent::new(Chain::<2>::SCALES));

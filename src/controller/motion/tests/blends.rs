@@ -53,7 +53,7 @@ fn chords_become_fewer_within_the_tolerance() {
     assert!(blocks(&exact).len() >= 200, "Q0");
 }
 
-/// Held moves count as queued: for the planned position, their line numbers and power.
+/// Held moves count as queued: they determine the planned position, and their line numbers and power are reported.
 #[test]
 fn what_is_held_back_is_part_of_the_queue() {
     let mut rig = Rig::<3, 64>::new(settings(100.0, 100.0, 500.0));

@@ -1,4 +1,4 @@
-//! Whole jobs: times, speeds, power.
+//! Runs whole jobs and checks their duration, speeds, laser power and reports.
 
 use super::super::on_heap;
 use super::super::{Arc, ArcGeometry, Motion, Move, Speed};
@@ -14,7 +14,7 @@ fn a_trapezoid_takes_the_time_of_theory() {
     for hz in [25_000_000, 72_000_000, 100_000_000] {
         for (spm, length, feed, a) in [
             (250.0, 5.0, 20.0, 100.0),
-            (250.0, 5.0, 60.0, 100.0), // a triangle
+            (250.0, 5.0, 60.0, 100.0), // a triangle: too short to reach the feed
             (80.0, 300.0, 200.0, 500.0),
             (1.0, 400.0, 100.0, 50.0),
             (1000.0, 0.5, 30.0, 5000.0),
@@ -59,7 +59,7 @@ fn a_long_chain_of_tiny_segments_reaches_its_speed() {
 
 #[test]
 fn a_short_look_ahead_brakes_in_time() {
-    // 8 blocks of 0.1 mm: v² is at most 2·a·0.8 mm, and every stop respects the acceleration.
+    // A look-ahead of 8 blocks of 0.1 mm: v² is at most 2·a·0.8 mm, and no stop exceeds the acceleration.
     let mut rig = Rig::<3, 8>::new(settings(80.0, 500.0, 200.0));
     for k in 1..=500 {
         rig.moves.push_back(to([0.1 * f64::from(k), 0.0, 0.0], Speed::Feed(100.0)));
@@ -130,8 +130,9 @@ fn a_circle_of_short_chords_keeps_the_acceleration_of_its_radius() {
                     (path, seconds) = (0.0, 0.0);
                 }
             }
-            // The margin is for noise, which could explain 4 % of the bend at R = 1 mm (half of that in speed), for
-            // steps (1 %), and for the junction deviation at the ends of the circle, where spans are short.
+            // The margin has three parts: the rounding of the points, which could explain 4 % of the bend at R = 1 mm
+            // (2 % in speed); the steps (1 %); and the junction deviation at the ends of the circle, where spans are
+            // short.
             assert!(sum < most * (1.01 + 0.035 / radius), "{sum} of {most}, R = {radius}, lead {lead}");
             assert!(sum > most * 0.97, "{sum} of {most}, R = {radius}: slower than it need be");
         }
@@ -201,7 +202,8 @@ fn a_corner_between_long_chains_is_no_bend() {
         rig.run();
         rig.seconds()
     };
-    // A span that contains a part of the corner can look like a gentle bend. That must cost less than 1 % of the time.
+    // A span that contains a part of the corner can look like a gentle bend. The slowdown must cost less than 1 % of
+    // the time.
     let (short, long) = (row(400), row(1));
     assert!((short / long - 1.0).abs() < 0.01, "{short} and {long}");
 }
@@ -276,7 +278,8 @@ fn reports_follow_the_segments() {
         seen.insert(rig.motion.line_number());
         fastest = fastest.max(rig.motion.speed());
         let steps = rig.motion.machine_steps().0[0];
-        // The reported position is the end of the segment: at most 2 ms ahead, at 5 steps/ms.
+        // The reported position is the end of the running segment: at most 2 ms ahead of the actual position, at 5
+        // steps/ms.
         assert!(i64::from(steps) >= rig.position[0] && i64::from(steps) - rig.position[0] <= 11);
     }
     assert!(seen.contains(&7) && seen.contains(&8));

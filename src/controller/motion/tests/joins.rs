@@ -1,5 +1,5 @@
-//! Short moves that continue a line are joined into one block: the line still passes all points, and the look-ahead is
-//! longer.
+//! Short moves that continue a line are joined into one block. Checks that this block still passes all points, and that
+//! the look-ahead is longer than without joining.
 
 use super::super::on_heap;
 use super::super::{Motion, MotionSettings, Move, Speed};

@@ -1,4 +1,5 @@
-//! Tests of the modules of motion together, compared with each other and with oracles that share no code with them.
+//! Tests of the motion modules together. Results are compared with each other, and with reference computations that
+//! share no code with these modules.
 
 #![allow(clippy::needless_range_loop, reason = "axis numbers index several arrays at once")]
 

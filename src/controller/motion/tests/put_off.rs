@@ -23,7 +23,7 @@ enum Change {
         speed2: f32,
         curve: CurveLoad,
     },
-    /// Replaces the last block, as happens when a move that continues it is joined.
+    /// Replaces the last block, as happens when a move is joined to it.
     Replace(Block<3>),
     /// Runs this many blocks.
     Run(usize),

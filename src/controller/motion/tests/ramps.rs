@@ -14,7 +14,7 @@ struct Point {
     seconds: f64,
     speed: f64,
     acceleration: f64,
-    /// Acceleration bound of the block, mm/s²; `jerk` and `nominal` are those of the block, too.
+    /// Acceleration bound of the block, mm/s². `jerk` and `nominal` also belong to the block.
     bound: f64,
     jerk: f64,
     nominal: f64,
@@ -235,7 +235,7 @@ fn a_crawl_knows_the_jerk_of_the_next_block() {
         config.junction_deviation = 1.0;
         let mut course = Course::<8>::new(config, moves);
         course.run();
-        // v·√(v / J) = 0.05 mm
+        // The maximum speed v from which the machine can stop within the block: v·√(v / J) = 0.05 mm.
         let most = (0.05_f64.powi(2) * 100.0).cbrt();
         assert!(course.entries[1] < most * 1.02, "{} of {most} mm/s", course.entries[1]);
         assert!(course.faults(false).is_empty(), "{:?}", course.faults(false));
@@ -397,8 +397,8 @@ fn a_bend_that_is_seen_late_leaves_the_stop_at_the_end() {
     assert!(late.is_empty(), "{} of them at {late:?}", late.len());
 }
 
-/// Moves of decreasing feed are held, and the override is lowered while the hold brakes. The moves after the stop must
-/// not exceed the new override.
+/// A feed hold stops moves of decreasing feed, and the override is lowered while the machine brakes. The moves after
+/// the stop must not exceed the new override.
 #[test]
 fn an_override_lowered_in_the_fall_of_a_hold_acts_on_what_follows() {
     let mut too_fast = Vec::new();

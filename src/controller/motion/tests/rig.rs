@@ -68,7 +68,7 @@ pub struct Rig<const N: usize, const B: usize> {
     pub waits: usize,
     pub segments: usize,
     pub last_flags: usize,
-    /// Units of the current block handed over so far.
+    /// Units of the block that have been queued for the stepper so far.
     units: u32,
 }
 
@@ -284,7 +284,8 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         self.queue.push_back(ToStep::Resume { stops });
     }
 
-    /// Discards the messages that a shut gate would discard, and their records.
+    /// Discards the queued messages, as the stepper does while its gate is shut, and the rig's records of their
+    /// segments.
     pub fn flush(&mut self) {
         self.queue.clear();
         self.shadow.clear();
@@ -367,12 +368,12 @@ impl<const N: usize, const B: usize> Rig<N, B> {
                 if let Some((before, old, old_limit)) = window {
                     let most = limit.max(old_limit);
                     let seen = (speed - old).abs() / (middle - before);
-                    // One clock tick of rounding in a window of 2 ms.
+                    // Allows for a window of 2 ms that is wrong by one clock tick.
                     let rounding = speed.max(old) / (0.002 * hz) / (middle - before);
                     let short = if cut_short { (2.0 * most * unit).sqrt() / (middle - before) } else { 0.0 };
                     // A phase of the curve ends on a whole step, so the last segment of a phase contains a part with
-                    // another acceleration. A segment of the time T whose speed is constant for t begins with a speed
-                    // that differs by a·t·(T - t)/2T, at most a·T/8.
+                    // another acceleration. If the speed is constant for the time t of a segment that lasts T, the
+                    // segment's first speed is wrong by a·t·(T - t)/2T, at most a·T/8.
                     let edge = most * (step / speed / 2.0).min(0.002 / 8.0) / (middle - before);
                     assert!(
                         seen <= most * 1.015 + rounding * 2.0 + short + edge,

@@ -12,7 +12,7 @@ fn job<const B: usize>(accel: f32) -> Rig<3, B> {
     {
         rig.moves.push_back(to(corner, if k % 2 == 0 { Speed::Feed(40.0) } else { Speed::Rapid }));
     }
-    // A curve of short lines.
+    // A curve of short straight moves.
     for k in 0..60 {
         let angle = f64::from(k) * 0.1;
         rig.moves.push_back(to([5.0 * angle.sin(), 5.0 - 5.0 * angle.cos(), -2.0], Speed::Feed(60.0)));
@@ -220,7 +220,7 @@ fn overrides_slow_down_and_speed_up_within_a_block() {
             rig.run_ticks(1);
         }
         rig.motion.set_overrides(factor, 1.0);
-        // 20 ms for the queue, plus the change of speed at 200 mm/s².
+        // Waits until the queued segments have run (20 ms) and the speed has changed (at most 0.48 s at 200 mm/s²).
         while rig.seconds() < at + 0.6 {
             rig.run_ticks(1);
         }

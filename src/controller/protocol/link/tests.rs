@@ -4,14 +4,15 @@ use super::*;
 use crate::messages::HOST_CHANGED;
 use proptest::prelude::*;
 
-/// Queues of a given depth.
+/// Queues that take only a given number of commands and line bytes.
 #[derive(Default)]
 pub struct Depths {
     pub commands: Vec<Realtime>,
     pub lines: Vec<LineByte>,
     pub most_commands: usize,
     pub most_lines: usize,
-    /// The link being read cannot wait. Its resets always find room, because they are kept as owed.
+    /// The link being read cannot wait. Its resets always find room, because the serial task keeps them if the queue is
+    /// full.
     owes_resets: bool,
     pub free: bool,
     stops: usize,
@@ -355,7 +356,7 @@ enum Event {
     Came,
     Went,
     Lost,
-    /// The queues get this much room. `free`: the machine is idle.
+    /// The queues get room for this many more line bytes and commands. `free`: the machine is idle.
     Room {
         lines: usize,
         commands: usize,

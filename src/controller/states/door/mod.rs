@@ -76,7 +76,7 @@ pub(crate) struct Opening {
     pub retract: bool,
     /// Spindle and coolant stay on.
     pub spindle_on: bool,
-    /// An alarm follows.
+    /// The alarm that follows once the tool is parked, if any.
     pub alarm: Option<Alarm>,
 }
 
@@ -268,8 +268,8 @@ impl<const N: usize> Controller<N> {
             DoorPhase::Parking if self.m.parking.motion().is_idle() => self.parked(),
             DoorPhase::Reopened if self.m.parking.motion().is_at_rest() => {
                 self.m.parking.discard();
-                // If the spindle is on, the tool can be in the cut. Then it leaves slowly, as when the door was first
-                // opened.
+                // If the spindle is on, the tool can be in the cut. In that case it is pulled out slowly, as when the
+                // door was first opened.
                 if !self.m.accessories.is_suspended() && self.parking_move(ParkingPoint::Clear, Key::ParkingPullOutRate)
                 {
                     self.enter_phase(DoorPhase::PullingOut);

@@ -119,12 +119,12 @@ impl<const N: usize> Parking<N> {
         self.motion.discard();
     }
 
-    /// The motion of parking.
+    /// The motion of the parking moves, separate from that of the job.
     pub fn motion(&self) -> &Motion<N> {
         &self.motion
     }
 
-    /// Returns the next message of parking to the step task.
+    /// Returns the next message of the parking moves for the step task.
     pub fn next_message(&mut self) -> Option<ToStep> {
         self.motion.next_message()
     }

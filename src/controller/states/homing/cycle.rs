@@ -9,8 +9,8 @@
 //! ```
 //! At a switch, motion stops without a ramp: the rates of homing are low enough for that, and during a ramp the axis
 //! could run into the end of the switch. Axes of a cycle that have not reached their switch continue. At the end of its
-//! cycle, an axis is one pull-off away from its switch, and its position is set. So movement in later cycles, such as
-//! backlash in belts that two axes share, is counted.
+//! cycle, an axis is one pull-off away from its switch, and its position is set then, not after the last cycle. So
+//! movement in later cycles, such as backlash in belts that two axes share, is counted.
 //!
 //! An axis with two motors and two switches is squared: the motor whose switch closes first holds still while the other
 //! moves alone, in each seek and each locate.
@@ -68,7 +68,7 @@ pub(crate) enum Order<const N: usize> {
         /// Motors of the ganged axis that take part.
         motors: GangedMotors,
     },
-    /// Wait.
+    /// Wait this long, for the switches to settle.
     Wait(Duration),
     /// The axes of one cycle (the mask) are at these machine coordinates.
     Reached(AxisMask, PerAxis<Coordinate, N>),
@@ -376,7 +376,8 @@ mod tests {
             assert!(matches!(order, Order::Move { motors: m, .. } if m == motors), "{order:?}");
         };
         expect(h.begin(AxisMask::NONE), [300.0, 300.0, 0.0], both, GangedMotors::Both);
-        // The second motor of Y reaches its switch first. So the first motor moves on alone, and after it X.
+        // The second motor of Y reaches its switch first. So the first motor of Y moves on alone. X continues after
+        // that.
         expect(h.next(second), [0.0, 5.0, 0.0], Y, GangedMotors::First);
         expect(h.next(AxisMask(second.0 | Y.0)), [300.0, 0.0, 0.0], X, GangedMotors::Both);
         assert!(matches!(h.next(both), Order::Wait(_)));

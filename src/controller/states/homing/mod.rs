@@ -23,11 +23,11 @@ enum Wait {
     Motion(AxisMask),
     /// A stop of the step task, because a switch has closed.
     Stop,
-    /// A point in time.
+    /// This time has come.
     Until(Instant),
 }
 
-/// The homing cycle runs.
+/// The data of the homing state: the cycle, and the event that it waits for.
 #[derive(Clone, Debug)]
 pub(crate) struct Homing<const N: usize> {
     cycle: HomingCycle<N>,
@@ -132,7 +132,7 @@ impl<const N: usize> Homing<N> {
 }
 
 /// Returns the axis that homing squares, and the maximum distance (mm) that one of its motors may move alone. The
-/// distance is a share of the travel, within limits.
+/// distance is a share of the travel (`$347`), within limits (`$348`, `$349`).
 fn squared_axis<const N: usize>(m: &Machine<N>) -> Option<(Axis, f32)> {
     let axis = m.settings.ganged_axis().filter(|_| m.settings.is_on(Key::GangedSwitch))?;
     let share = m.settings.value(Key::SquaringShare) / 100.0 * m.settings.axes(AxisKey::Travel).get(axis)?;

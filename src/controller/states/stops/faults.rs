@@ -58,8 +58,8 @@ impl<const N: usize> Controller<N> {
         // If the machine is at rest when the fault occurs, it must not start to move.
         let retract = braking == Braking::Retract && !self.m.motion.is_at_rest() && !self.is_parking_blocked();
         if self.m.settings.is_on(Key::Laser) || matches!(self.state, State::Door(_)) {
-            // Suspend a laser, which would otherwise stay on in the segments that remain while braking, and the spindle
-            // of an open door, because at an open door the spindle must be off.
+            // Suspend a laser, which would otherwise stay on in the segments that are left for braking. Suspend a
+            // spindle too if the door is open, because it must not turn then.
             self.m.accessories.suspend();
         }
         self.tell_trip(self.m.motion.line_number());

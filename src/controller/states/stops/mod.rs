@@ -180,7 +180,7 @@ impl<const N: usize> Controller<N> {
         self.m.motion.discard();
         self.m.lines.clear();
         if matches!(self.state, State::Hold(_) | State::Door(_)) {
-            // The drivers may have stayed on for a tool change.
+            // The drivers may have stayed on, for example for a tool change. Their idle delay (`$1`) starts now.
             self.m.start_idle_delay();
         }
         let homing = matches!(self.state, State::Homing(_));

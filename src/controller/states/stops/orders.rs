@@ -79,7 +79,7 @@ pub struct Stops {
 }
 
 impl Stops {
-    /// Nothing has stopped.
+    /// The counts at power-up: no stop is awaited, and none has happened.
     pub const NONE: Stops =
         Stops { awaited: None, expected: 0, seen: 0, moving: false, line: 0, ordered: false, resume: false };
 

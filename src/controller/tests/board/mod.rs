@@ -7,7 +7,7 @@ use oxmill_controller::messages::{Event, Sensed};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile, StepRates};
 
-/// Three axes, a step clock of a tick each microsecond, and no store.
+/// Three axes, a step clock of 1 MHz, and no store.
 pub const PROFILE: Profile = Profile {
     name: "test",
     step_clock_hz: 1_000_000,
@@ -25,7 +25,8 @@ pub const PROFILE: Profile = Profile {
 /// Time of power-up.
 pub const NOW: Instant = Instant::from_ticks(0);
 
-/// Returns a powered-up controller with no input active. The caller still has to take its outputs since power-up.
+/// Returns a powered-up controller with no input active. The caller still has to take the outputs of the power-up, such
+/// as the welcome line.
 pub fn started(profile: Profile, blocks: usize) -> Box<Controller<3>> {
     let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, blocks, LEAST_HELD)));
     controller.start(NOW);

@@ -44,7 +44,7 @@ impl Program {
         self.interpreter.check(line.replace(' ', "").as_bytes(), self.dialect)
     }
 
-    /// Carries out a line.
+    /// Checks and executes a line. Panics if the line is refused.
     pub fn run(&mut self, line: &str) -> Action<3> {
         let mut action = Action::NOTHING;
         let text = line.replace(' ', "");
@@ -54,7 +54,7 @@ impl Program {
         action
     }
 
-    /// Carries out lines.
+    /// Checks and executes the lines of a text, without the empty ones.
     pub fn run_all(&mut self, lines: &str) {
         for line in lines.lines().map(str::trim).filter(|line| !line.is_empty()) {
             self.run(line);

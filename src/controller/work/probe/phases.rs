@@ -4,8 +4,9 @@
 //!  begin ──▶ Seeking ──contact──▶ Braking ──stopped──▶ Touched ──▶ finish
 //!               └──── end of the move without a contact ──────────▶ finish
 //! ```
-//! The step task checks the input at each tick, and brakes after the contact without an order. Once it is at rest, the
-//! controller stops it to learn its position, and reopens it.
+//! The step task checks the input at each tick, and brakes after the contact without an order. Once the step task is at
+//! rest, the controller orders a stop, because the report of the stop gives the position. Then it reopens the step
+//! task.
 
 use crate::axes::PerAxis;
 use crate::messages::ToStep;
@@ -18,7 +19,7 @@ struct Watched {
     braking: f32,
 }
 
-/// Progress of a probe.
+/// Progress of a probing move.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
     /// Moving, no contact yet; holds what the step task looks for.
@@ -33,7 +34,7 @@ enum Phase {
 #[derive(Clone, Copy, Debug)]
 pub struct Probe<const N: usize> {
     phase: Option<Phase>,
-    /// Message that has not been sent to the step task yet.
+    /// Message that begins or ends the step task's watch of the probe, if it has not been sent yet.
     watch: Option<ToStep>,
     succeeded: bool,
     position: PerAxis<Coordinate, N>,
@@ -43,7 +44,7 @@ pub struct Probe<const N: usize> {
 const WATCH_ENDS: ToStep = ToStep::Watch { probe: None, braking: 0.0 };
 
 impl<const N: usize> Probe<N> {
-    /// No probe has been made.
+    /// The state at power-up: no probing move has been made.
     pub const NONE: Self =
         Self { phase: None, watch: None, succeeded: false, position: PerAxis::all(Coordinate::ZERO) };
 
@@ -121,8 +122,8 @@ impl<const N: usize> Probe<N> {
         }
     }
 
-    /// Ends the probe. Without a contact, if none was required (G38.3, G38.5), the result is the machine's position
-    /// `here`.
+    /// Ends the probing move. If there was no contact and none was required (G38.3, G38.5), the result is the machine's
+    /// position `here`.
     pub fn finish(&mut self, touched: bool, must_touch: bool, here: PerAxis<Coordinate, N>) {
         self.phase = None;
         self.watch = Some(WATCH_ENDS);
@@ -132,12 +133,13 @@ impl<const N: usize> Probe<N> {
         }
     }
 
-    /// Ends the probe without a result, after the step task has been stopped.
+    /// Ends the probing move without a result, after the step task has been stopped.
     pub fn forget_move(&mut self) {
         self.phase = None;
     }
 
-    /// Ends the probe without a result while the step task still watches, and requests the end of that watch.
+    /// Ends the probing move without a result while the step task still watches the input, and requests the end of that
+    /// watch.
     pub fn break_off(&mut self) {
         self.phase = None;
         self.watch = Some(WATCH_ENDS);

@@ -19,7 +19,8 @@ use crate::units::Coordinate;
 
 /// The axis along which a tool is measured.
 const ALONG: Axis = Axis::Z;
-/// How far the tool is pulled off the setter between the two passes, mm. Setters yield by about 5 mm.
+/// How far the tool is pulled off the setter after the first contact, and how far below that contact the second pass
+/// may go, mm. Setters yield by more: about 5 mm.
 const PULL_OFF: i32 = 2;
 
 /// Positions of a tool change, in machine coordinates, and its rates in mm/s.
@@ -42,7 +43,7 @@ pub struct ChangePlan<const N: usize> {
 }
 
 impl<const N: usize> ChangePlan<N> {
-    /// An empty plan.
+    /// The plan of [`ToolChange::NONE`]: all positions and rates are 0.
     pub const NONE: Self = Self {
         left: PerAxis::all(Coordinate::ZERO),
         change: PerAxis::all(Coordinate::ZERO),
@@ -108,7 +109,7 @@ fn along<const N: usize>(place: &PerAxis<Coordinate, N>) -> Coordinate {
 pub enum ChangeOrder<const N: usize> {
     /// A rapid.
     Rapid(PerAxis<Coordinate, N>),
-    /// A move at a rate in mm/s that always reaches its target.
+    /// A move at a rate in mm/s. Unlike [`ChangeOrder::Probe`], it always reaches its target.
     Move(PerAxis<Coordinate, N>, f32),
     /// A move at a rate in mm/s that ends when the tool touches the setter.
     Probe(PerAxis<Coordinate, N>, f32),
@@ -161,7 +162,7 @@ pub struct ToolChange<const N: usize> {
 }
 
 impl<const N: usize> ToolChange<N> {
-    /// No tool change.
+    /// The value while no tool has to be changed.
     pub const NONE: Self =
         Self { plan: ChangePlan::NONE, phase: ChangePhase::Back, touched: Coordinate::ZERO, is_first: false };
 
