@@ -80,20 +80,26 @@ impl Outcome {
 
     fn refused(&mut self, line: u64, code: u8, text: &str, source: String) {
         if self.errors.len() < KEPT_ERRORS {
-            let (column, advice) = (column::of_word(text, &source), self.advice(code, text, &source));
+            let (column, advice) = (column::of_word(text, &source), self.advice(line, code, text, &source));
             self.errors.push(LineError { line, code, column, text: text.into(), advice, source });
         } else {
             self.more_errors += 1;
         }
     }
 
-    /// Returns what to do about a refused line. Also detects two causes that the error alone does not show: an earlier
-    /// line with F was refused, or one line contains several points.
-    fn advice(&self, code: u8, text: &str, source: &str) -> String {
+    /// Returns what to do about a refused line. Also detects three causes that the error alone does not show: an earlier
+    /// line with F was refused, the line before an arc was refused, or one line contains several points.
+    fn advice(&self, line: u64, code: u8, text: &str, source: &str) -> String {
+        let before = self.errors.last().filter(|before| before.line + 1 == line && moves(&before.source));
         let refused_feed = self.errors.iter().rev().find(|error| advice::count(&error.source, 'F') > 0);
         match refused_feed {
             Some(LineError { line, .. }) if code == Error::UndefinedFeed.code() => {
                 format!("Line {line} has an F and was refused: correct that line first.")
+            }
+            _ if code == Error::InvalidTarget.code()
+                && let Some(LineError { line, .. }) = before =>
+            {
+                format!("Line {line} was refused, so this arc starts at another point: correct that line first.")
             }
             _ if code == Error::LineTooLong.code() && advice::count(source, 'X') > 1 => {
                 "X stands in this line several times, and a line takes it once: write each point in a line of its own."
@@ -151,6 +157,14 @@ impl Outcome {
     }
 }
 
+/// Maximum number of programs that an error about a missing one names besides the last.
+const MOST_NAMED: usize = 5;
+
+/// Returns whether a line has words that move X, Y or Z.
+fn moves(source: &str) -> bool {
+    ['X', 'Y', 'Z'].iter().any(|letter| advice::count(source, *letter) > 0)
+}
+
 /// Returns what is wrong with a call of `number`, in a file with the program numbers `present`.
 fn missing<'a>(number: &str, present: impl Iterator<Item = &'a str>) -> String {
     match present.collect::<Vec<_>>()[..] {
@@ -158,8 +172,12 @@ fn missing<'a>(number: &str, present: impl Iterator<Item = &'a str>) -> String {
         [only] => {
             format!("{number} is not in the file, which has only {only}: correct {only}, or each call of {number}")
         }
-        [first, .., last] => {
-            format!("{number} is called here, and the file has {first} to {last}: correct the number, or add {number}")
+        [ref others @ .., last] => {
+            let (few, more) = others.split_at(others.len().min(MOST_NAMED));
+            let (few, dots) = (few.join(", "), if more.is_empty() { "" } else { ", .." });
+            format!(
+                "{number} is called here, and the file has {few}{dots} and {last}: correct the number, or add {number}"
+            )
         }
     }
 }
@@ -477,6 +495,24 @@ mod tests {
             outcome.note("paused".into());
         }
         assert_eq!((outcome.notes.len(), outcome.more_notes), (KEPT_MESSAGES, 3));
+    }
+
+    /// An arc behind a refused line starts at another point, so its centre need not be wrong.
+    #[test]
+    fn an_arc_behind_a_refused_line_is_not_blamed_alone() {
+        let advice = |text| checked("oxmill", text).errors.into_iter().map(|error| error.advice).collect::<Vec<_>>();
+        let wrong = advice("G21 G90 F400\nG1 X10\nG3 X0 Y1O I-10 J0\nG3 X-10 Y0 J-10\nG1 X0 Y0\nG3 X5 Y0 I1\n");
+        let [_, second, third] = &wrong[..] else { panic!("{wrong:?}") };
+        assert_eq!(second, "Line 3 was refused, so this arc starts at another point: correct that line first.");
+        assert!(!third.contains("was refused"), "{third}");
+    }
+
+    #[test]
+    fn a_missing_program_is_told_with_those_that_exist() {
+        let told = |present: &[&'static str]| missing("O7", present.iter().copied());
+        assert!(told(&["O1", "O2"]).contains("the file has O1 and O2:"));
+        let many = ["O1", "O2", "O3", "O4", "O5", "O6", "O8"];
+        assert!(told(&many).contains("the file has O1, O2, O3, O4, O5, .. and O8:"), "{}", told(&many));
     }
 
     fn checked(dialect: &str, text: &'static str) -> Summary {
