@@ -12,6 +12,7 @@ import { FirstVisit } from "./first";
 import { JogPanel } from "./jog";
 import { linesOf, read, type Refusal, tooLarge } from "./jobfile";
 import { listenToKeys } from "./keys";
+import { LoadFirmware } from "./loadfirmware";
 import { Machine } from "./machine";
 import { Macros } from "./macros";
 import { OverridesPanel } from "./overrides";
@@ -85,6 +86,7 @@ export class App implements Page {
     new ProbePanel(this.machine);
     new Macros(this.machine, this);
     new ToolTable(this.machine);
+    new LoadFirmware(this.machine);
     this.runCard = new RunCard(this.machine, this, { from: line => this.continue.from(this.machine.stopped?.job ?? this.job, line) });
     this.first = new FirstVisit(this, this.settings, () => $("open-import").click());
     this.settings.onchange(() => this.soon());

@@ -382,6 +382,20 @@ export async function a_board_at_a_serial_port_does_the_job(browser) {
   });
 }
 
+export async function a_connected_board_is_sent_into_its_boot_loader(browser) {
+  await connected(browser, "max", async page => {
+    await page.click("#open-firmware");
+    const restart = page.locator("text=Start the boot loader of the connected board");
+    await restart.click();
+    const says = text => page.waitForFunction(text => document.getElementById("firmware-note").textContent.startsWith(text), text);
+    // The firmware on this host answers `error:3`, because it has no boot loader.
+    await says("This firmware cannot start the boot loader");
+    await page.evaluate(() => (oxmill.app.machine.line = async line => (line === "$DFU" ? "ok" : "error:20")));
+    await restart.click();
+    await says("The board is in its boot loader now");
+  });
+}
+
 export async function a_board_is_reached_at_its_own_baud_rate(browser) {
   const order = { board: "nucleo_f446re", settings: MILL };
   const device = await serve(order, "max");

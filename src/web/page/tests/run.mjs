@@ -3,6 +3,7 @@ import assert from "node:assert/strict";
 import { launch } from "./browser.mjs";
 import * as accept from "./accept.test.mjs";
 import * as check from "./check.test.mjs";
+import * as firmware from "./firmware.test.mjs";
 import * as machine from "./machine.test.mjs";
 import * as material from "./material.test.mjs";
 import * as module from "./module.test.mjs";
@@ -13,7 +14,7 @@ import * as site from "./site.test.mjs";
 import * as use from "./use.test.mjs";
 
 const wanted = process.argv.slice(2);
-const all = { ...accept, ...module, ...check, ...machine, ...material, ...pictures, ...resume, ...sender, ...site, ...use };
+const all = { ...accept, ...module, ...check, ...firmware, ...machine, ...material, ...pictures, ...resume, ...sender, ...site, ...use };
 for (const name of wanted) assert(name in all, `there is no test ${name}`);
 const tests = Object.entries(all).filter(([name]) => wanted.length === 0 || wanted.includes(name));
 const browser = await launch();

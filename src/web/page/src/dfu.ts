@@ -1,0 +1,271 @@
+// Loads firmware into a board over USB, by the boot loader in the ROM of an STM32 (DfuSe: ST's UM0391 and AN3156). The
+// order of the steps keeps an interrupted board from starting half a program: the sector with the vector table is erased
+// first, and the block with the vector table is written last, after everything else.
+
+/** A stretch of flash, and what belongs there. */
+export interface Stretch { address: number; bytes: Uint8Array }
+/** Contents of a .dfu file: its own name, such as `Oxmill for blackpill_f411`, and its stretches. */
+export interface Firmware { name: string; stretches: Stretch[] }
+/** A sector of flash that can be erased and written. */
+export interface Sector { address: number; size: number }
+/** Progress: what is being done, and how much of it, in bytes. */
+export type Progress = (what: "erase" | "write" | "verify", done: number, of: number) => void;
+
+/** The parts of WebUSB that are used here. */
+export interface UsbDevice {
+  open(): Promise<void>;
+  close(): Promise<void>;
+  selectConfiguration(value: number): Promise<void>;
+  claimInterface(number: number): Promise<void>;
+  selectAlternateInterface(number: number, alternate: number): Promise<void>;
+  controlTransferOut(setup: UsbRequest, data: BufferSource): Promise<{ status: string }>;
+  controlTransferIn(setup: UsbRequest, length: number): Promise<{ status: string; data?: DataView }>;
+  readonly configuration: { interfaces: { interfaceNumber: number; alternates: UsbAlternate[] }[] } | null;
+}
+interface UsbRequest { requestType: "class" | "standard"; recipient: "interface" | "device"; request: number; value: number; index: number }
+interface UsbAlternate { alternateSetting: number; interfaceClass: number; interfaceSubclass: number; interfaceName?: string }
+/** The browser's access to USB devices. */
+export interface Usb { requestDevice(options: { filters: { vendorId: number; productId: number }[] }): Promise<UsbDevice> }
+
+/** USB identity of the boot loader: of ST, in DFU mode. */
+export const LOADER = { vendorId: 0x0483, productId: 0xdf11 };
+/** Start of flash, with the vector table. */
+const FLASH = 0x0800_0000;
+/** Size of a block when the boot loader does not tell another (all STM32F4: 2048 bytes). */
+const BLOCK = 2048;
+
+// Requests and states of DFU 1.1, and commands of DfuSe.
+const DNLOAD = 1, UPLOAD = 2, GETSTATUS = 3, CLRSTATUS = 4, ABORT = 6;
+const IDLE = 2, BUSY = 4, DOWNLOAD_IDLE = 5, ERROR = 10;
+const SET_ADDRESS = 0x21, ERASE = 0x41;
+/** Number of the first block of data. Blocks 0 and 1 are commands. */
+const FIRST_BLOCK = 2;
+
+const text = (bytes: Uint8Array): string => new TextDecoder().decode(bytes);
+const word = (bytes: Uint8Array, at: number): number => new DataView(bytes.buffer, bytes.byteOffset).getUint32(at, true);
+const hex = (address: number): string => `0x${address.toString(16).padStart(8, "0")}`;
+
+/** Returns the CRC-32 of DFU, which lacks the final inversion. */
+function checksum(bytes: Uint8Array): number {
+  let crc = 0xffff_ffff;
+  for (const byte of bytes) {
+    crc ^= byte;
+    for (let bit = 0; bit < 8; bit++) crc = (crc >>> 1) ^ (crc & 1 ? 0xedb8_8320 : 0);
+  }
+  return crc >>> 0;
+}
+
+/** Reads a .dfu file. Throws an error with one sentence if it is none, or damaged, or not for an STM32. */
+export function parse(file: Uint8Array): Firmware {
+  if (file.length < 11 + 274 + 16 || text(file.subarray(0, 5)) !== "DfuSe") throw new Error("This is no .dfu file of DfuSe.");
+  if (checksum(file.subarray(0, -4)) !== word(file, file.length - 4)) throw new Error("This .dfu file is damaged: its checksum is wrong. Get it again.");
+  const suffix = file.subarray(-16);
+  if (suffix[4] !== 0x83 || suffix[5] !== 0x04 || suffix[2] !== 0x11 || suffix[3] !== 0xdf) throw new Error("This .dfu file is not for the boot loader of an STM32.");
+  const target = file.subarray(11, -16);
+  const broken = new Error("This .dfu file is damaged: an element of it is cut off.");
+  if (file[10] !== 1 || text(target.subarray(0, 6)) !== "Target" || target[6] !== 0) throw new Error("This .dfu file is not for the flash of one board.");
+  const stretches: Stretch[] = [];
+  let at = 274;
+  for (let left = word(target, 270); left > 0; left--) {
+    if (at + 8 > target.length) throw broken;
+    const [address, size] = [word(target, at), word(target, at + 4)];
+    if (at + 8 + size > target.length || size === 0) throw broken;
+    stretches.push({ address, bytes: target.subarray(at + 8, at + 8 + size) });
+    at += 8 + size;
+  }
+  if (at !== target.length) throw broken;
+  if (!stretches.some(({ address }) => address === FLASH)) throw new Error("This .dfu file has no program: nothing is at the start of the flash.");
+  return { name: text(target.subarray(11, 11 + 255)).replace(/\0.*$/s, ""), stretches };
+}
+
+/** Reads the name of the boot loader's interface, such as `@Internal Flash  /0x08000000/04*016Kg,01*064Kg,03*128Kg`.
+ * Returns the sectors that can be erased and written. */
+export function sectorsOf(name: string): Sector[] {
+  const sectors: Sector[] = [];
+  const parts = name.split("/").slice(1);
+  for (let part = 0; part + 1 < parts.length; part += 2) {
+    let address = Number(parts[part]);
+    for (const group of parts[part + 1].split(",")) {
+      const found = /^\s*(\d+)\*(\d+)([ BKM])([a-g])\s*$/.exec(group);
+      if (!found || !Number.isFinite(address)) return [];
+      const size = Number(found[2]) * { " ": 1, B: 1, K: 1024, M: 1024 * 1024 }[found[3] as "B"];
+      for (let number = 0; number < Number(found[1]); number++, address += size) {
+        // The letter stands for a sum of 1 (readable), 2 (erasable) and 4 (writable).
+        if (found[4] === "g") sectors.push({ address, size });
+      }
+    }
+  }
+  return sectors;
+}
+
+/** The boot loader of one board. */
+class Loader {
+  private constructor(private readonly device: UsbDevice, private readonly number: number, readonly sectors: Sector[], readonly block: number) {}
+
+  /** Opens the device, and the alternate setting of its flash. */
+  static async open(device: UsbDevice): Promise<Loader> {
+    await device.open();
+    if (!device.configuration) await device.selectConfiguration(1);
+    for (const { interfaceNumber, alternates } of device.configuration?.interfaces ?? []) {
+      for (const { interfaceClass, interfaceSubclass, alternateSetting, interfaceName } of alternates) {
+        const sectors = interfaceName ? sectorsOf(interfaceName) : [];
+        if (interfaceClass !== 0xfe || interfaceSubclass !== 1 || !sectors.some(({ address }) => address === FLASH)) continue;
+        await device.claimInterface(interfaceNumber);
+        await device.selectAlternateInterface(interfaceNumber, alternateSetting);
+        const loader = new Loader(device, interfaceNumber, sectors, await blockSize(device));
+        await loader.rest();
+        return loader;
+      }
+    }
+    throw new Error("This device is no boot loader with a flash.");
+  }
+
+  private async out(request: number, value: number, data: Uint8Array = new Uint8Array()): Promise<void> {
+    const { status } = await this.device.controlTransferOut({ requestType: "class", recipient: "interface", request, value, index: this.number }, data as BufferSource);
+    if (status !== "ok") throw new Error(`The boot loader refuses request ${request} (${status}).`);
+  }
+
+  private async in(request: number, value: number, length: number): Promise<Uint8Array> {
+    const { status, data } = await this.device.controlTransferIn({ requestType: "class", recipient: "interface", request, value, index: this.number }, length);
+    if (status !== "ok" || !data) throw new Error(`The boot loader refuses request ${request} (${status}). Is the chip protected against reading?`);
+    return new Uint8Array(data.buffer, data.byteOffset, data.byteLength);
+  }
+
+  private async status(): Promise<{ code: number; wait: number; state: number }> {
+    const bytes = await this.in(GETSTATUS, 0, 6);
+    return { code: bytes[0], wait: bytes[1] | (bytes[2] << 8) | (bytes[3] << 16), state: bytes[4] };
+  }
+
+  /** Brings the boot loader to its state of rest, whatever was before. */
+  async rest(): Promise<void> {
+    for (let tries = 0; tries < 4; tries++) {
+      const { state } = await this.status();
+      if (state === IDLE) return;
+      await this.out(state === ERROR ? CLRSTATUS : ABORT, 0);
+    }
+    throw new Error("The boot loader does not come to rest: press NRST with BOOT0 held, and try again.");
+  }
+
+  /** Waits until the last command or block has been carried out. */
+  private async carriedOut(what: string): Promise<void> {
+    let status = await this.status();
+    while (status.state === BUSY) {
+      await new Promise(done => setTimeout(done, status.wait));
+      status = await this.status();
+    }
+    if (status.state !== DOWNLOAD_IDLE) throw new Error(`The boot loader cannot ${what} (status ${status.code}). Is the flash protected?`);
+  }
+
+  private async command(code: number, address: number, what: string): Promise<void> {
+    const bytes = new Uint8Array(5);
+    bytes[0] = code;
+    new DataView(bytes.buffer).setUint32(1, address, true);
+    await this.out(DNLOAD, 0, bytes);
+    await this.carriedOut(what);
+  }
+
+  erase(sector: Sector): Promise<void> {
+    return this.command(ERASE, sector.address, `erase the sector at ${hex(sector.address)}`);
+  }
+
+  /** Writes one block. */
+  async write(address: number, bytes: Uint8Array): Promise<void> {
+    const what = `write at ${hex(address)}`;
+    await this.command(SET_ADDRESS, address, what);
+    await this.out(DNLOAD, FIRST_BLOCK, bytes);
+    await this.carriedOut(what);
+  }
+
+  /** Reads one block. */
+  async read(address: number, length: number): Promise<Uint8Array> {
+    await this.command(SET_ADDRESS, address, `read at ${hex(address)}`);
+    await this.rest();
+    const bytes = await this.in(UPLOAD, FIRST_BLOCK, length);
+    await this.rest();
+    return bytes;
+  }
+
+  /** Starts the program. The device leaves the bus, so the last answers may be missing. */
+  async leave(): Promise<void> {
+    await this.command(SET_ADDRESS, FLASH, "start the program");
+    await this.out(DNLOAD, 0).catch(() => {});
+    await this.status().catch(() => {});
+  }
+
+  async close(): Promise<void> {
+    await this.device.close().catch(() => {});
+  }
+}
+
+/** Returns the size of a block from the functional descriptor of DFU (type 0x21, bytes 5 and 6). */
+async function blockSize(device: UsbDevice): Promise<number> {
+  const { data } = await device.controlTransferIn({ requestType: "standard", recipient: "device", request: 6, value: 0x0200, index: 0 }, 512);
+  for (let at = 0; data && at + 7 <= data.byteLength && data.getUint8(at) > 0; at += data.getUint8(at)) {
+    if (data.getUint8(at + 1) === 0x21) return data.getUint16(at + 5, true);
+  }
+  return BLOCK;
+}
+
+/** Cuts stretches into blocks; the last part is filled up to whole words with the value of erased flash. The block with
+ * the vector table comes last. */
+function blocksOf(stretches: Stretch[], size: number): Stretch[] {
+  const blocks = stretches.flatMap(({ address, bytes }) => {
+    const whole = new Uint8Array(Math.ceil(bytes.length / 4) * 4).fill(0xff);
+    whole.set(bytes);
+    return Array.from({ length: Math.ceil(whole.length / size) }, (_, index) => ({ address: address + index * size, bytes: whole.subarray(index * size, (index + 1) * size) }));
+  });
+  return [...blocks.filter(({ address }) => address !== FLASH), ...blocks.filter(({ address }) => address === FLASH)];
+}
+
+/** What the board does after its vector table was erased. */
+const GONE = "The board has no program now and starts nothing: load it again.";
+
+/** Throws an error again, with a sentence about the board. */
+const told = (about: string) => (error: Error): never => {
+  throw new Error(`${error.message} ${about}`);
+};
+
+/** Does something with each part, one after the other, and reports the progress. */
+async function each<T>(parts: T[], size: (part: T) => number, what: Parameters<Progress>[0], progress: Progress, act: (part: T, isFirst: boolean) => Promise<void>): Promise<void> {
+  const all = parts.reduce((sum, part) => sum + size(part), 0);
+  let done = 0;
+  for (const part of parts) {
+    progress(what, done, all);
+    await act(part, done === 0);
+    done += size(part);
+  }
+  progress(what, done, all);
+}
+
+/** Loads firmware into a board, reads it back, and starts it. Sectors that the firmware does not touch, such as those of
+ * the settings, keep their contents. Throws an error that says what has happened, and what the board does now. */
+export async function load(device: UsbDevice, { stretches }: Firmware, progress: Progress): Promise<void> {
+  const loader = await Loader.open(device);
+  try {
+    const overlaps = (sector: Sector) => stretches.some(({ address, bytes }) => address < sector.address + sector.size && sector.address < address + bytes.length);
+    const touched = loader.sectors.filter(overlaps).sort((a, b) => a.address - b.address);
+    const isInside = (address: number) => touched.some(sector => sector.address <= address && address < sector.address + sector.size);
+    for (const { address, bytes } of stretches) {
+      for (const at of [address, address + bytes.length - 1]) {
+        if (!isInside(at)) throw new Error(`This firmware does not fit into the chip: it has no flash at ${hex(at)}. Is the file for another board? Nothing was changed.`);
+      }
+    }
+    const blocks = blocksOf(stretches, loader.block);
+    await each(touched, ({ size }) => size, "erase", progress, async (sector, isFirst) => {
+      await loader.erase(sector).catch(told(isFirst ? "Nothing was changed." : GONE));
+    });
+    await each(blocks, ({ bytes }) => bytes.length, "write", progress, async ({ address, bytes }) => {
+      await loader.write(address, bytes).catch(told(GONE));
+    });
+    await each(blocks, ({ bytes }) => bytes.length, "verify", progress, async ({ address, bytes }) => {
+      const there = await loader.read(address, bytes.length).catch(told("The program was written, but could not be read back: load it again."));
+      if (there.length === bytes.length && there.every((byte, index) => byte === bytes[index])) return;
+      // Without its vector table the chip starts nothing of this.
+      const isErased = await loader.erase(touched[0]).then(() => true, () => false);
+      throw new Error(`What was read back at ${hex(address)} is not what was written. ${isErased ? GONE : "Do not start this program: load it again."}`);
+    });
+    await loader.leave();
+  } finally {
+    await loader.close();
+  }
+}

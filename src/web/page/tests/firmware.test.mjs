@@ -1,0 +1,212 @@
+// Loading firmware into a board: the page with a boot loader that is modelled here after ST's UM0391 and AN3156.
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { open, tab } from "./browser.mjs";
+import { page as file } from "./program.mjs";
+
+const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+const FLASH = 0x0800_0000;
+const F411 = "@Internal Flash  /0x08000000/04*016Kg,01*064Kg,03*128Kg";
+const F401 = "@Internal Flash  /0x08000000/04*016Kg,01*064Kg,01*128Kg";
+
+function checksum(bytes) {
+  let crc = ~0;
+  for (const byte of bytes) for (let bit = 0, one = crc ^ byte; bit < 8; bit++) crc = one = (one >>> 1) ^ (one & 1 ? 0xedb88320 : 0);
+  return crc >>> 0;
+}
+
+/** Makes a .dfu file: elements of address and bytes. */
+function dfu(elements, name = "Oxmill for blackpill_f411") {
+  const word = value => [value & 255, (value >>> 8) & 255, (value >>> 16) & 255, value >>> 24];
+  const body = elements.flatMap(([address, bytes]) => [...word(address), ...word(bytes.length), ...bytes]);
+  const target = [...Buffer.from("Target"), 0, 1, 0, 0, 0, ...Buffer.from(name.padEnd(255, "\0")), ...word(body.length), ...word(elements.length), ...body];
+  const whole = [...Buffer.from("DfuSe"), 1, ...word(11 + target.length), 1, ...target, 0xff, 0xff, 0x11, 0xdf, 0x83, 0x04, 0x1a, 0x01, ...Buffer.from("UFD"), 16];
+  return Buffer.from([...whole, ...word(checksum(whole))]);
+}
+
+const noise = (length, seed) => Uint8Array.from({ length }, (_, at) => (at * 31 + seed * 17 + (at >> 8)) & 255);
+/** An image: the program from sector 3 on, with a length that is no multiple of a word, and the first sector. */
+const PROGRAM = noise(150_001, 3), VECTORS = noise(9_000, 5);
+const IMAGE = dfu([[FLASH + 0xc000, PROGRAM], [FLASH, VECTORS]]);
+
+/** Installs a modelled boot loader in the page. Runs in the page. */
+function bootLoader({ layout, failAt, breakAt }) {
+  const [IDLE, SYNC, BUSY, DOWNLOAD_IDLE, MANIFEST, UPLOAD_IDLE, ERROR] = [2, 3, 4, 5, 7, 9, 10];
+  const flash = globalThis.flash ?? new Uint8Array(512 * 1024).fill(0x5a);
+  const model = { flash, erased: [], written: [], started: false, state: ERROR, code: 11 };
+  Object.assign(globalThis, { flash, model });
+  const sizes = [16, 16, 16, 16, 64, 128, 128, 128].map(kib => kib * 1024);
+  const sectors = sizes.map((size, index) => ({ address: sizes.slice(0, index).reduce((sum, one) => sum + one, 0), size }));
+  let pending, address = 0, writes = 0;
+  const stall = { status: "stall" };
+  const fail = code => Object.assign(model, { state: ERROR, code });
+  const carryOut = () => {
+    const { block, data } = pending;
+    pending = undefined;
+    const at = data.length === 5 && new DataView(data.buffer, data.byteOffset).getUint32(1, true) - 0x0800_0000;
+    if (block === 0 && data[0] === 0x21) address = at;
+    else if (block === 0 && data[0] === 0x41) {
+      const sector = sectors.find(one => one.address <= at && at < one.address + one.size);
+      if (!sector) return fail(8);
+      model.erased.push(sector.address);
+      flash.fill(0xff, sector.address, sector.address + sector.size);
+    } else if (block >= 2) {
+      const from = address + (block - 2) * 2048;
+      if (++writes === failAt) return fail(3);
+      model.written.push(from);
+      // Programming clears bits and sets none.
+      data.forEach((byte, index) => (flash[from + index] &= byte));
+      if (breakAt !== undefined && from <= breakAt && breakAt < from + data.length) flash[breakAt] ^= 1;
+    } else return fail(1);
+    model.state = BUSY;
+  };
+  const device = {
+    configuration: null,
+    async open() {},
+    async close() {},
+    async selectConfiguration() {
+      device.configuration = { interfaces: [{ interfaceNumber: 0, alternates: [
+        { alternateSetting: 1, interfaceClass: 0xfe, interfaceSubclass: 1, interfaceName: "@Option Bytes  /0x1FFFC000/01*016 e" },
+        { alternateSetting: 0, interfaceClass: 0xfe, interfaceSubclass: 1, interfaceName: layout }] }] };
+    },
+    async claimInterface() {},
+    async selectAlternateInterface(_, alternate) {
+      model.alternate = alternate;
+    },
+    async controlTransferOut({ request, value }, data) {
+      if (model.started) throw new Error("The device was disconnected.");
+      if (request === 4 && model.state === ERROR) Object.assign(model, { state: IDLE, code: 0 });
+      else if (request === 6 && model.state !== ERROR) model.state = IDLE;
+      else if (request === 1 && [IDLE, DOWNLOAD_IDLE].includes(model.state)) {
+        pending = { block: value, data: new Uint8Array(data.buffer.slice(data.byteOffset, data.byteOffset + data.byteLength)) };
+        model.state = pending.data.length === 0 && value === 0 ? MANIFEST : SYNC;
+      } else {
+        fail(14);
+        return stall;
+      }
+      return { status: "ok" };
+    },
+    async controlTransferIn({ requestType, request, value }, length) {
+      if (model.started) throw new Error("The device was disconnected.");
+      if (requestType === "standard") return { status: "ok", data: new DataView(Uint8Array.of(9, 2, 27, 0, 1, 1, 0, 0xc0, 50, 9, 4, 0, 0, 0, 0xfe, 1, 2, 4, 9, 0x21, 0x0b, 255, 0, 0, 8, 0x1a, 1).buffer) };
+      if (request === 3) {
+        if (model.state === SYNC) carryOut();
+        else if (model.state === BUSY) model.state = DOWNLOAD_IDLE;
+        else if (model.state === MANIFEST) model.started = true;
+        return { status: "ok", data: new DataView(Uint8Array.of(model.state === ERROR ? model.code : 0, 1, 0, 0, model.state, 0).buffer) };
+      }
+      if (request !== 2 || ![IDLE, UPLOAD_IDLE].includes(model.state) || value < 2) {
+        fail(14);
+        return stall;
+      }
+      model.state = UPLOAD_IDLE;
+      const from = address + (value - 2) * 2048;
+      return { status: "ok", data: new DataView(flash.slice(from, from + length).buffer) };
+    },
+  };
+  Object.defineProperty(navigator, "usb", { configurable: true, value: {
+    async requestDevice({ filters }) {
+      model.filters = filters;
+      return device;
+    } } });
+}
+
+/** Opens the dialog and chooses a file. Returns what the page says about it. */
+async function choose(page, bytes, name = "blackpill_f411.dfu") {
+  await page.setInputFiles("#firmware-file", { name, mimeType: "application/octet-stream", buffer: bytes });
+  await page.waitForFunction(() => document.getElementById("firmware-note").textContent !== "");
+  return page.textContent("#firmware-note");
+}
+
+async function dialog(browser, model) {
+  const { page, faults } = await open(browser, file);
+  await page.evaluate(bootLoader, model);
+  await tab(page, "run");
+  await page.click("#open-firmware");
+  return { page, faults };
+}
+
+const GO = "text=Choose the boot loader and load…";
+
+/** Loads the chosen file; returns the last sentence and what the model has seen. */
+async function loaded(page) {
+  await page.click(GO);
+  await page.waitForFunction(() => document.querySelector("#firmware-note.finding") !== null && !/ %$/.test(document.getElementById("firmware-note").textContent));
+  const seen = await page.evaluate(() => ({ ...model, flash: undefined, begin: [...flash.slice(0, 8)] }));
+  return { said: await page.textContent("#firmware-note"), ...seen };
+}
+
+const bytesAt = (page, from, length) => page.evaluate(([from, length]) => [...flash.slice(from, from + length)], [from, length]);
+
+export async function firmware_is_loaded_read_back_and_started(browser) {
+  const { page, faults } = await dialog(browser, { layout: F411 });
+  assert(await page.locator(GO).isDisabled(), "there is no file yet");
+  assert.match(await choose(page, IMAGE), /^Oxmill for blackpill_f411, 155 KiB\.$/);
+  const { said, erased, written, started, alternate, filters } = await loaded(page);
+  assert.match(said, /^Oxmill for blackpill_f411 is loaded, was read back without a difference/);
+  assert.deepEqual([started, alternate, filters], [true, 0, [{ vendorId: 0x0483, productId: 0xdf11 }]]);
+  assert.deepEqual(erased, [0, 0xc000, 0x1_0000, 0x2_0000], "the sector of the vector table first, those of the settings not");
+  assert.equal(written.at(-1), 0, "the vector table last");
+  assert.equal(new Set(written).size, written.length);
+  assert.deepEqual(await bytesAt(page, 0, VECTORS.length), [...VECTORS]);
+  assert.deepEqual(await bytesAt(page, 0xc000, PROGRAM.length), [...PROGRAM]);
+  assert((await bytesAt(page, 0x4000, 0x8000)).every(byte => byte === 0x5a), "the settings are kept");
+  await page.evaluate(axe);
+  const { violations } = await page.evaluate(() => globalThis.axe.run());
+  assert.deepEqual(violations.map(({ id, nodes }) => `${id}: ${nodes[0].html}`), []);
+  assert.deepEqual(faults, []);
+}
+
+export async function an_interrupted_load_leaves_no_program_that_starts(browser) {
+  const { page } = await dialog(browser, { layout: F411, failAt: 40 });
+  await choose(page, IMAGE);
+  const first = await loaded(page);
+  assert.match(first.said, /cannot write at 0x0801f800 \(status 3\).* The board has no program now and starts nothing: load it again\.$/);
+  assert.deepEqual([first.started, first.begin], [false, Array(8).fill(0xff)]);
+  // The boot loader reports an error until it is cleared; the next attempt has to do that.
+  await page.evaluate(bootLoader, { layout: F411 });
+  const second = await loaded(page);
+  assert.match(second.said, /is loaded/);
+  assert.deepEqual(await bytesAt(page, 0, VECTORS.length), [...VECTORS]);
+}
+
+export async function firmware_that_reads_back_differently_does_not_start(browser) {
+  const { page } = await dialog(browser, { layout: F411, breakAt: 0xc000 + 70_000 });
+  await choose(page, IMAGE);
+  const { said, started, begin } = await loaded(page);
+  assert.match(said, /^What was read back at 0x0801d000 is not what was written\. The board has no program now/);
+  assert.deepEqual([started, begin], [false, Array(8).fill(0xff)]);
+}
+
+export async function files_that_are_no_firmware_for_the_chip_are_refused(browser) {
+  const { page } = await dialog(browser, { layout: F401 });
+  const damaged = Buffer.from(IMAGE);
+  damaged[5_000] ^= 1;
+  const foreign = Buffer.from(IMAGE);
+  foreign.set([0, 0], foreign.length - 14);
+  foreign.writeUInt32LE(checksum(foreign.subarray(0, -4)), foreign.length - 4);
+  for (const [bytes, wanted] of [
+    [Buffer.from("G21 G90\nG0 X1\n".repeat(50)), /^This is no \.dfu file of DfuSe\.$/],
+    [damaged, /damaged: its checksum is wrong/],
+    [IMAGE.subarray(0, 4_000), /damaged: its checksum is wrong/],
+    [foreign, /not for the boot loader of an STM32/],
+    [dfu([[FLASH + 0xc000, PROGRAM]]), /nothing is at the start of the flash/],
+  ]) {
+    assert.match(await choose(page, bytes), wanted);
+    assert(await page.locator(GO).isDisabled());
+  }
+  // An F401 has 256 KiB.
+  await choose(page, dfu([[FLASH + 0x3_f000, noise(8_192, 1)], [FLASH, VECTORS]]));
+  const { said, erased, begin } = await loaded(page);
+  assert.match(said, /does not fit into the chip: it has no flash at 0x08040fff.* Nothing was changed\.$/);
+  assert.deepEqual([erased, begin], [[], Array(8).fill(0x5a)]);
+}
+
+export async function without_webusb_the_page_says_so(browser) {
+  const { page } = await open(browser, file, { prepare: page => page.addInitScript(() => delete Navigator.prototype.usb) });
+  await tab(page, "run");
+  await page.click("#open-firmware");
+  assert.match(await page.textContent("#firmware-note"), /no WebUSB/);
+  assert(await page.locator(GO).isDisabled());
+}
