@@ -140,13 +140,13 @@ pub trait StepOutput<const N: usize> {
     fn now(&self) -> u32;
     /// Returns the reasons for the present call of the step task, and clears them.
     fn take(&mut self) -> Due;
-    /// Calls the step task with [`Due::MORE`] at `moment`, or at once if `moment` has passed. Replaces a pending call
-    /// of this kind.
+    /// Calls the step task with [`Due::MORE`] at `moment`, or at once if `moment` has passed. Replaces a call of this
+    /// kind that has been scheduled before.
     fn call_at(&mut self, moment: u32);
     /// Calls the step task with [`Due::MARK`] at `moment`. With `power`, hardware also changes the power of the laser
     /// at that time, independently of the CPU. If `moment` has passed, the call and the change come at once. Replaces a
-    /// pending mark. A [`StepOutput::set_power`] or [`StepOutput::halt`] before `moment` cancels the power change, but
-    /// not the call.
+    /// call of this kind that has been scheduled before, with its change of power. A [`StepOutput::set_power`] or
+    /// [`StepOutput::halt`] before `moment` cancels the power change, but not the call.
     fn mark_at(&mut self, moment: u32, power: Option<u16>);
 
     /// Sets the directions of all events committed from now on; a set bit means negative.
@@ -304,7 +304,7 @@ pub struct SecondMotor {
     pub first_stands: bool,
 }
 
-/// Makes the compiler check that the chosen board provides the items of the table above, with these types.
+/// Makes the compiler check that the chosen board provides the items in the first table of this file, with these types.
 #[cfg(feature = "board")]
 mod held {
     use super::{Port, SlowLevels, StepOutput};

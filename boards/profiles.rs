@@ -154,8 +154,9 @@ pub const NUCLEO_F401RE: Board = Board {
 };
 
 /// Control boards with STM32F446 and USB: 168 MHz instead of 180, because USB needs 48 MHz from the same PLL. The step
-/// timer is on the 84 MHz bus clock. The image is built for size, except the step task: otherwise the events would run
-/// out at 1 MHz, after changes of direction. The boards are [`OCTOPUS_F446`] and those derived from it.
+/// timer is on the 84 MHz bus clock. The image is built for size, except the step task: otherwise the queue of events
+/// would run dry after changes of direction, at a step rate of 1 MHz. The boards are [`OCTOPUS_F446`] and those derived
+/// from it.
 pub const CONTROL_F446: Board = Board {
     name: "control_f446",
     step_clock_hz: 84_000_000,

@@ -25,8 +25,8 @@ use core::sync::atomic::{AtomicU16, Ordering, Ordering::Relaxed, fence};
 pub const SLOTS: usize = 320;
 /// Slots reserved for commands that stop the machine, in a buffer that an interrupt fills instead of DMA.
 const FOR_STOPS: usize = 16;
-/// Maximum number of bytes kept in a circular buffer while no message can be sent. If more bytes wait, each look drops
-/// a few of the oldest, so that DMA does not overtake the reader during a look.
+/// Maximum number of bytes kept in a circular buffer while no message can be sent. If more bytes wait, each look
+/// (reading of the buffer) drops a few of the oldest, so that DMA does not overtake the reader meanwhile.
 pub const MOST_WAITING: usize = SLOTS - 64;
 /// The buffer that the UART's bytes are written into. A slot holds either `EMPTY`, or nine bits of the data register,
 /// to which an interrupt can add the flag `MISSING`. Slots are atomic, because DMA writes them.
@@ -39,14 +39,14 @@ const MISSING: u16 = 0x4000;
 
 /// When this many bytes of text have arrived, the serial task is called even if the end of the line has not arrived.
 const GATHERED: u8 = 32;
-/// Number of looks (samples) after which a message is passed on although it is not full: 200 us.
+/// Number of looks (one per sample) after which a message is passed on although it is not full: 200 us.
 const WAITED: u8 = 4;
-/// Maximum number of bytes of text that one look reads from a buffer filled by DMA; other bytes count double. At 1
-/// Mbaud five bytes arrive between two samples.
+/// Maximum number of bytes of text that one look (reading of the buffer) reads from a buffer filled by DMA; other bytes
+/// count double. At 1 Mbaud five bytes arrive between two samples.
 const AT_A_TIME: u8 = 28;
 /// Replaces damaged bytes (see [`refused`]). A line that contains `REFUSED` is not executed. One more is inserted after
-/// a series of damaged bytes: an end of line among them may be wrong, so the bytes after it may be the rest of a
-/// damaged line.
+/// a series of damaged bytes: if what seems to be an end of line among them was another byte, the bytes after the
+/// series belong to the damaged line.
 const REFUSED: u8 = b'@';
 
 /// The part of a UART that writes bytes into the buffer.
@@ -61,7 +61,8 @@ pub trait ByteSource {
     fn is_damaged(&self) -> bool;
     /// Clears the report of [`ByteSource::is_damaged`]. A byte that arrives at this moment may be lost.
     fn clear_damage(&mut self);
-    /// Waits as long as the hardware takes to write a byte and to count it, so that afterwards both are done.
+    /// Waits as long as the hardware takes to write a received byte into the buffer and to advance
+    /// [`ByteSource::place`].
     fn settle(&self) {}
     /// Restarts a non-circular buffer that has been read completely. Returns whether the next byte will go into the
     /// first slot.
@@ -124,28 +125,29 @@ pub struct UartReceiver<S> {
     buffer: &'static Buffer,
     /// The next slot to be read.
     read: usize,
-    /// The message being filled, and (`looks`) the number of looks since its first byte.
+    /// The message being filled, and (`looks`) how often the buffer has been read since the first byte of the message.
     message: ReceivedBytes,
     looks: u8,
-    /// The byte read most recently; 0 if that was text that [`UartReceiver::read_text`] read, or if bytes have been
-    /// lost after it.
+    /// The byte read most recently; 0 if [`UartReceiver::read_text`] has read it, or if bytes have been lost after it.
+    /// Serves to call the serial task at once only for the first of several equal commands.
     before: u8,
     /// Number of bytes of text read since the last call of the serial task; decides whether to call it. An end of line,
     /// a command or a loss raises the number to at least [`GATHERED`].
     text: u8,
-    /// Last byte of the message sent most recently, if the serial task has not been called since. That task may not
-    /// have processed the byte yet.
+    /// Last byte of the message sent most recently, which the serial task may not have processed yet. `None` after a
+    /// call of the serial task.
     unheard: Option<u8>,
     /// Bytes were lost before the next byte to be read.
     is_missing: bool,
-    /// The bytes just before the next byte to be read are damaged.
+    /// The byte read most recently may be damaged. Before the next good byte, [`REFUSED`] is inserted.
     is_torn: bool,
-    /// The bytes that arrive up to the next look may be damaged.
+    /// The bytes that arrive before the next look may be damaged, because the look before has found damage.
     is_doubtful: bool,
-    /// A command that stops the machine has been read, but not yet passed on with a call of the serial task.
+    /// A command that stops the machine has been read, and the serial task has not been called for it yet.
     has_stop: bool,
-    /// The last look could not read all bytes of the buffer. None of the first `scanned` bytes that remain in it is a
-    /// command that stops the machine; `has_stop_ahead`: the byte after them is one.
+    /// The most recent look left bytes in the buffer, because it reached its limit or no message could be sent. The
+    /// first `scanned` of them are not commands that stop the machine; if `has_stop_ahead`, the byte after these is
+    /// one.
     is_stuck: bool,
     scanned: usize,
     has_stop_ahead: bool,
@@ -182,8 +184,7 @@ impl<S: ByteSource> UartReceiver<S> {
         &mut self.source
     }
 
-    /// Returns whether a command that stops the machine has arrived, but has not been passed on with a call of the
-    /// serial task.
+    /// Returns whether a command that stops the machine has arrived for which the serial task has not been called yet.
     #[inline(always)]
     pub fn has_stop(&self) -> bool {
         self.has_stop || self.has_stop_ahead
@@ -197,8 +198,8 @@ impl<S: ByteSource> UartReceiver<S> {
     #[inline(always)]
     pub fn look(&mut self, send: impl FnMut(ReceivedBytes) -> bool) -> Look {
         let place = self.source.place();
-        // Read the place before the damage flag: the hardware reports the damage of a byte before it counts the byte.
-        // So if no damage is reported, no byte before `place` is damaged.
+        // Read `place`, the position of the writer, before the damage flag: the hardware reports the damage of a byte
+        // before it counts the byte. So if no damage is reported, no byte before `place` is damaged.
         fence(Ordering::SeqCst);
         let is_damaged = self.source.is_damaged();
         if self.read != place || is_damaged || self.is_doubtful || self.is_at_end(place) {
@@ -350,9 +351,9 @@ impl<S: ByteSource> UartReceiver<S> {
         is_sent
     }
 
-    /// Searches for the first command that stops the machine among the bytes that could not be read; checks a few of
-    /// them at each look. If there is such a command, the serial task is called. It then takes messages from the queue,
-    /// which makes space for the command.
+    /// Searches for the first command that stops the machine among the bytes that could not be read; each call checks a
+    /// few of them. If there is such a command, the serial task is called. It then takes messages from the queue, which
+    /// makes space for the command.
     #[cold]
     #[inline(never)]
     fn scan(&mut self, place: usize) {
@@ -364,7 +365,7 @@ impl<S: ByteSource> UartReceiver<S> {
             let Some(slot) = self.buffer.get(at) else { return };
             let word = slot.load(Relaxed);
             if word == EMPTY {
-                // The byte is counted, but not written yet.
+                // DMA has counted the byte, but not written it yet.
                 return;
             }
             self.has_stop_ahead = is_stop(word as u8);
@@ -426,7 +427,8 @@ impl<S: ByteSource> UartReceiver<S> {
         loop {
             let now = self.source.place();
             let is_full = now == place || self.is_at_end(now);
-            // If a byte arrived between the two readings of the place, it is in the slot just checked: look again.
+            // If a byte arrived between the two calls of `place`, it is in the slot just checked and is not a sign of a
+            // full buffer: look again.
             if self.source.place() == now {
                 return is_full;
             }
@@ -466,7 +468,8 @@ impl<S: ByteSource> UartReceiver<S> {
         self.before = 0;
     }
 
-    /// Sends the message being filled. With `calls`, the caller calls the serial task right afterwards.
+    /// Sends the message being filled. `calls`: the caller calls the serial task right afterwards. If the message
+    /// cannot be sent, the next look requests it again.
     #[inline(never)]
     pub fn pass_on(&mut self, calls: bool, mut send: impl FnMut(ReceivedBytes) -> bool) {
         if self.message.len > 0 && !self.send_message(&mut send) {

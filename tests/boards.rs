@@ -66,7 +66,7 @@ fn no_stream_has_two_uses() {
     assert_eq!(number("usart_interrupt.rs", "STREAM"), 5);
 }
 
-/// Several files repeat the list of images, and no compiler compares them.
+/// Each firmware image must be named in every file that lists the images. No compiler compares these lists.
 #[test]
 fn every_image_stands_in_every_list() {
     let ci = board_file("../.ci/run");
@@ -103,13 +103,14 @@ fn step_rates_follow_the_rule() {
         let (hz, core_hz) = (u64::from(board.safe_step_hz), u64::from(board.core_hz));
         let runs = 2 * u64::from(board.run_cycles) * hz;
         assert!(runs <= (DEPTH - BATCH / 2) * core_hz, "{board:?}");
-        // 1,582 cycles: 1.1 times what `cargo xtask count` reports for a batch with three axes, or slightly more.
+        // A batch with three axes is taken to need 1,582 cycles: what `cargo xtask count` reports, plus at least 10 %.
         assert!(1_582 * hz / BATCH <= core_hz / 2, "{board:?}");
         let rates = StepRates { safe_hz: u32::MAX, least_pulse_tenths: board.least_pulse_tenths };
         assert!(rates.greatest_hz(board.least_pulse_tenths) >= hz as f32, "{board:?}");
-        // The pause must have room for 7 ticks: 4 from the trigger to the first count, 1 to the edge, 1 after the
-        // pulse, 1 to the stop. If a port has direction pins and no step pins, the edge comes `DIRECTION_LEAD` ticks
-        // later. A tick of the pulse timer is not longer than a tick of the step clock.
+        // The pulse timer must have stopped before the next event triggers it. So the pause after a pulse must be
+        // longer than 7 of its ticks: 4 from the trigger to its first count, 1 to the leading edge of the pulse, 1
+        // after the trailing edge, 1 to the stop. If a port has direction pins and no step pins, the leading edge comes
+        // `DIRECTION_LEAD` ticks later. A tick of the pulse timer is not longer than a tick of the step clock.
         let timing = StepTiming::new(board.step_clock_hz / 1_000_000, board.least_pulse_tenths, 0);
         let lead = if board.direction_ports > 0 { number("chain.rs", "DIRECTION_LEAD") } else { 0 };
         assert!(timing.gap > timing.pulse + 7 + lead, "{board:?}");

@@ -113,7 +113,8 @@ fn a_web_page_moves_nothing_on_a_port_of_lines() {
         let mut host = server.served();
         assert!(host.wait_for("<Idle").contains("MPos:0.000,0.000,0.000"), "{request}");
     }
-    // The first bytes of a line can look like a request. A line that is sent in pieces must still be taken as a line.
+    // The first bytes of a line can also be those of an HTTP request. A line that arrives in two parts must still be
+    // taken as a line.
     let mut host = server.served();
     host.send("G");
     std::thread::sleep(Duration::from_millis(50));
@@ -169,7 +170,7 @@ fn timers(client: &Client) -> Vec<String> {
     let port = |address: std::net::SocketAddr| format!(":{:04X}", address.port());
     let (here, there) = (client.stream.peer_addr().expect("a socket"), client.stream.local_addr().expect("a socket"));
     let sockets = std::fs::read_to_string("/proc/net/tcp").expect("Linux");
-    // sl local_address rem_address st tx_queue:rx_queue tr:tm->when ..
+    // Columns of `/proc/net/tcp`: sl local_address rem_address st tx_queue:rx_queue tr:tm->when ..
     let mut timers: Vec<String> = sockets
         .lines()
         .map(|line| line.split_whitespace().collect::<Vec<_>>())
@@ -235,8 +236,8 @@ fn thousands_of_connections_leave_nothing_behind() {
             assert!(Instant::now() < end, "{before:?} {:?}", held(&server.program));
             std::thread::sleep(Duration::from_millis(50));
         }
-        // 4 MiB are allowed, because stacks of ended threads use some memory. So the test detects a leak of 4 KiB per
-        // connection, or of 1.4 KiB on the first port.
+        // Growth by 4 MiB is allowed, because stacks of ended threads use some memory. So the test detects a leak of 4
+        // KiB per connection, or of 1.4 KiB on the first port, which gets 3000 connections.
         assert!(resident(&server.program) < memory + 4096, "{memory} {}", resident(&server.program));
     }
 }
@@ -250,7 +251,7 @@ fn clients_that_do_not_read_hold_no_place() {
     let mut before = Client::of(&pins);
     assert_eq!(before.ask("door 0"), "ok");
     let memory = resident(&server.program);
-    // This line is rejected with a long text: answers of three bytes would take longer to fill the buffers.
+    // The server rejects this line with a long text, which fills the buffers sooner than `ok` would.
     let question = b"lamp 1\n".repeat(10_000);
     let mut unread: Vec<TcpStream> = (0..63).map(|_| TcpStream::connect(&pins).expect("it listens")).collect();
     for stream in &mut unread {
@@ -263,7 +264,7 @@ fn clients_that_do_not_read_hold_no_place() {
         for stream in &mut unread {
             let _ = stream.write(&question);
         }
-        // A client that reads is served all the time.
+        // Meanwhile the server still answers a client that reads.
         assert_eq!(before.ask("door 0"), "ok");
         assert!(resident(&server.program) < memory + 8192, "{memory} {}", resident(&server.program));
         let mut new = Client::of(&pins);
@@ -314,12 +315,13 @@ fn no_client_makes_the_server_grow() {
         assert!(Instant::now() < end, "it is closed");
     }
     assert!(resident(&server.program) < before + 8192, "{before} {}", resident(&server.program));
-    // The client gets the reason if it can read it before the connection ends.
+    // A client whose line is too long is told so, if it reads this before the server closes the connection.
     let mut short = server.served();
     assert_eq!(short.ask("G21"), "ok");
     short.send([b'X'; (1 << 16) + 2000]);
     assert_eq!(short.line(), "[MSG:The line has no end]");
-    // The same in the first line of a client, where the server looks for a browser's request.
+    // A line without an end is also rejected as the first line of a client, where the server looks for a browser's HTTP
+    // request.
     let mut first = server.served();
     first.send([b'X'; (1 << 16) + 2000]);
     assert_eq!(first.line(), "[MSG:The line has no end]");
@@ -337,8 +339,8 @@ fn no_client_makes_the_server_grow() {
     server.served();
 }
 
-/// A recording lists the pin before its immediate effects, such as an alarm or the end of motion, so a replay has the
-/// same steps.
+/// A recording lists a change of a pin before the immediate effects of this change, such as an alarm or the end of
+/// motion. So a replay makes the same steps.
 #[test]
 fn a_recording_with_alarms_of_pins_is_played_again() {
     let folder = std::env::temp_dir().join(format!("oxmill-pins-{}", std::process::id()));
@@ -352,7 +354,7 @@ fn a_recording_with_alarms_of_pins_is_played_again() {
         assert_eq!(answer_to(&pins, format!("{pin} 1\n").as_bytes()), "ok\n");
         assert!(answer_to(&pins, b"steps\n").starts_with("steps "));
         let end = Instant::now() + PATIENCE;
-        // The position is recorded at the next check of the machine.
+        // The server records the position when it next checks the machine.
         while !std::fs::read_to_string(&file).is_ok_and(|text| text.contains(" at ")) {
             assert!(Instant::now() < end, "{pin} is recorded");
             std::thread::sleep(Duration::from_millis(20));
@@ -537,7 +539,7 @@ fn a_flood_from_a_client_that_leaves_does_not_lock_the_server() {
     let mut second = server.served();
     second.send("!");
     second.pour();
-    // The same for a client that closes only its sending side and waits for answers.
+    // This client closes only its sending side, as if it still waited for answers. It must not lock the server either.
     second.stream.shutdown(Shutdown::Write).expect("a socket");
     let mut third = server.served();
     assert!(third.status().starts_with("<Hold:0|"));
@@ -637,8 +639,8 @@ fn a_recording_is_of_one_server() {
     Server::new(&["--record", text]);
 }
 
-/// A server has its settings at power-up, as a board does: with homing on it is locked, and startup lines are carried
-/// out.
+/// Settings given as options are active at power-up, as on a board: if they enable homing, the machine starts locked,
+/// and startup lines are carried out.
 #[test]
 fn a_server_has_its_settings_at_power_up() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));

@@ -26,7 +26,7 @@ const CONTROLLED: [&str; 4] = ["1", "2", "4", "5"];
 const FAULTS: [(&str, &str, &str); 3] =
     [("limit x", "$924", "ALARM:1"), ("estop", "$925", "ALARM:101"), ("fault", "$926", "ALARM:102")];
 
-/// Counts of events, for the log.
+/// How often each kind of event has occurred; printed with failures and at the end.
 #[derive(Default, Debug)]
 struct Counts {
     lines: u64,
@@ -76,7 +76,8 @@ impl Soak {
         soak
     }
 
-    /// Sends the lines that fit, as a sender that counts characters does.
+    /// Sends waiting lines as long as they fit into the machine's receive buffer, as a sender that counts characters
+    /// does.
     fn send(&mut self) {
         while let Some(line) = self.waiting.front() {
             if self.mill.unread() + line.len() + 1 > self.mill.board().received_bytes {
@@ -191,13 +192,13 @@ impl Soak {
         }
     }
 
-    /// Interrupts the job by a reset (0x18) or a stop (0x19). The program continues from the position at which the
-    /// machine comes to rest.
+    /// Interrupts the job by a reset (0x18) or a stop (0x19). Afterwards the generated program continues from the
+    /// position at which the machine has come to rest.
     fn interrupt(&mut self, byte: u8) {
         let moving = self.mill.is_stepping();
         self.mill.send([byte]);
-        // The machine drops received lines. It still answers the line in progress, possibly late because a spindle
-        // spins up.
+        // At this byte the machine drops the lines that it has received and not started. It still answers the line in
+        // progress, possibly late because a spindle spins up.
         self.mill.run_for(Duration::from_millis(500));
         self.half.push_str(&self.mill.take_output());
         while byte != 0x18 && !self.mill.is_idle() {
@@ -227,7 +228,8 @@ impl Soak {
         self.agree();
     }
 
-    /// An input stops the machine according to its setting. The position is kept; the job continues after a reset.
+    /// Activates an input that stops the machine with the reaction that its setting selects, and then resets. The
+    /// position is kept, and the job continues from there.
     fn fault(&mut self) {
         let (pin, _, alarm) = FAULTS[self.random.below(3) as usize];
         self.hear();
@@ -269,7 +271,8 @@ impl Soak {
         self.counts.jogs += 1;
     }
 
-    /// Changes the reactions. Call while the machine is at rest.
+    /// Selects random reactions to the inputs of [`FAULTS`] and to a missing host (`$928`). Call while the machine is
+    /// at rest.
     fn settings(&mut self) {
         for (_, setting, _) in FAULTS {
             let reactions = if setting == "$925" { &CONTROLLED[..2] } else { &CONTROLLED };

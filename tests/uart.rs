@@ -16,11 +16,11 @@ struct Wire {
     buffer: &'static Buffer,
     place: Cell<usize>,
     damaged: Cell<bool>,
-    /// Bytes that arrive right after each of the next calls of `place`.
+    /// For each of the next calls of `place`: bytes that arrive right after the place has been read.
     at_place: RefCell<VecDeque<Vec<u8>>>,
     /// Bytes that arrive when the reader next clears the damage flag.
     at_clear: RefCell<Vec<u8>>,
-    /// Bytes that arrive while the reader waits for a byte to settle.
+    /// Bytes that arrive while the reader waits until DMA has both written and counted its newest byte (`settle`).
     at_settle: RefCell<Vec<u8>>,
     /// A byte that DMA has counted but not yet written, with its slot.
     unwritten: Cell<Option<(usize, u8)>>,
@@ -140,7 +140,8 @@ impl Out {
         self.0.iter().map(|byte| byte.map_or('#', char::from)).collect()
     }
 
-    /// Returns the lines that would be carried out: those without missing bytes and without the mark of a damaged byte.
+    /// Returns the lines that would be carried out: those without missing bytes and without `@`, which replaces a
+    /// damaged byte.
     fn lines(&self) -> Vec<String> {
         let (mut lines, mut line, mut is_whole) = (Vec::new(), String::new(), true);
         for byte in &self.0 {
@@ -160,16 +161,16 @@ impl Out {
     }
 }
 
-/// Maximum number of bytes of text that one pass reads; of other bytes it reads at most half as many.
+/// Maximum number of bytes of text that the reader reads at a time; other bytes count double.
 const AT_A_TIME: usize = 28;
 
 #[derive(Clone, Debug)]
 enum Step {
     /// This many bytes arrive.
     Come(usize),
-    /// A byte is counted, and written a little later.
+    /// DMA counts a byte, and writes it into its slot a little later.
     Count,
-    /// A pass with room for this many messages.
+    /// The reader runs once; this many messages can be sent.
     Look(usize),
 }
 
@@ -183,7 +184,8 @@ fn step() -> impl Strategy<Value = Step> {
 }
 
 proptest! {
-    /// While there is room, all bytes are output in order, whatever the timing of the passes.
+    /// As long as the buffer has room for the bytes that arrive, all of them are output in order, whenever the reader
+    /// runs.
     #[test]
     fn bytes_come_out_as_they_came(steps in prop::collection::vec(step(), 1..60)) {
         let (wire, mut receiver) = by_dma();
@@ -212,9 +214,9 @@ proptest! {
         prop_assert_eq!(out.0, sent.into_iter().map(Some).collect::<Vec<_>>());
     }
 
-    /// Some bytes are damaged and become other bytes, even line ends. Passes occur at any time, even between the signal
-    /// of a damage and the damaged byte; other bytes arrive while the signal is cleared. No line is carried out that
-    /// was not sent, none twice, and none with a damaged byte.
+    /// Some bytes are damaged and become other bytes, even line ends. The reader runs at any time, even between the
+    /// report of a damage and the arrival of the damaged byte, and other bytes arrive while it clears the report. No
+    /// line is carried out that was not sent, none twice, and none with a damaged byte.
     #[test]
     fn no_damaged_line_is_carried_out(
         damaged in prop::collection::btree_map(
@@ -244,7 +246,8 @@ proptest! {
                 at += 1;
             }
             for _ in 0..times {
-                // Only undamaged bytes: damaged ones would signal again.
+                // While the reader clears the damage flag, only undamaged bytes may arrive: a damaged one would set the
+                // flag again.
                 let more = during.next().unwrap().min(sent.len() - at);
                 let more = (0..more).take_while(|k| !damaged.contains_key(&(at + k))).count();
                 wire.at_clear.replace(sent[at..at + more].to_vec());
@@ -255,7 +258,7 @@ proptest! {
                 break;
             }
         }
-        // Two good lines after all damage.
+        // Two good lines follow all damage. At least the second of them must be carried out.
         out.look(&mut receiver);
         wire.come_all(b"\nEND1\nEND2\n");
         out.look(&mut receiver);
@@ -313,8 +316,7 @@ fn a_damaged_byte_at_each_place() {
     }
 }
 
-/// No byte that follows damaged bytes is dropped, whatever the unfinished message already contains when this byte
-/// arrives.
+/// No byte that follows damaged bytes is dropped, however many bytes the message that is being filled already contains.
 #[test]
 fn nothing_is_dropped_behind_damaged_bytes() {
     for count in 1..3 * ReceivedBytes::MOST {
@@ -329,8 +331,8 @@ fn nothing_is_dropped_behind_damaged_bytes() {
     }
 }
 
-/// A byte that DMA has counted but not yet written does not count as arrived: the next pass reads it. Until then,
-/// damage that has been signalled still applies to this byte.
+/// A byte that DMA has counted but not yet written does not count as arrived: the reader reads it at its next run. If
+/// damage has been reported before, the byte then still counts as damaged.
 #[test]
 fn a_byte_that_is_counted_and_not_written() {
     let (wire, mut receiver) = by_dma();
@@ -342,7 +344,8 @@ fn a_byte_that_is_counted_and_not_written() {
     wire.write();
     out.look(&mut receiver);
     assert_eq!(out.text(), "abc");
-    // The byte is damaged. It is still unwritten at the pass that sees the damage, and at the next one.
+    // Now the byte is damaged. It is not yet written when the reader first sees the damage flag, nor when the reader
+    // runs next.
     wire.damaged.set(true);
     wire.count(b'1');
     out.look(&mut receiver);
@@ -422,8 +425,8 @@ fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     }
     let look = out.look(&mut receiver);
     assert!(look.stop, "the stop has waited for room");
-    // The output begins with the bytes of the message that could not be sent. After the mark of the loss come the
-    // newest bytes, without a gap.
+    // The output begins with the bytes of the message that could not be sent. Then comes the mark of the loss (`None`),
+    // and then the newest bytes, without a gap.
     let (first, behind) = out.0.split_at(ReceivedBytes::MOST);
     assert_eq!(first, last[..ReceivedBytes::MOST].iter().copied().map(Some).collect::<Vec<_>>());
     assert_eq!(behind[0], None, "the loss is told");
@@ -431,8 +434,8 @@ fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     assert!(last.ends_with(&behind) && behind[0] == b'!' && behind.len() == 301, "{} behind the loss", behind.len());
 }
 
-/// A stop is seen at once or within a few passes, even if more text precedes it than there is room for. Until the stop
-/// has been passed on, each pass requests an immediate call of the serial task.
+/// The reader sees a stop byte at once or within a few runs, even if no message can be sent and much text precedes the
+/// stop. From then on each run requests an immediate call of the serial task, until the stop has been passed on.
 #[test]
 fn a_stop_is_seen_behind_text_that_has_no_room() {
     for stop in [b'!', 0x18, 0x19, 0x84, 0x85] {
@@ -457,7 +460,8 @@ fn a_stop_is_seen_behind_text_that_has_no_room() {
     }
 }
 
-/// A pass waits until the last byte is complete. A byte that arrives during this wait does not hide an overrun.
+/// If the buffer seems full, the reader waits until DMA has written and counted its newest byte. A byte that arrives
+/// during this wait does not hide an overrun.
 #[test]
 fn a_lap_is_seen_when_another_byte_comes_meanwhile() {
     let (wire, mut receiver) = by_dma();
@@ -484,7 +488,7 @@ fn bytes_that_come_while_a_look_asks_where_it_is() {
     }
 }
 
-/// Of several overwritten stops, the most severe one is kept.
+/// Of several stop bytes that are in the buffer when an overrun empties it, only the most severe one is kept.
 #[test]
 fn the_heaviest_stop_is_kept_behind_a_lap() {
     for (stops, kept) in [(&b"!\x85"[..], b'!'), (b"\x18!", 0x18), (b"!\x19\x84", 0x19), (b"\x85\x84!", 0x84)] {
@@ -497,8 +501,8 @@ fn the_heaviest_stop_is_kept_behind_a_lap() {
     }
 }
 
-/// A byte of a UTF-8 character can look like the command of a door or a jog cancel, and can occur twice. No such byte
-/// is dropped.
+/// A byte of a UTF-8 character can have the value of the door or jog cancel command, and can occur twice in a row. No
+/// such byte is dropped as a repeated command.
 #[test]
 fn characters_come_whole() {
     let text = "(1億 充 ㅅ Ä)\n".as_bytes();
@@ -509,8 +513,8 @@ fn characters_come_whole() {
     assert_eq!(out.0, text.iter().copied().map(Some).collect::<Vec<_>>());
 }
 
-/// DMA laps the reader after the reader's check for a lap, and the reader takes the newest byte for the oldest. The
-/// reader must recover its position.
+/// DMA overtakes the reader just after the reader has checked for an overrun, so the reader takes the newest byte for
+/// the oldest. It must detect this later, and then read new bytes correctly.
 #[test]
 fn a_lap_within_a_look_leaves_no_reader_waiting() {
     for late in 1..6 {
@@ -529,8 +533,8 @@ fn a_lap_within_a_look_leaves_no_reader_waiting() {
     }
 }
 
-/// After an overrun the reader empties all slots. Bytes that arrive during this are also lost, except a stop. Bytes
-/// that arrive after the last slot has been emptied are the first ones after the loss.
+/// After an overrun the reader empties all slots. Bytes that arrive while it does so are lost, too, except a stop byte.
+/// Bytes that arrive after the last slot has been emptied are read normally.
 #[test]
 fn bytes_that_come_while_the_slots_are_emptied() {
     for (first, last, expected) in [
@@ -544,8 +548,8 @@ fn bytes_that_come_while_the_slots_are_emptied() {
         let (wire, mut receiver) = by_dma();
         let mut out = Out::default();
         wire.come_all(&vec![b'x'; SLOTS + 5]);
-        // `place` is called at the start of the pass, twice after the last byte has settled, before the first slot is
-        // emptied, and after the last one has been.
+        // The reader calls `place` at the start of its run, twice after it has waited for DMA to complete the newest
+        // byte, before it empties the first slot, and after it has emptied the last one.
         wire.at_place.replace([b"", b"", b"", first, last].map(Vec::from).into());
         out.look(&mut receiver);
         wire.come_all(b"end\n");
@@ -554,15 +558,15 @@ fn bytes_that_come_while_the_slots_are_emptied() {
     }
 }
 
-/// The newest byte has been written but not yet counted. Its slot is in use, as after an overrun, and still nothing is
-/// lost.
+/// DMA has written the newest byte but not yet counted it. So the slot for the next byte seems to be in use, as after
+/// an overrun, and still nothing is lost.
 #[test]
 fn a_byte_that_is_about_to_be_counted() {
     let (wire, mut receiver) = by_dma();
     let mut out = Out::default();
     let place = wire.place.get();
     wire.buffer[place].store(u16::from(b'a'), Ordering::Relaxed);
-    // The byte is counted while the pass waits for it.
+    // DMA counts the byte while the reader waits for it.
     wire.at_settle.replace(b"a".to_vec());
     out.glance(&mut receiver, &mut 0);
     out.look(&mut receiver);
@@ -574,7 +578,8 @@ fn what_is_to_be_called_for() {
     let (wire, mut receiver) = by_dma();
     let (mut out, mut room) = (Out::default(), usize::MAX);
     assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
-    // Text without a line end is held back for some passes, in case the end follows; then it is passed on anyway.
+    // If text has no line end, the reader waits for a few runs in case the end follows, and then asks to send the text
+    // (`waits`).
     wire.come_all(b"G1X1");
     for _ in 1..4 {
         assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
@@ -588,15 +593,15 @@ fn what_is_to_be_called_for() {
         (b"01234567890123456789012345678901", Look { news: true, ..Look::default() }),
         (b"!", Look { news: true, stop: true, ..Look::default() }),
         (b"\x18", Look { news: true, stop: true, ..Look::default() }),
-        // The same byte again is not a new stop.
+        // A reset that repeats the one just before it does not count as a new stop.
         (b"\x18", Look { news: true, ..Look::default() }),
     ] {
         wire.come_all(bytes);
         assert_eq!(out.look(&mut receiver), look, "{bytes:?}");
         assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
     }
-    // Bytes for which there is no room stay in the buffer, and the serial task is called again for them: at once if a
-    // stop is among them.
+    // If no message can be sent, the bytes stay in the buffer, and the reader requests a call of the serial task for
+    // them: at once if a stop is among them.
     out.0.clear();
     wire.come_all(b"?G1X1\n!\n");
     out.glance(&mut receiver, &mut 0);
@@ -604,7 +609,8 @@ fn what_is_to_be_called_for() {
     assert_eq!(out.glance(&mut receiver, &mut 0), Look { news: true, stop: true, waits: true });
     out.pass_on(&mut receiver, &mut room, true);
     assert_eq!((out.glance(&mut receiver, &mut room), out.text().as_str()), (Look::default(), "?G1X1\n!\n"));
-    // Equal commands are passed on once per call of the serial task, however often `pass_on` runs.
+    // Between two calls of the serial task, only the first of equal commands is passed on, however often `pass_on`
+    // runs.
     out.0.clear();
     for calls in [false, false, true, false, true] {
         wire.come_all(&[b'?'; AT_A_TIME / 2]);
@@ -612,7 +618,7 @@ fn what_is_to_be_called_for() {
         out.pass_on(&mut receiver, &mut room, calls);
     }
     assert_eq!(out.text(), "??");
-    // A pass reads few bytes. The serial task is called again for the remaining ones.
+    // The reader reads only a few bytes at a time, and requests another call of the serial task for the remaining ones.
     out.0.clear();
     wire.come_all(&[b'x'; 100]);
     out.glance(&mut receiver, &mut room);
@@ -661,12 +667,12 @@ fn an_interrupt_fills_the_slots() {
         assert_eq!((out.text().as_str(), receiver.source().0.get()), ("G1X1\n", 0), "it begins anew");
         out.0.clear();
     }
-    // While nobody reads the bytes, there is soon no room for text, but still for a stop. The next byte that finds room
-    // marks the loss.
+    // While nobody reads the bytes, the buffer soon has no room for text, but still for a stop. The next byte that it
+    // accepts is marked: bytes are missing before it.
     let kept = (0..2 * SLOTS).filter(|_| put(&mut receiver, b'x')).count();
     assert!(put(&mut receiver, b'!'));
     assert!(!put(&mut receiver, b'y') && kept < SLOTS);
-    // A pass reads fewer bytes than with DMA, so emptying the slots takes several passes.
+    // Without DMA the reader reads fewer bytes at a time, so it empties the slots in several runs.
     let looks = (0..SLOTS).filter(|_| out.look(&mut receiver).stop).count();
     assert!(looks > 0);
     assert_eq!(out.text(), format!("{}#!", "x".repeat(kept)));
@@ -676,8 +682,8 @@ fn an_interrupt_fills_the_slots() {
     assert_eq!(out.text(), "#z");
 }
 
-/// The first time, the serial task is called at once. After each call it is not called again for as many input samples
-/// as fit into 500 us.
+/// At first, the serial task may be called at once. After each call, the next one is allowed only 500 us later
+/// ([`REST`] samples of the inputs).
 #[test]
 fn the_serial_task_is_called_in_time_and_not_too_often() {
     let mut calls = Calls::new();

@@ -252,14 +252,14 @@ impl StepPins {
             NVIC::pend(Interrupt::TIMER0);
             return;
         }
-        // After its expiry, the timer continues with the reload value, 1 ms. If rounding made it expire before the
-        // scheduled time, that time is checked again after 1 ms.
+        // After its expiry, the timer continues with the reload value, 1 ms. So if rounding makes it expire before the
+        // scheduled time, it expires again 1 ms later, and the time is then checked again.
         self.timer.set_reload(CORE_HZ / 1_000);
         self.timer.set_value(nearest);
         self.timer.set_control(Timer0::ENABLE | Timer0::INTERRUPT_ENABLE);
     }
 
-    /// Outputs the pending event: adds it to the record.
+    /// Outputs the pending event: adds it to `RECORD`, the steps to be reported to the test stand.
     fn put_out(&mut self) {
         let Some(Pending { steps, directions, passes, .. }) = self.pending.take() else { return };
         critical_section::with(|cs| {
@@ -565,7 +565,7 @@ pub fn idle() {
     }
 }
 
-/// Advances the script as far as possible and sends its marks and notes to the test stand.
+/// Advances the script as far as possible and sends the reports that it requests to the test stand.
 fn follow_script() {
     let Some(mut script) = critical_section::with(|cs| SCRIPT.borrow_ref_mut(cs).take()) else { return };
     loop {

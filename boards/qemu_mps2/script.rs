@@ -27,7 +27,7 @@ use mps2_pac::Interrupt;
 const TICKS_PER_MS: u32 = 25_000;
 /// Timeout of a wait for answers (`A`), in ticks of the step clock.
 const PATIENCE: u32 = 120_000 * TICKS_PER_MS;
-/// Maximum number of `?` in a record while waiting for Idle.
+/// Maximum number of `?` in one record (section of the script) while waiting for Idle.
 const MOST_QUESTIONS: u32 = 4_000;
 /// Number of bytes kept from the beginning of a line, enough to identify its kind.
 const HEAD: usize = 6;
@@ -110,9 +110,9 @@ pub struct Script {
     text: &'static [u8],
     next: usize,
     wait: Wait,
-    /// Value of `Said::answers` at the end of the last record.
+    /// Value of `Said::answers` when the present record (section of the script) began.
     answers_before: u32,
-    /// Number of `?` sent since the record began.
+    /// Number of `?` sent in the present record (section of the script).
     questions: u32,
     /// The step clock when it was last read.
     looked: u32,
@@ -139,7 +139,7 @@ impl Script {
         Script { text, next: 0, wait: Wait::Nothing, answers_before: 0, questions: 0, looked: clock_ticks(), ticks: 0 }
     }
 
-    /// Advances as far as possible, at most to the end of a record.
+    /// Executes the script until it has to wait, or to the end of a record (section of the script).
     pub fn go_on(&mut self) -> Wanted {
         // Adds up differences, because the clock wraps every 172 s; this function is called much more often than that.
         let now = clock_ticks();

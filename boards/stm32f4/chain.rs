@@ -57,13 +57,14 @@ pub(super) const DEPTH: usize = 96;
 /// Ticks from the start of TIM1 to the leading edge of the pulse; the trailing edge follows after the pulse length.
 /// Also the ticks from the start of TIM8 to the output of directions, on ports with directions alone.
 const EDGE_COUNT: u32 = 1;
-/// Ticks by which the words of ports with directions alone are written before those of ports with steps. For two ports
-/// with directions alone, DMA2 needs less time than this: about 12 cycles for the first and 8 for the second.
+/// Ticks by which DMA2 writes to ports with directions alone before it writes to ports with steps. For two ports with
+/// directions alone, DMA2 needs less time than this: about 12 cycles for the first and 8 for the second.
 const DIRECTION_LEAD: u32 = 20;
-/// Minimum ticks from the last reading of TIM5 to the first event, so that TIM1 listens for its trigger in time.
+/// When `begin` makes TIM1 listen for its trigger, more than this many ticks must be left before the first event.
 const LISTENS_TICKS: u32 = 48;
-/// Maximum duration, in ticks, of a repeated attempt in `begin` to start the output. Before such an attempt, all event
-/// times in the ring are delayed, so that the first event is this far ahead.
+/// Maximum duration, in ticks, of a repeated attempt of `begin` to start the output, if the first event was too near.
+/// Before it repeats, `begin` delays all event times in the ring, so that at least this many ticks are left before the
+/// first event.
 const AGAIN_TICKS: u32 = 2_200;
 /// Within this many ticks before or after a scheduled time, its DMA request can be imminent or under way. Even at the
 /// maximum step rate, events are about 90 ticks apart.
@@ -91,11 +92,12 @@ const DIRECTIONS_CHANNEL: u32 = 7 << 25;
 
 /// Streams of DMA2 for a port, and the DMA request bits of the compare channels that trigger them.
 struct Streams {
-    /// Writes steps and directions.
+    /// Number of the stream that writes steps and directions when a pulse begins.
     on: usize,
-    /// Ends the pulse; `None` for a port with directions alone.
+    /// Number of the stream that ends the pulse; `None` for a port with directions alone.
     off: Option<usize>,
-    /// Bits for DIER of TIM1, or of TIM8 for a port with directions alone.
+    /// Bits for DIER of TIM1, or of TIM8 for a port with directions alone: they enable the DMA requests of these
+    /// streams.
     requests: u32,
 }
 
@@ -141,13 +143,13 @@ const TIM8_RESET: u32 = 1 << 1;
 /// Memory that DMA reads. It must not move while DMA is on.
 #[repr(C, align(4))]
 pub struct Rings<const P: usize> {
-    /// The words of the events, for each port.
+    /// For each port, the BSRR words of the events.
     words: [[u32; RING]; P],
     /// The times of the events.
     moments: [u32; RING],
-    /// For each port, the word that ends all of its pulses.
+    /// For each port, the BSRR word that ends all of its pulses.
     off: [u32; P],
-    /// The compare value of the PWM that DMA1 writes at the next mark.
+    /// The compare value that DMA1 writes to the PWM's timer at the time set by [`Chain::mark_at`].
     power: u32,
 }
 
@@ -166,7 +168,7 @@ pub(super) struct Chain<M, const S: usize, const P: usize> {
     pulse: u32,
     /// Offset of the register of TIM3 that holds the power.
     power: usize,
-    /// Output has started.
+    /// The output has been started by [`Chain::begin`], and not been ended since.
     begun: bool,
     /// Each event is output by an interrupt of its own.
     one_by_one: bool,
@@ -202,9 +204,9 @@ pub(super) fn cut<M: Map, const S: usize, const P: usize>() {
 }
 
 impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
-    /// Number of slots that stay free. One is the slot after the last event. With several ports, the slot before the
-    /// tail (the next slot to be output at the first port) stays free, too: the other ports may not have output their
-    /// words in it yet.
+    /// Number of slots of the ring that stay free. One is the slot after the last event. With several ports, another
+    /// one is the slot before the tail: the tail is the next slot that the first port outputs, and the other ports may
+    /// still have to output their words in the slot before it.
     const SPARE: usize = if P > 1 { 2 } else { 1 };
 
     /// Creates the output. `power` is the offset of the register of TIM3 that holds the power.
@@ -223,7 +225,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         }
     }
 
-    /// Sets, for each port, the word that ends all pulses. Call at rest.
+    /// Sets, for each port, the BSRR word that ends all pulses. Call at rest.
     pub(super) fn set_off(&mut self, off: [u32; P]) {
         self.rings.off = off;
     }
@@ -254,7 +256,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         due
     }
 
-    /// Schedules the call `MORE`. Cancels a pending call `MORE`, even if its time has come meanwhile.
+    /// Calls the step task with [`Due::MORE`] at `moment`. Replaces an earlier call of this kind, even if its time has
+    /// come meanwhile.
     #[inline(always)]
     pub(super) fn call_at(&mut self, moment: u32) {
         write(M::TIM5 + CCR2, moment);
@@ -264,11 +267,13 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         }
     }
 
-    /// Schedules the call `MARK`; with `power`, the same compare event makes DMA1 write the power.
+    /// Calls the step task with [`Due::MARK`] at `moment`; with `power`, the same compare event makes DMA1 write the
+    /// power.
     ///
-    /// Each mark must raise exactly one compare event, and so exactly one DMA request. The flag is therefore cleared
-    /// while CCR3 holds a time that has just passed, at which no compare event can occur. If `moment` passes before it
-    /// is in CCR3, the flag stays clear. Software then generates the compare event, which raises the same request.
+    /// Each use of this function must raise exactly one compare event, and so exactly one DMA request. The flag is
+    /// therefore cleared while CCR3 holds a time that has just passed, at which no compare event can occur. If `moment`
+    /// passes before it is in CCR3, the flag stays clear. Software then generates the compare event, which raises the
+    /// same request.
     pub(super) fn mark_at(&mut self, moment: u32, power: Option<u32>) {
         self.keep_power();
         write(M::TIM5 + CCR3, read(M::TIM5 + CNT).wrapping_sub(1));
@@ -323,9 +328,9 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         }
     }
 
-    /// Returns the free slots for the times of the next events, and the free slots for their words at the last port.
-    /// With several ports, the caller writes combinations of steps in place of words, and [`Chain::translate`] replaces
-    /// them.
+    /// Returns the free slots for the next events: for their times, and for their words at the last port. With several
+    /// ports, the caller writes the combination of steps of each event in place of its word, and [`Chain::translate`]
+    /// replaces it by the words of all ports.
     #[inline(always)]
     pub(super) fn free<'a>(&'a mut self, table: &'a [u32; COMBINATIONS]) -> Free<'a> {
         let room = if self.one_by_one {
@@ -477,8 +482,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
             write(M::TIM5 + DIER, CALLS | ASKS_FOR_MOMENT);
             write(M::TIM5 + EGR, Due::OUT.0);
             cortex_m::asm::delay(SERVED_CYCLES);
-            // This measurement is valid only if the time of the first event has not come yet. Otherwise the loop
-            // measures again.
+            // What is counted here is valid only if the time of the first event has not come yet. Otherwise the loop
+            // counts again.
             let counted = self.moments_counted();
             let is_fetched_ahead = counted == 2 && read(M::TIM5 + CCR1) == self.moment_at(0);
             self.first_moments = if is_fetched_ahead { 2 } else { 1 };
@@ -537,7 +542,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
             return false;
         }
         if self.one_by_one {
-            // If TIM1 has missed a trigger, DMA2 has not taken the word of an event that already counts as output.
+            // If TIM1 has missed a trigger, DMA2 has not written the words of an event although TIM5 has reported that
+            // event as output.
             return !self.pending && self.lags() && (0..MORE_LOOKS).all(|_| self.lags());
         }
         if self.stands() {
@@ -577,9 +583,9 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         RING.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize) % RING
     }
 
-    /// Returns whether the counts are those between two events: DMA1 has counted `first_moments` more event times than
-    /// there were edges, all ports have output the same number of edges, and at most one end of a pulse has not been
-    /// output yet.
+    /// Returns whether the counts of the streams agree, as they do while no event is just being output: DMA1 has
+    /// counted `first_moments` more event times than there were edges, all ports have output the same number of edges,
+    /// and at most one end of a pulse has not been output yet.
     #[inline(always)]
     fn counts_agree(&self) -> bool {
         let left = |number| read(stream(M::DMA2, number) + NDTR) as usize;
@@ -620,9 +626,9 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
             return (0, false);
         }
         self.ignore_triggers();
-        // Wait until imminent DMA requests of TIM5 have been served, because a request that is disabled half-way would
-        // stay pending. Disable the requests for event times first: while `keep_power` waits, more than one of these
-        // could arise.
+        // Before the DMA requests of TIM5 are disabled, wait until imminent ones have been served: a request that is
+        // disabled half-way would stay pending. The requests for event times come first: while `keep_power` waits for
+        // those for power, more than one of them could arise.
         self.await_served(CCR1);
         write(M::TIM5 + DIER, read(M::TIM5 + DIER) & ASKS_FOR_POWER | CALLS);
         self.keep_power();
@@ -640,8 +646,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         }
         fault |= (read(M::DMA2 + LISR) | read(M::DMA2 + HISR)) & ERRORS != 0;
         if !self.one_by_one {
-            // DMA1 must have counted `first_moments` more event times than there were edges, as at `begin`, or one more
-            // if another compare event came after TIM1 had stopped listening.
+            // DMA1 must have counted `first_moments` more event times than there were edges. It may have counted one
+            // more, if a compare event came after TIM1 was made to ignore its trigger.
             let more = self.moments_counted().wrapping_sub(tail).wrapping_sub(self.first_moments) % RING;
             fault |= more > 1 || read(M::DMA1 + LISR) & MOMENT_ERRORS != 0;
         }

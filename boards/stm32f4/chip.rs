@@ -140,7 +140,7 @@ pub const WATCHES_CLOCK: bool = true;
 
 /// Starts TIM2 as the clock: 1 MHz, free-running.
 pub fn start_clock(timer: pac::TIM2, rcc: &mut Rcc) {
-    // The HAL only sets the prescaler, and releases the timer: a counter of the HAL would wrap at a limit. So TIM2
+    // The HAL sets the prescaler, and then releases the timer: a counter of the HAL would wrap at a limit. So TIM2
     // counts through all 32 bits, as after a reset.
     let timer = FTimerUs::new(timer, rcc).release();
     // An update event loads the prescaler.
@@ -305,8 +305,8 @@ fn bits_of(bit: u8) -> u32 {
     1 << bit | if is_of_fourth_axis { 1 << (LIMITS + 3) } else { 0 }
 }
 
-/// Number of enable outputs, which come first in [`SLOW_OUTPUTS`]. At the start the enable outputs are high and the
-/// other slow outputs low, which switches everything off.
+/// Number of enable outputs, which come first in [`SLOW_OUTPUTS`]. The set-up makes them high and the other slow
+/// outputs low, which switches everything off.
 const ENABLES: usize = 4;
 /// The functions that are slow outputs, in the order of the bits that [`SlowPins::write`] composes.
 const SLOW_OUTPUTS: [Role; 10] = [

@@ -35,11 +35,11 @@ const TIM11: usize = 0x4001_4800;
 const CCMR1: usize = 0x18;
 const CCER: usize = 0x20;
 const OR: usize = 0x50;
-/// CCMR1: channel 1 captures its input, at every eighth edge.
+/// TIM11_CCMR1: channel 1 captures its input, at every eighth edge.
 const CAPTURES_EIGHTH: u32 = 0b11 << 2 | 1;
-/// OR: the input of channel 1 is the divided oscillator (TI1_RMP).
+/// TIM11_OR: the input of channel 1 is the divided oscillator (TI1_RMP).
 const IS_OSCILLATOR: u32 = 0b10;
-/// SR: a capture has come.
+/// TIM11_SR: a capture has come.
 const CAPTURED: u32 = 1 << 1;
 
 /// Switches the external oscillator on and measures it. Returns its frequency in MHz: the one that the table gives, or

@@ -20,8 +20,8 @@ pub(super) const CR: usize = 0x00;
 pub(super) const NDTR: usize = 0x04;
 const PAR: usize = 0x08;
 const M0AR: usize = 0x0C;
-/// CR of a stream: enable; memory to peripheral; circular; increment the peripheral or the memory address; words on
-/// both sides; very high priority.
+/// CR of a stream: enable; memory to peripheral; circular; increment the peripheral or the memory address; words of 32
+/// bits in the peripheral and in memory; very high priority.
 pub(super) const EN: u32 = 1;
 pub(super) const TO_PERIPHERAL: u32 = 1 << 6;
 pub(super) const CIRCULAR: u32 = 1 << 8;

@@ -14,18 +14,18 @@ const FLASH_START: u32 = 0x0800_0000;
 
 /// KEYR: the two words that unlock the control register.
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
-// SR
+// Bits of the status register (SR).
 const BUSY: u32 = 1 << 16;
 /// Operation error, write protection, alignment, parallelism, sequence; writing 1 clears the bit.
 const ERRORS: u32 = 1 << 1 | 1 << 4 | 1 << 5 | 1 << 6 | 1 << 7;
-// CR
+// Bits of the control register (CR).
 const PROGRAM: u32 = 1 << 0;
 const ERASE: u32 = 1 << 1;
 const SECTOR_SHIFT: u32 = 3;
 const PARALLELISM_32: u32 = 0b10 << 8;
 const START: u32 = 1 << 16;
 const LOCK: u32 = 1 << 31;
-// ACR
+// Bits of the access control register (ACR).
 const DATA_CACHE: u32 = 1 << 10;
 const DATA_CACHE_RESET: u32 = 1 << 12;
 

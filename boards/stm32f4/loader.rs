@@ -53,7 +53,7 @@ pub fn enter_loader_if_requested() {
     // written; safe because nothing else runs yet, and any bits are a number.
     unsafe {
         let rcc = &*pac::RCC::ptr();
-        // Only after a reset by software: after any other the RAM may hold this number by accident.
+        // The request counts only after a reset by software: after any other, the RAM may hold this number by accident.
         let requested = rcc.csr().read().sftrstf().bit_is_set() && request.read_volatile() == REQUESTED;
         request.write_volatile(0);
         if requested {

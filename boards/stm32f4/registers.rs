@@ -72,9 +72,9 @@ pub(super) fn write(address: usize, value: u32) {
     // SAFETY: unsafe because a raw address is written; safe because only the files of this folder call it, with
     // addresses of registers of ports, timers, DMA controllers, RCC and the USART that have one owner each and whose
     // clocks are on since `setup`. (A write to BSRR changes only the pins it names; a write to EGR is a request that
-    // any code may make.) Of these, only DMA streams reach memory: `chain` makes them read its own rings and write
-    // registers, `usart_dma` makes them read its own halves and write its own slots, and `usart_interrupt` makes them
-    // write its own slots, which are atomic.
+    // any code may make.) Of these, only DMA streams reach memory. `chain` makes them read its rings of events and
+    // write registers, `usart_dma` makes them read its send buffer and write its receive buffer, and `usart_interrupt`
+    // makes them write its receive buffer. The slots of the receive buffers are atomic.
     unsafe { (address as *mut u32).write_volatile(value) }
 }
 

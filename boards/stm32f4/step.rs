@@ -63,17 +63,17 @@ pub const fn bsrr(pin: u32, high: bool) -> u32 {
     if high { 1 << pin } else { 0x1_0000 << pin }
 }
 
-/// For each port, the BSRR word of each combination (one bit per axis).
+/// For each port, a table of BSRR words. Its index is a combination of axes (one bit per axis, bit 0 for X).
 type Words<const P: usize> = [[u32; COMBINATIONS]; P];
-/// The combination with the bits of all axes.
+/// The combination of all axes.
 const ALL: u8 = (COMBINATIONS - 1) as u8;
 /// The bit of axis A, whose motor is the fourth; 0 on a board with three axes.
 const FOURTH_AXIS: u8 = ALL & 8;
 
-/// Computes the words of each port for all combinations. `driven`: for each pin, the bits of a combination that make
-/// the pin active. `invert`: a bit for each pin that is active low. For a combination that has none of a pin's bits,
-/// the word makes the pin inactive with `both`, and otherwise leaves it unchanged. A motor without a pin changes no
-/// word.
+/// Computes for each port the BSRR words of all combinations of axes. `places`: a pin for each motor, if there is one.
+/// `driven`: for each pin, the axes that make it active. `invert`: a bit for each pin that is active low. If a
+/// combination contains none of a pin's axes, the word makes the pin inactive with `both`, and otherwise leaves it
+/// unchanged.
 fn fill<const P: usize>(
     ports: [usize; P],
     places: [Option<Place>; 4],
@@ -129,11 +129,11 @@ pub struct StepPins<M, const S: usize, const P: usize, O> {
     ports: [usize; P],
     step: [Option<Place>; 4],
     direction: [Option<Place>; 4],
-    /// Words of each combination of steps, without directions.
+    /// BSRR words by the combination of axes that step; they do not change the direction pins.
     steps: Words<P>,
-    /// Words of each combination of directions.
+    /// BSRR words by the combination of axes whose direction is negative.
     directions: Words<P>,
-    /// Words of each combination of steps, with the present directions.
+    /// The words of `steps`, each combined with the word for the present directions.
     both: Words<P>,
     /// For each combination of steps, what the slot of an event holds until the event is committed: with one port the
     /// port's word, with several ports the combination itself.
@@ -285,9 +285,9 @@ impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M,
         // Stop the output first, so that the computations below do not delay the stop.
         let (tail, fault) = self.chain.silence(dark);
         let mut net = [0; AXES];
-        // For each axis and port, finds the bits of a word that mean a step, and those that mean a negative direction.
-        // A step: all bits of the word for this step alone. A negative direction: the bits that are set in the word for
-        // this direction alone, but not in the word without negative directions.
+        // Find the bits of a port's word that mean a step of an axis, and those that mean its negative direction. A
+        // step: all bits of the word in which only this axis steps. A negative direction: the bits of the word in which
+        // only this axis is negative, without those of the word in which no axis is.
         let of = |table: &[u32; COMBINATIONS], axis: usize| table.get(1 << axis).copied().unwrap_or(0);
         let mut masks = [[(0, 0); P]; AXES];
         for (axis, masks) in masks.iter_mut().enumerate() {

@@ -26,7 +26,7 @@ pub(super) const DATA: usize = 0x04;
 const BRR: usize = 0x08;
 pub(super) const CR_1: usize = 0x0C;
 pub(super) const CR_3: usize = 0x14;
-// CR1
+// CR1: the USART is on (UE).
 const ON: u32 = 1 << 13;
 
 /// Sets the baud rate; call before anything is sent. Drops a byte that was received before, because it may have been
@@ -61,7 +61,7 @@ impl<S: ByteSource, const N: usize> UartInput<S, N> {
         self.receiver.look(|message| send(messages, sent, message))
     }
 
-    /// Sends the bytes read so far to the serial task. With `calls`, the caller calls the serial task afterwards.
+    /// Sends the bytes read so far to the serial task. `calls`: the caller calls the serial task right afterwards.
     pub fn pass_on(&mut self, calls: bool) {
         if calls && self.receiver.has_stop() {
             // The command that stops the machine is in the message being filled or in an earlier one.
@@ -93,7 +93,7 @@ pub trait UartOutput {
 /// The UART as the serial task uses it: takes the messages with received bytes, and sends bytes by `T`.
 pub struct Usart<T, const N: usize> {
     messages: Receiver<'static, ReceivedBytes, N>,
-    /// Number of messages taken (wrapping).
+    /// Number of messages taken out of `messages` so far (wrapping).
     taken: u32,
     hurry: SignalReader<'static, u32>,
     /// Number (counted as in `taken`) of the newest message that may contain a command that stops the machine.
@@ -162,8 +162,8 @@ impl<T: UartOutput, const N: usize> Port for Usart<T, N> {
         self.hurries_to = self.hurry.try_read().unwrap_or(self.hurries_to);
         let left = self.hurries_to.wrapping_sub(self.taken) as i32;
         if left < 0 {
-            // Keep `hurries_to` one below `taken`. Otherwise, when `taken` has wrapped, an old value would seem to be
-            // ahead of it.
+            // Let `hurries_to` follow just below `taken`. An old value would seem to lie above `taken` again once
+            // `taken` has wrapped.
             self.hurries_to = self.taken.wrapping_sub(1);
             return false;
         }

@@ -116,8 +116,8 @@ impl ByteSource for ByDma {
     }
 
     fn clear_damage(&mut self) {
-        // Reading the data register clears the error flags. If a byte waits there, DMA must fetch it; the next look
-        // then clears the flags.
+        // Reading the data register clears the error flags. If a received byte is in it, leave that byte to DMA; the
+        // flags are then cleared at the next look (reading of the buffer).
         if read(USART + SR) & ARRIVED == 0 {
             let _ = read(USART + DATA);
         }
@@ -157,7 +157,8 @@ impl UartOutput for Halves {
 
     /// Sends the half being filled, if the other one has been sent.
     fn begin(&mut self) {
-        // Checks the flag instead of NDTR, because NDTR may reach 0 before the last byte is transferred.
+        // The flag of the completed transfer tells that the other half has been sent. NDTR would not: it may reach 0
+        // before the last byte is transferred.
         if read(DMA + HISR) & SENT != 0 {
             self.sends = false;
             clear_flags(DMA, SENDER);

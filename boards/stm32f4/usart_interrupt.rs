@@ -30,17 +30,17 @@ const MESSAGES: usize = 6;
 /// Capacity of the queue of bytes to be sent.
 const SENT: usize = 16;
 
-// SR
+// SR: framing error and noise, a lost byte, a received byte, room for a byte to be sent.
 const FRAMING: u32 = 1 << 1;
 const NOISE: u32 = 1 << 2;
 const DAMAGED: u32 = FRAMING | NOISE;
 const OVERRUN: u32 = 1 << 3;
 const ARRIVED: u32 = 1 << 5;
 const SEND_FREE: u32 = 1 << 7;
-// CR1
+// CR1: interrupts when a byte has arrived (RXNEIE), and when a byte can be sent (TXEIE).
 const CALL_WHEN_COME: u32 = 1 << 5;
 const CALL_WHEN_FREE: u32 = 1 << 7;
-// CR3, which has no other bits set
+// CR3, in which no other bits are set: interrupt at an error (EIE), DMA receives (DMAR).
 const CALL_AT_ERROR: u32 = 1 << 0;
 const DMA_RECEIVES: u32 = 1 << 6;
 
@@ -113,8 +113,8 @@ impl Input {
         }
         let mut status = read(USART + SR);
         if stood && (control & CALL_AT_ERROR != 0 || status & DAMAGED != 0) {
-            // It is unknown which of the bytes that DMA fetched is damaged. So the next look refuses all of them,
-            // including the byte that is in the data register now.
+            // It is unknown which of the bytes that DMA fetched is damaged. So all of them are refused when they are
+            // read from the buffer, and also the byte that is in the data register now.
             self.receiver.source().is_damaged = true;
             if status & ARRIVED == 0 {
                 let _ = read(USART + DATA);
@@ -163,7 +163,8 @@ impl ByInterrupt {
         program(DMA, STREAM, USART + DATA, memory.as_ptr() as usize, memory.len());
     }
 
-    /// Ends receiving by DMA and continues after the bytes that it fetched.
+    /// Ends receiving by DMA after a flash operation: sets `place` behind the bytes that DMA has written, and lets the
+    /// interrupt fetch the next bytes.
     fn end_of_dma(&mut self) {
         write(USART + CR_3, 0);
         write(USART + CR_1, read(USART + CR_1) | CALL_WHEN_COME | CALL_WHEN_FREE);
@@ -250,7 +251,7 @@ pub fn before_stall() {
     write(USART + CR_3, DMA_RECEIVES | CALL_AT_ERROR);
 }
 
-/// Records whether a byte was damaged while the processor was stalled: if so, the interrupt at errors stays enabled.
+/// Records whether a byte was damaged while the processor was stalled: only then does `CALL_AT_ERROR` stay set in CR3.
 /// Pends the UART's interrupt, which ends receiving by DMA.
 pub fn after_stall() {
     if !NVIC::is_pending(VECTOR) {

@@ -166,7 +166,8 @@ impl UsbClass<UsbBusType> for SerialClass {
     fn control_out(&mut self, transfer: ControlOut<'_, '_, '_, UsbBusType>) {
         let Request { request_type, recipient, request, value, index, .. } = *transfer.request();
         if request_type == RequestType::Standard {
-            // The driver refuses these requests if they have other values; a refused request changes nothing.
+            // These requests reset the data toggles of both data endpoints. With other values, the driver refuses them
+            // and nothing changes.
             let both = (recipient, request) == (Recipient::Device, Request::SET_CONFIGURATION) && value <= 1
                 || (recipient, request, index) == (Recipient::Interface, Request::SET_INTERFACE, DATA_INTERFACE)
                     && value == 0;
@@ -192,7 +193,7 @@ struct Received {
 }
 
 impl Received {
-    /// Returns the bytes of the packet that have not been taken yet.
+    /// Returns the bytes of the packet that have not been read yet.
     fn left(&self) -> &[u8] {
         self.packet.get(self.next..self.length).unwrap_or_default()
     }
@@ -299,9 +300,9 @@ impl UsbPort {
         }
     }
 
-    /// Masks or unmasks the interrupt of the receive FIFO. If a packet ends between two looks at the FIFO, the driver
-    /// enables the endpoint. If that happens twice in a row, a packet for which there is no space waits in the FIFO.
-    /// Masking keeps this packet from raising the interrupt forever.
+    /// Masks or unmasks the interrupt of the receive FIFO. If a packet ends just after [`UsbPort::hold_endpoint`] has
+    /// looked at the FIFO, the driver finds the end and enables the endpoint. If that happens twice in a row, a packet
+    /// for which there is no space waits in the FIFO. Masking keeps this packet from raising the interrupt forever.
     fn mask(&mut self, masked: bool) {
         if masked != self.masked {
             self.masked = masked;
@@ -310,8 +311,8 @@ impl UsbPort {
         }
     }
 
-    /// Returns whether a host has configured the device. The driver's state alone is not reliable: after the bus has
-    /// gone idle, the driver can take data from before that for a sign of a host.
+    /// Returns whether a host has configured the device. The driver's state alone is not reliable: when the bus has
+    /// gone idle, data that arrived before makes the driver leave its suspended state.
     fn is_configured(&self) -> bool {
         self.device.state() == UsbDeviceState::Configured && !self.resetting && read(DSTS) & SUSPENDED == 0
     }
@@ -348,8 +349,8 @@ impl UsbPort {
             write(GRSTCTL, (endpoint as u32) << TXFNUM_SHIFT | TXFFLSH);
             await_bits(GRSTCTL, TXFFLSH, 0);
         } else {
-            // The packet cannot be removed. It goes to the next host, which is better than an endpoint that answers NAK
-            // forever.
+            // The packet cannot be removed from the transmit FIFO. It goes to the next host, which is better than an
+            // endpoint that answers NAK forever.
             write(control, read(control) & !ENABLED | CNAK);
         }
     }
@@ -383,8 +384,8 @@ impl Port for UsbPort {
             }
             self.begin_toggles();
             self.received.may_wait = true;
-            // The driver may just have fetched a packet from the FIFO. The entry that ends the packet usually follows
-            // it there. Take this entry, too, without waiting for another interrupt.
+            // The driver may just have fetched a packet from the FIFO. The entry that marks the end of the packet
+            // usually follows there: take it out, too, without waiting for another interrupt.
             self.hold_endpoint();
         }
         if self.device.state() == UsbDeviceState::Default {
@@ -441,8 +442,8 @@ impl Port for UsbPort {
     }
 
     fn allow(&mut self, room: usize) {
-        // Without space, no packet is fetched. One packet can then be in `received`, one in the driver and one in the
-        // FIFO. The one in the FIFO would raise its interrupt forever.
+        // While `room` is 0, the serial task fetches no packet. One packet can then be in `received`, one in the driver
+        // and one in the FIFO. The one in the FIFO would raise its interrupt forever.
         self.mask(room == 0 && self.entry() == Some(OUT_DATA));
         let fetched = self.received.next >= self.received.length;
         if self.received.ended && fetched && room >= PACKET && self.is_configured() {

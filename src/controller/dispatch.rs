@@ -99,9 +99,9 @@ impl<const N: usize> Controller<N> {
         self.initialise();
     }
 
-    /// Takes the counters of the step task and of the received line bytes. Must be called before
-    /// [`Controller::output`], and before each event that separates earlier bytes from later bytes: a realtime command,
-    /// a change of signals, a disconnect.
+    /// Passes the step task's counters and the counts of received line bytes to the parts that use them. Must be called
+    /// before [`Controller::output`], and before each event that separates earlier bytes from later bytes: a realtime
+    /// command, a change of signals, a disconnect.
     pub fn observe(&mut self, observed: Observed) {
         self.m.step_supply.observe(observed);
         self.m.lines.observe(observed.received, observed.heard);
@@ -306,8 +306,8 @@ impl<const N: usize> Controller<N> {
             && self.m.drivers.off_at().is_none()
             && !self.m.accessories.is_on()
             && !self.m.accessories.digital().is_waiting()
-            // A limit for the host's silence counts from the start of the work, so `look_for_host` must be called at
-            // that start.
+            // The host's silence is timed from the start of the work, and `look_for_host`, which starts this timer,
+            // runs only within `look_round`. So while one of these limits is set, `look_round` must not be skipped.
             && !self.m.settings.is_on(Key::HostSilence)
             && !self.m.settings.is_on(Key::JogSilence)
     }
@@ -369,7 +369,8 @@ impl<const N: usize> Controller<N> {
         if let Some(ToStep::Segment(segment)) = &mut message {
             segment.power = self.overridden_power(segment.power);
         }
-        // The drivers need not be on for a message that reopens the step task or watches the probe: it moves nothing.
+        // The drivers need not be on for a message that lets the step task run again or watches the probe: it moves
+        // nothing.
         let moves = !matches!(message, None | Some(ToStep::Resume { .. } | ToStep::Watch { .. }));
         if moves && self.m.drivers.switch_on() {
             self.m.pins.disturb();
@@ -377,8 +378,8 @@ impl<const N: usize> Controller<N> {
         message
     }
 
-    /// Returns the next message for the step task. Reopening the step task comes first, then watching the probe, then
-    /// parking moves, and last the job's motion.
+    /// Returns the next message for the step task: first [`ToStep::Resume`], which lets the step task run again after a
+    /// stop, then the start or end of watching the probe, then parking moves, and last the job's motion.
     #[inline(never)]
     fn message_in_turn(&mut self) -> Option<ToStep> {
         if !self.m.stops.is_open() {
@@ -458,15 +459,16 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Takes the store's answer to a change. A failure is reported at once in a message of its own, because a reset may
-    /// already have ended the command that made the change.
+    /// Records the store's answer to a change: whether the change was stored (`done`). Once all changes have been
+    /// answered, a failure is reported in a message of its own, because a reset may already have ended the command that
+    /// made the change.
     fn stored(&mut self, done: bool) {
         if self.m.records.answered(done) {
             self.say(|out| reply_texts::message(out, "The setting holds but could not be stored"));
         }
     }
 
-    /// Takes a stored record at power-up. Invalid records are ignored.
+    /// Applies a stored record (a setting, an offset and the like) at power-up. Invalid records are ignored.
     pub fn restore(&mut self, record: &Record) {
         self.m.pins.disturb();
         self.m.records.restore(record, &mut self.m.settings, &mut self.m.interpreter);

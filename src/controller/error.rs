@@ -22,7 +22,7 @@ macro_rules! codes {
                 self as u8
             }
 
-            /// The meaning, in English.
+            /// The text that explains the code to people, in English.
             pub const fn text(self) -> &'static str {
                 match self {
                     $($codes::$name => $text,)*

@@ -35,7 +35,8 @@ impl<const N: usize> Memory<N> {
     }
 }
 
-/// Owns the large parts on a board, with a look-ahead of `BLOCKS` blocks and `HELD` bytes for held text.
+/// Static memory for the large parts of the controller on a board, with a look-ahead of `BLOCKS` blocks, and `HELD`
+/// bytes for stored lines: those of subroutines, loops, macros and held programs.
 #[cfg(not(feature = "alloc"))]
 pub use on_board::Storage;
 
@@ -46,7 +47,8 @@ mod on_board {
     use crate::motion::{MotionStorage, SingleMoveStorage};
     use core::mem::MaybeUninit;
 
-    /// Owns the large parts on a board, with a look-ahead of `BLOCKS` blocks and `HELD` bytes for held text.
+    /// Static memory for the large parts of the controller on a board, with a look-ahead of `BLOCKS` blocks, and `HELD`
+    /// bytes for stored lines: those of subroutines, loops, macros and held programs.
     #[derive(Debug)]
     pub struct Storage<const N: usize, const BLOCKS: usize, const HELD: usize> {
         job: MotionStorage<N, BLOCKS>,

@@ -51,23 +51,25 @@ pub trait Pump<const N: usize> {
     const IS_WOKEN: bool;
     /// The controller that this pump drives.
     fn controller(&mut self) -> &mut Controller<N>;
-    /// Begins a round and returns its time, which is used for the whole round. Only line bytes queued by now belong to
-    /// the round, so a report requested by `?` comes before the answer to a line that ends after the `?`.
+    /// Begins a round, one run of [`round`], and returns the time that is used for the whole round. Only line bytes
+    /// queued by now are read in the round, so a report requested by `?` comes before the answer to a line that ends
+    /// after the `?`.
     fn begin(&mut self) -> Instant;
     /// Returns the progress of the step task and the counts of bytes: free in the line queue, received but not yet
     /// read, and received since power-up.
     fn observed(&mut self) -> Observed;
-    /// Takes the next event of a source.
+    /// Removes and returns the oldest event of a source; `None` if none is waiting.
     fn next_event(&mut self, source: Source) -> Option<Event<N>>;
     /// Takes the next byte of a line; `None` if there is none that the controller accepts now.
     fn next_line_byte(&mut self) -> Option<LineByte>;
-    /// Takes the next line byte, if the controller would drop that byte because it was received before a reset.
+    /// Removes and returns the next line byte if the controller would drop it ([`Controller::is_old`]), for instance
+    /// because it was received before a reset. Otherwise leaves the byte and returns `None`.
     fn next_old_byte(&mut self) -> Option<LineByte> {
         None
     }
-    /// Passes text of the next line to the controller, several bytes at a time, as far as the controller accepts it
-    /// now. Passes only bytes that [`Pump::next_line_byte`] would return now, and of these only text; that function
-    /// returns all other bytes. Records the text as [`Pump::record`] would. Returns whether there was any text.
+    /// Passes text, which is bytes that only extend the current line, to the controller, several bytes at a time.
+    /// Passes only text that [`Pump::next_line_byte`] would return now, and leaves all other bytes to that function.
+    /// Records the text as [`Pump::record`] would. Returns whether there was any text.
     #[inline(always)]
     fn give_text(&mut self, _now: Instant) -> bool {
         false
@@ -169,7 +171,8 @@ fn put_out<const N: usize, P: Pump<N>>(pump: &mut P, now: Instant, again: &mut b
             Output::Worked => return true,
             // The next line comes before another segment is cut.
             Output::Answer(_) => true,
-            // A message that announces a block is followed by the block's first segment.
+            // A message that announces a block does not begin a round, because the block's first segment must follow at
+            // once.
             Output::Step(message) => !message.announces_block(),
             Output::Stop | Output::Store => true,
             Output::ReadPins { .. } | Output::ReadRecording { .. } => true,

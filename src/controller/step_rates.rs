@@ -69,7 +69,8 @@ mod tests {
         assert_eq!(fast.greatest_hz(10).round(), 490_196.0);
     }
 
-    /// At the maximum rate the pause is long enough even if rounding makes the interval [`ROUNDING_NS`] shorter.
+    /// At the maximum rate, the pause between two step pulses is long enough for drivers, even if rounding makes the
+    /// interval from pulse to pulse [`ROUNDING_NS`] shorter.
     #[test]
     fn the_pause_is_the_shorter_of_the_pulse_and_what_drivers_ask_for() {
         for pulse in 10..=2550_u16 {

@@ -24,11 +24,12 @@ const SPLIT_US: u32 = 250;
 pub struct StepTiming {
     /// Length of a step pulse (`$0`) in ticks of the step clock.
     pub pulse: u32,
-    /// Minimum time from one event to the next: a pulse and the pause after it.
+    /// Minimum time from one step event (a step, or a change of directions) to the next: a pulse and the pause after
+    /// it.
     pub gap: u32,
     /// Minimum time from a change of directions to the next step.
     pub setup: u32,
-    /// Maximum time from one event to the next.
+    /// Maximum time from one step event to the next. In longer times, events that change nothing are inserted.
     split: u32,
 }
 
@@ -113,8 +114,8 @@ mod tests {
         }
     }
 
-    /// At any pulse length, the interval at the highest allowed rate is not shorter than the gap. At the clocks of the
-    /// boards it is longer by at least a tick.
+    /// At any pulse length, the interval at the highest allowed rate is not shorter than a pulse and the pause after it
+    /// ([`StepTiming::gap`]). At the clocks of the boards it is longer by at least a tick.
     #[test]
     fn the_greatest_rate_leaves_the_gap() {
         let rates = crate::StepRates { safe_hz: u32::MAX, least_pulse_tenths: 1 };
@@ -133,8 +134,8 @@ mod tests {
     }
 
     proptest! {
-        /// At any time of the wrapping clock, the times between inserted events are within the minimum and the maximum,
-        /// and a finite number of events is inserted.
+        /// At any time of the wrapping clock, the events that [`StepTiming::between`] inserts keep the minimum and the
+        /// maximum time to their neighbours, and their number is finite.
         #[test]
         fn long_times_are_filled_up(last in any::<u32>(), away in 0_u32..1 << 28, pulse_tenths in 5_u16..=2550, short in any::<bool>()) {
             let timing = StepTiming::new(96, pulse_tenths, 0);

@@ -223,7 +223,8 @@ impl StepsPerMm {
     /// One step per millimetre.
     pub const ONE: StepsPerMm = StepsPerMm { mantissa: 1, shift: 0 };
 
-    /// The exact fraction of a setting; `None` outside [`StepsPerMm::MIN`]..=[`StepsPerMm::MAX`].
+    /// Returns the value of a setting (steps/mm) as an exact fraction; `None` outside
+    /// [`StepsPerMm::MIN`]..=[`StepsPerMm::MAX`].
     pub fn new(value: f32) -> Option<StepsPerMm> {
         if !(Self::MIN..=Self::MAX).contains(&value) {
             return None;
@@ -278,7 +279,8 @@ impl StepsPerMm {
     // Not inlined, because each caller converts all axes and would contain the code several times.
     #[inline(never)]
     pub fn coordinate(self, steps: i32) -> Coordinate {
-        // At most 88 bits: |steps| <= 2^31, and the factor 10^7 × 2^shift is below 2^57.
+        // The product |steps| × 10^7 × 2^shift has at most 88 bits: |steps| <= 2^31, and the other factor is below
+        // 2^57.
         let (size, one) = (u64::from(steps.unsigned_abs()), (DECIMAL_ONE as u64) << self.shift);
         let low = size * u64::from(one as u32) + u64::from(self.mantissa / 2);
         let high = size * (one >> 32) + (low >> 32);
@@ -379,7 +381,8 @@ mod tests {
                     let coordinate = Coordinate(near.0 + (off * 1.0e7 / f64::from(scale.to_f32())) as i64);
                     let steps = scale.steps(coordinate);
                     let sevenths = scale.sevenths_beyond(coordinate, steps);
-                    // `error` is (place × steps/mm - steps) × 7 - sevenths, where `step` stands for 1.
+                    // `error` is the exact number of sevenths minus `sevenths`. All terms are multiplied by `step`, so
+                    // that they are whole.
                     let step = i128::from(DECIMAL_ONE) << scale.shift;
                     let beyond = i128::from(coordinate.0) * i128::from(scale.mantissa) - i128::from(steps) * step;
                     let error = 7 * beyond - i128::from(sevenths) * step;

@@ -168,8 +168,8 @@ impl<const N: usize> Controller<N> {
             )
     }
 
-    /// Returns when the line being executed ends its wait for the spindle and begins its own dwell: 0 if the line waits
-    /// only for the dwell, `NEVER` if it has no dwell. `None` if the line does not wait.
+    /// Returns when the line being executed has waited long enough for the spindle, so that its own dwell (G4) begins.
+    /// 0 if the line waits only for its dwell, `NEVER` if it has no dwell; `None` if the line does not wait.
     pub fn waits_for_spindle_until(&self) -> Option<Instant> {
         let Task::Job(job) = &self.task else { return None };
         match (job.stage, self.line.action.dwell) {

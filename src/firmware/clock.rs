@@ -15,9 +15,9 @@ const NOW: Duration = Duration::from_ticks(0);
 
 /// The time since power-up.
 pub struct Clock {
-    /// Ticks at the last reading.
+    /// Value of the board's tick counter when the time was last read.
     seen: u32,
-    /// Ticks before the last reading that do not make a whole microsecond, so `micros` does not count them yet.
+    /// Ticks up to the last reading that do not make a whole microsecond, so `micros` does not count them yet.
     rest: u32,
     /// Microseconds since power-up at the last reading.
     micros: u64,

@@ -21,8 +21,8 @@ use oxmill_controller::{Coalescing, LineReader, Owed};
 use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalWriter;
 
-/// Interval of wake-ups while the queue to the step task is full, 500 us. The wake-up time that the controller requests
-/// can be too late then, because short segments leave the queue before it.
+/// Interval at which `control` wakes while the queue to the step task is full, 500 us. The wake-up time that the
+/// controller requests can be too late then, because short segments leave the queue earlier.
 const FULL_QUEUE_WAKEUP: Duration = Duration::from_ticks(500);
 
 /// The channel ends of `control`: receivers from other tasks, and senders to them.
@@ -65,21 +65,23 @@ pub struct Control {
     job: Option<Job>,
     /// Wiring data (polarity and similar settings of the pins) for which the queues had no room.
     unsent_wiring: Option<Wiring>,
-    /// Value of `bytes_queued` in [`SERIAL`] when the round began. Line bytes queued after that belong to a later
-    /// round.
+    /// Value of `bytes_queued` in [`SERIAL`] when the present round of this task began. Line bytes queued after that
+    /// belong to a later round.
     lines_in: u32,
     /// At the start of the round, the serial task held commands for which the queue had no room (owed commands).
     owes: bool,
-    /// Owed commands taken from the serial task but not yet passed to the controller.
+    /// Owed commands (those for which the queue had no room) that were taken from the serial task but not yet passed to
+    /// the controller.
     owed: Owed,
     coalescing: Coalescing,
-    /// Whether the last change of a setting was stored; `None` once the controller has been informed.
+    /// Whether the most recent change of a setting was stored; `None` once the controller has been informed.
     stored: Option<bool>,
     /// Mask of the inputs that the board has.
     fitted: u32,
     /// The controller has requested the state of the input pins.
     pins_asked: bool,
-    /// The settings log in flash will soon have no room without an erase. Changes only between rounds.
+    /// The settings log in flash will soon have no room without an erase. Updated only when a round begins, so that it
+    /// does not change within a round.
     wants_erase_soon: bool,
 }
 
@@ -132,8 +134,8 @@ impl Control {
         self.controller.start(now);
     }
 
-    /// Runs rounds until there is nothing to do, then sets the alarm. Not inlined, so that the virtual board can
-    /// replace it by an endless loop.
+    /// Runs the task: carries out rounds until there is nothing to do, then sets the time of the next wake-up. Not
+    /// inlined, so that the virtual board can replace it by an endless loop.
     #[inline(never)]
     pub fn turn(&mut self) {
         let heard = SERIAL.heard.load(Ordering::Relaxed);
@@ -153,7 +155,7 @@ impl Control {
             self.recorder.at_rest(self.round_began, self.controller);
         }
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
-        // Replies are not checked here: the serial task checks whether they have been sent.
+        // Whether the replies have been sent is not considered here: the serial task itself checks that.
         shared::set_free(heard, nothing_waits && self.controller.is_free() && observed.step_idle);
         CONTROL.reads_characters.store(self.controller.reads_characters(), Ordering::Relaxed);
         CONTROL.speaks_grblhal.store(self.controller.speaks_grblhal(), Ordering::Relaxed);
@@ -171,13 +173,14 @@ impl Control {
         self.clock.set_alarm(wakeup);
     }
 
-    /// Returns whether line bytes wait that this round may take.
+    /// Returns whether there are line bytes that were queued before this round began and have not been read yet.
     #[inline(always)]
     fn lines_wait(&self) -> bool {
         self.line_bytes_out != self.lines_in
     }
 
-    /// Call when there is nothing else to do: releases the answers that are held back. Returns whether there were any.
+    /// Call when there is nothing else to do: lets the answers be sent that were held back to send several together
+    /// (`Coalescing`). Returns whether there were any.
     #[inline(always)]
     fn release_answers(&mut self) -> bool {
         let are_held = self.coalescing.holds(self.lines_wait()) && self.controller.has_answers();
@@ -211,8 +214,8 @@ impl Control {
         erases
     }
 
-    /// Sends the wiring data to the tasks `step` and `inputs`, which use the pins. If a queue is full, a later call of
-    /// this function sends them: at rest both tasks empty their queue within a millisecond.
+    /// Sends the wiring data (polarity and similar settings of the pins) to the tasks `step` and `inputs`. If a queue
+    /// is full, a later call of this function sends them: at rest both tasks empty their queue within a millisecond.
     fn send_wiring(&mut self) {
         if let Some(wiring) = self.unsent_wiring
             && !self.ends.step_wiring.is_full()
@@ -231,8 +234,8 @@ impl Control {
         let queue_empty = self.ends.segments.is_empty();
         let step_idle = queue_empty && STEP.at_rest.load(Ordering::Relaxed);
         let used = SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_sub(self.line_bytes_out) as usize;
-        // Until its end, a preloaded job counts as a full queue of received bytes, because its next bytes are always
-        // ready.
+        // As long as bytes of a preloaded job are left, report the queue of received bytes as full, because the next
+        // bytes of the job are always ready.
         let arrived = SERIAL.bytes_received.load(Ordering::Relaxed);
         let heard = arrived.wrapping_add(SERIAL.bytes_ignored.load(Ordering::Relaxed));
         let received = arrived.wrapping_sub(self.line_bytes_out) as usize;
@@ -274,8 +277,9 @@ impl Control {
         (came != core::mem::replace(&mut self.hosts_came, came)).then_some(Event::Connected)
     }
 
-    /// Returns the next command. Queued commands come first. When the queue is empty, takes all owed commands, if there
-    /// were any when the round began. The serial task queues no further command before that, so the order is kept.
+    /// Returns the next command. Queued commands come first. When the queue is empty, takes over the owed commands
+    /// (those for which it had no room), if there were any when the round began. While the serial task has owed
+    /// commands, it queues no further command, so the order is kept.
     fn next_command(&mut self) -> Option<Realtime> {
         if let Some(command) = self.owed.pop() {
             return Some(command);
@@ -418,13 +422,14 @@ impl Pump<AXES> for Control {
 
     #[inline(always)]
     fn make_room(&mut self, took: bool) -> bool {
-        // Call the serial task only now, when the round has taken all messages. In an earlier call, the serial task
-        // might still have found the last message in the queue, and left its bytes unqueued.
+        // Call the serial task only here, after the round has taken all messages out of the queue. In an earlier call,
+        // the serial task might still have found the last message there, and left its own bytes unqueued.
         if took && (self.has_no_room() || self.are_gathered()) {
             boards::call_serial();
         }
         self.send_wiring();
-        // New messages wake this task.
+        // Nothing has been queued here. The serial task queues the bytes that waited for room, and then wakes this
+        // task.
         false
     }
 

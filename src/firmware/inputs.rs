@@ -51,7 +51,7 @@ pub struct Inputs {
 }
 
 impl Inputs {
-    /// Creates the task. It reports nothing until `control` has sent the wiring of the inputs.
+    /// Creates the task. It reports nothing until `control` has sent the settings of the inputs (`Wiring`).
     pub fn new(
         pins: InputPins,
         wiring: Receiver<'static, Wiring, 2>,
@@ -65,7 +65,8 @@ impl Inputs {
         Inputs { pins, inputs, wiring, signals, sent: None, wake, alarm, calls, left_unread, supervisor }
     }
 
-    /// Takes one sample.
+    /// Runs the task, once per sample: makes the checks of the watchdog, checks the alarm of `control`, samples the
+    /// input pins, and reads the bytes received by the UART.
     pub fn sample(&mut self, uart: &mut UartInput) {
         self.supervisor.sample(&mut self.wake);
         if self.alarm.goes_off() {

@@ -25,21 +25,22 @@ use oxmill_controller::recorder::Page;
 const MARK: u32 = u32::from_le_bytes(*b"last");
 const TEXT: usize = 120;
 
-/// Position and line of the machine at the end of the control task's last run.
+/// Machine position and line number at the end of the control task's most recent run.
 #[derive(Clone, Copy)]
 pub struct Whereabouts {
     /// Machine position, micrometres.
     pub place: [i32; 3],
     /// N word of the running line.
     pub line: u32,
-    /// Start time of the last round in that run: microseconds since power-up (wrapping).
+    /// Start of the last round (pass of the control loop) in that run: microseconds since power-up (wrapping).
     pub moment: u32,
 }
 
 /// A static instead of a task's resource, because a failure can happen in any task.
 static LAST: Mutex<Cell<Whereabouts>> = Mutex::new(Cell::new(Whereabouts { place: [0; 3], line: 0, moment: 0 }));
 
-/// Notes position and line for a later failure. Called by the control task at the end of each run.
+/// Stores position and line number, for the record of a failure that may follow. The control task calls this at the end
+/// of each run.
 pub fn note(last: Whereabouts) {
     critical_section::with(|cs| LAST.borrow(cs).set(last));
 }
@@ -126,8 +127,8 @@ pub fn keep(kind: CrashKind, why: core::fmt::Arguments<'_>) {
     }
 }
 
-/// Returns the record of the previous run to the first caller; later calls return `None`. Not inlined, so that its
-/// stack is not part of the set-up's stack.
+/// Returns the record of a failure that was kept before the reset, or `None` if there is none. Later calls return
+/// `None`. Not inlined, so that its stack frame is not part of that of the set-up.
 #[inline(never)]
 pub fn take() -> Option<Crash> {
     let record = addr_of_mut!(RECORD).cast::<u32>();

@@ -1,7 +1,6 @@
 //! The handlers that exist once per program. `before_start` enters the chip's boot loader on request. `panic` reports
-//! the location. `HardFault` reports the program counter from
-//! the stack frame, or a stack overflow. `NonMaskableInt` reports a failed clock. All end in
-//! [`oxmill_firmware::failure`].
+//! the location. `HardFault` reports the program counter from the stack frame, or a stack overflow. `NonMaskableInt`
+//! reports a failed clock. All end in [`oxmill_firmware::failure`].
 
 use core::panic::PanicInfo;
 use oxmill_controller::messages::CrashKind;
@@ -11,8 +10,8 @@ use oxmill_firmware::failure::fail;
 /// Runs first after a reset, before RAM is initialised: the chip's boot loader, if `$DFU` has requested it, must find
 /// the chip as it is after a reset.
 ///
-/// Rust code may run here only because it uses no static that is initialised: registers, and a number in RAM that is
-/// not.
+/// Rust code may run here, because it uses no initialised static: only registers, and a number in RAM that is never
+/// initialised.
 extern "C" fn before_start() {
     boards::enter_loader_if_requested();
 }

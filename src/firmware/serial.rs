@@ -22,25 +22,26 @@ use rtic_sync::signal::SignalWriter;
 
 /// Size of a USB packet in bytes.
 const PACKET: usize = 64;
-/// How many bytes the UART link holds back while the queue is full. More would not help, because a UART cannot make its
-/// sender wait.
+/// How many received line bytes the link of the UART can keep while the queue to `control` is full. More would not
+/// help, because a UART cannot make its sender wait.
 const UART_HELD: usize = 1;
 
-/// Maximum burst of realtime commands and ignored bytes. Bytes of lines need no such limit, because the room in their
-/// queue limits them. Without this limit, a host or noise on a wire could use all of the processor time by sending
-/// bytes outside lines without end.
+/// Maximum burst of "other" bytes: realtime commands and ignored bytes. Line bytes need no such limit, because the room
+/// in their queue limits them. Without this limit, a host or noise on a wire could use all of the processor time by
+/// sending other bytes without end.
 const MOST_OTHERS: u32 = 128;
-/// Time, µs, after which another one of the bytes that `MOST_OTHERS` limits is allowed.
+/// Time, µs, in which the number of other bytes that may be processed grows by one, up to `MOST_OTHERS`.
 const OTHER_US: u32 = 200;
-/// Maximum number of bytes that are taken one by one (not as plain text) in `SINGLY_US` µs from a link that cannot make
-/// its sender wait. Lines of 15 characters with CR LF, sent at 1 Mbaud, have fewer such bytes in that time. The number
-/// is low enough to leave processor time to `control`. A host that counts characters loses no bytes by this limit,
-/// because it never has more bytes in transit than there is room for.
+/// Maximum number of bytes that are processed one at a time in `SINGLY_US` µs, from a link that cannot make its sender
+/// wait. (Plain text is processed several bytes at a time, and does not count.) Lines of 15 characters with CR LF, sent
+/// at 1 Mbaud, have fewer such bytes in that time. The number is low enough to leave processor time to `control`. A
+/// host that counts characters loses no bytes by this limit, because it never has more bytes in transit than there is
+/// room for.
 const MOST_SINGLY: usize = 12;
-/// Period for `MOST_SINGLY`, in µs.
+/// Length, in µs, of the period in which at most `MOST_SINGLY` bytes are processed one at a time.
 const SINGLY_US: u32 = 800;
-/// A `!` that may be part of a text becomes a feed hold only after at least this many runs of the task without a
-/// further byte. Runs are about 500 µs apart.
+/// A `!` in a comment of a line can be text or a feed hold. It becomes a feed hold only after at least this many runs
+/// of the serial task without a further byte. Runs are about 500 µs apart.
 const QUIET_RUNS: u8 = 16;
 
 /// Link number of the USART.
@@ -48,29 +49,30 @@ const UART: usize = 0;
 /// Link number of USB.
 const USB: usize = 1;
 
-/// The senders of the queues to `control`, and the limits on how many bytes are taken.
+/// The senders of the queues to `control`, and the limits on how many received bytes are processed.
 struct ToControl {
-    /// The link being read cannot make its sender wait. So resets, holds and door commands for which the queue has no
-    /// room are kept as flags ("owed" commands).
+    /// Whether the link being read cannot make its sender wait. Resets, holds and door commands from such a link are
+    /// kept as flags if the queue has no room for them ("owed" commands, [`shared::owe`]).
     may_owe: bool,
-    /// No reply waits or is partly sent, and the last run left no bytes unread.
+    /// No reply waits or is partly sent, and the previous run of the task left no received bytes unread.
     flushed: bool,
     realtime: Sender<'static, Realtime, REALTIME_DEPTH>,
     lines: Sender<'static, LineBytes, LINE_MESSAGES>,
     line_sender: LineSender,
     /// Line bytes queued in this run.
     bytes_queued: u32,
-    /// How many bytes outside lines may still be taken now (at most `MOST_OTHERS`).
+    /// How many other bytes (realtime commands and ignored bytes) may still be processed now, at most `MOST_OTHERS`.
     others: u32,
-    /// Time, in clock ticks, up to which `allow_others` has added to `others`.
+    /// Time, in clock ticks, from which [`ToControl::allow_others`] counts until the next increase of `others`.
     others_since: u32,
-    /// The last run reached a limit and left bytes unread, so the task must be called again.
+    /// A run of the task reached a limit and left bytes unread, so the task must be called again. Cleared by the next
+    /// run.
     leaves_unread: bool,
     left_unread: SignalWriter<'static, ()>,
 }
 
 impl ToControl {
-    /// Allows further bytes outside lines, according to the time that has passed.
+    /// Increases `others` by one for each `OTHER_US` that has passed, up to `MOST_OTHERS`.
     fn allow_others(&mut self) {
         let more = boards::clock_ticks().wrapping_sub(self.others_since) / (OTHER_US * boards::CLOCK_TICKS_PER_US);
         self.others = MOST_OTHERS.min(self.others.saturating_add(more));
@@ -80,7 +82,8 @@ impl ToControl {
     /// Queues the line bytes gathered in this run. Returns whether a message was queued for `control`.
     fn flush(&mut self) -> bool {
         let Self { lines, line_sender, .. } = self;
-        // `lines.is_empty` is true only when `control` has taken the last message out of the queue.
+        // The number of partly filled messages in the queue is limited. An empty queue, from which `control` has taken
+        // all messages, makes `flush` count them from 0 again.
         line_sender.is_waiting() && line_sender.flush(lines.is_empty(), |message| lines.try_send(message).is_ok())
     }
 }
@@ -146,13 +149,13 @@ struct Ported<P> {
     port: P,
     link: Link,
     open: bool,
-    /// Number of bytes taken one by one since `singly_since`.
+    /// Number of bytes processed one at a time since `singly_since`.
     singly: usize,
-    /// Time, in clock ticks, from which `singly` counts.
+    /// Start of the period for which `singly` counts, in clock ticks.
     singly_since: u32,
-    /// Time, in clock ticks, of the first run without a byte after a `!` that may be text.
+    /// For a `!` that may be text: time, in clock ticks, of the first run of the task in which no byte followed it.
     quiet_since: u32,
-    /// Number of runs without a byte since `quiet_since`.
+    /// Number of runs of the task, from `quiet_since` on, in which no byte followed the `!`; 0 after any byte.
     quiet_runs: u8,
 }
 
@@ -172,7 +175,7 @@ impl<P: Port> Ported<P> {
     /// Checks whether a host has connected or disconnected. Returns whether there is news for `control`.
     fn look(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &ToControl) -> bool {
         let mut news = false;
-        // Twice, because one host can disconnect and another can connect between two calls of `look`.
+        // Check twice, because one host can disconnect and another can connect between two calls of `look`.
         for _ in 0..2 {
             let open = self.port.poll();
             if open == core::mem::replace(&mut self.open, open) {
@@ -214,9 +217,9 @@ impl<P: Port> Ported<P> {
                 }
                 Incoming::Byte(byte) => news |= self.link.take(byte, arbiter, other, queues),
             }
-            // `others` does not limit bytes of lines, because the room in the queue does. On a link that cannot wait,
-            // it does not limit the characters of comments either: `singly` limits these, and a host with flow control
-            // by counting characters counts them, too.
+            // `others` does not count line bytes, because the room in their queue limits them. On a link that cannot
+            // make its sender wait, it does not count the characters of comments either: `singly` limits these, and a
+            // host that counts characters includes them.
             let is_other = queues.bytes_queued == queued && (P::WAITS || !self.link.is_in_remark());
             queues.others = queues.others.saturating_sub(u32::from(is_other));
             self.singly += 1;
@@ -230,7 +233,7 @@ impl<P: Port> Ported<P> {
             }
         }
         // After a run that reached a limit, the port must not receive more until the bytes that this run left unread
-        // have been taken.
+        // have been read.
         self.port.allow(if limited { 0 } else { self.link.room() });
         if self.link.is_ambiguous() && !limited && (!P::WAITS || self.link.room() >= PACKET) {
             news |= self.await_rest(arbiter, queues);
@@ -238,9 +241,10 @@ impl<P: Port> Ported<P> {
         news
     }
 
-    /// Call while the last byte received is a `!` that may be text. Waits for the next byte; if none comes, the `!`
-    /// becomes a command. Returns whether there is news for `control`. Both the time and the runs are counted: after a
-    /// stall of the processor, enough time has passed, but bytes that arrived during the stall may still be unread.
+    /// Call while the byte received last is a `!` that may be text. If no further byte has come for `AMBIGUOUS_US` and
+    /// in `QUIET_RUNS` runs of the task, the `!` becomes a feed hold. The time alone would not do: after a stall of the
+    /// processor, it has passed, but bytes that arrived during the stall may still be unread. Returns whether there is
+    /// news for `control`.
     #[cold]
     fn await_rest(&mut self, arbiter: &mut HostArbiter, queues: &mut ToControl) -> bool {
         let now = boards::clock_ticks();
@@ -355,7 +359,8 @@ impl Serial {
             self.sent = self.sending.as_bytes().len();
         }
         let mut more = false;
-        // A reply must not be sent in the middle of an error answer to a refused line.
+        // Do not send a reply while an error answer is partly sent on the same port. Such an answer refuses a line of a
+        // host that is not the active one.
         let clear = if to_usb { usb } else { uart };
         loop {
             if !clear {

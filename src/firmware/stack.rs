@@ -16,7 +16,7 @@ pub struct Watch {
     looked: u32,
     /// Time at which a motor or a host was last active.
     busy: u32,
-    /// Value of `heard` in [`SERIAL`] at that time.
+    /// Value of `heard` in [`SERIAL`] at the time `busy`.
     heard: u32,
     /// Maximum stack depth so far, in bytes.
     most: u32,
@@ -29,7 +29,8 @@ impl Watch {
         Watch { looked: now, busy: now, heard: 0, most: 0 }
     }
 
-    /// Measures the depth if it is time. To be called when there is nothing else to do.
+    /// Measures the use of the stack if motors and hosts have been quiet for `QUIET_TICKS`, and the previous
+    /// measurement was at least `REST_TICKS` ago. Call when there is nothing else to do.
     pub fn look(&mut self) {
         // A log line masks interrupts for longer than a byte takes at 1 Mbaud, so no log line is written while motors
         // turn or a host sends.

@@ -71,8 +71,8 @@ impl Supervisor {
         }
         STEP.wants.store(STEP_ASKED, Ordering::Relaxed);
         boards::call_step();
-        // Set the mark before the call. In the opposite order, the task could run before its mark is set, and the mark
-        // would remain.
+        // Set the flag of a task before calling the task. In the opposite order, the task could run before its flag is
+        // set, and the flag would remain set.
         ASKED.serial.store(true, Ordering::Relaxed);
         boards::call_serial();
         ASKED.control.store(true, Ordering::Relaxed);

@@ -16,10 +16,10 @@ use oxmill_controller::protocol::realtime;
 /// The same event may happen up to 1/20 s earlier or later in the simulator than on the board. This constant is the
 /// denominator of that fraction.
 const SLACK_PARTS: u64 = 20;
-/// A line that the board took within 1/1000 s of the previous line counts as having waited together with that line.
-/// This constant is the denominator of that fraction.
+/// If the board read a line at most 1/1000 s after the previous line, both count as having waited in its receive queue
+/// at the same time. This constant is the denominator of that fraction.
 const AT_ONCE_PARTS: u64 = 1000;
-/// Part of the words of a recorded modal state in which no feed rate F is set.
+/// What the words of a recorded modal state contain if no feed rate is set: F0, directly before the word S.
 const NO_FEED: &str = "F0.0000000S";
 
 /// Result of replaying a board's recording.
@@ -79,12 +79,11 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
             ordered_stops -= 1;
         } else if is_stop(&ordered[at].1)
             && let Some(behind) = (at + 1..ordered.len().min(at + 4)).find(|next| stops(&ordered[*next].1))
-            // If another stop report lies between this report and the reset or input, the reset or input belongs to
-            // that other report.
+            // Only if no other stop is reported in between: the reset or input would have caused that other stop.
             && !ordered[at + 1..behind].iter().any(|(_, input)| is_stop(input))
         {
             ordered[at..=behind].rotate_left(1);
-            // The rotation has put another input at this index. Count it, too.
+            // After the rotation, `ordered[at]` is an input that this loop has not counted yet.
             ordered_stops += u32::from(stops(&ordered[at].1));
             if let Some((time, _)) = ordered.get(behind - 1).cloned() {
                 ordered[behind].0 = time;
@@ -112,11 +111,11 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
     ordered
 }
 
-/// Merges lines into one input if each was already waiting when the previous line was taken, because the machine can
-/// treat a line differently if another one waits.
+/// Merges lines into one input if each was already waiting when the board read the previous line, because the machine
+/// can treat a line differently if another one waits.
 fn at_once_together(inputs: Vec<(u64, Input)>, at_once: u64) -> Vec<(u64, Input)> {
     let mut together: Vec<(u64, Input)> = Vec::new();
-    // Time at which the last line of the merged input was taken.
+    // Time at which the board read the most recent line of the host.
     let mut last = 0;
     for (time, input) in inputs {
         if let Input::Host(more) = &input
@@ -197,11 +196,12 @@ struct Playing<'a, H, P> {
     pass: P,
     /// Simulator time at which the replay begins.
     begin: u64,
-    /// Ticks by which the simulator's time is ahead of the recording's.
+    /// Simulator time minus the time in the recording, in ticks of the step clock.
     shift: u64,
     /// Per motor: the board's step counter minus the simulator's.
     offset: Vec<i32>,
-    /// Number of connects and disconnects for which a cut (`Noted::Cut`) can still come in the recording.
+    /// Number of `Noted::Cut` entries that may still come: one for each connect or disconnect. A `Cut` marks where the
+    /// bytes of a former host end.
     cuts: u32,
     /// Number of recorded motor positions that the simulator has matched.
     met: u32,
@@ -212,8 +212,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.hear_always();
         self.start(inputs, left_out, notes)?;
         for (at, (time, input)) in inputs.iter().enumerate().skip(1) {
-            // The first part of a line that has not ended is recorded with the time of the next input. If the part
-            // waited after another line, it arrived before that time, so play it now.
+            // If a line is still unfinished when the next input comes, its first bytes are recorded with the time of
+            // that input. If they were already waiting when the previous line was read (`More`), send them now.
             let waited = at > 0 && matches!(inputs[at - 1].1, Input::Told(Told::Noted(Noted::More))) && is_begin(input);
             let time = if waited { self.simulator.clock().now() } else { time + self.shift };
             let later = inputs.get(at + 1..).unwrap_or_default();
@@ -292,8 +292,6 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         Ok(())
     }
 
-    // Time
-
     fn listen(&mut self) {
         while self.simulator.unfetched() > 0 {
             (self.hear)(&self.simulator.take_output());
@@ -334,8 +332,6 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         format!("{:.6} s after its begin", clock.seconds(time.saturating_sub(self.begin)))
     }
 
-    // Motor positions
-
     fn counters(&self) -> Vec<i32> {
         self.simulator.machine().position().to_vec()
     }
@@ -352,8 +348,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         let step = self.hz() / 1_000_000;
         let is_there =
             |simulator: &mut Simulator| simulator.machine().position().get(..wanted.len()) == Some(&wanted[..]);
-        // If the motors are at the position at the recorded time, use that time: they can have reached the position
-        // long before, and leave it long after.
+        // The motors can stand at this position from long before `time` until long after it. So if they are there at
+        // `time`, advance exactly to `time`.
         let mut ahead = self.simulator.clone();
         ahead.advance_to(time);
         if is_there(&mut ahead) {
@@ -362,8 +358,6 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         }
         self.meet(time, step, is_there)
     }
-
-    // Inputs
 
     fn host(&mut self, time: u64, bytes: &[u8], later: &[(u64, Input)]) {
         match (bytes, cut_off(later)) {
@@ -378,8 +372,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.send_followed(bytes, more);
     }
 
-    /// Advances until the machine is paused, so that a `~` can resume it. A host sends `~` as soon as the board reports
-    /// that it rests in a hold; the simulator may reach that state a little later.
+    /// Advances until the machine rests in a hold, so that a `~` can resume it. The host sent `~` after the board had
+    /// come to rest; the simulator may come to rest a little later than the board.
     fn resume(&mut self, time: u64) {
         self.advance(time);
         let mut ahead = self.simulator.clone();
@@ -450,8 +444,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         match stopping {
             Stopping::Probed => {
                 if self.meet_place(time, counters) {
-                    // The step task sees the probe's contact before the input filter does, so the pin changes here. If
-                    // the contact was already closed when probing began, the pin keeps its level.
+                    // The step task reads the probe pin without the filter, so the recording has the changed input only
+                    // after this stop. Set the pin now, to the level in that later entry.
                     let mut pins = self.simulator.pins();
                     let inverted = self.simulator.wiring().map_or(0, |wiring| wiring.inputs.inverted);
                     let told = later.iter().find_map(|(time, input)| match input {
@@ -462,7 +456,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
                     });
                     pins.probe = match told {
                         Some((at, level)) if at <= time + self.hz() / SLACK_PARTS => level,
-                        // The next report is much later: the filter had already seen the contact, so keep the pin.
+                        // An entry that is much later is not of this contact: the pin had its level before probing.
                         Some(_) => pins.probe,
                         None => !pins.probe,
                     };
@@ -528,9 +522,9 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         notes: &mut Vec<String>,
     ) -> Result<(), String> {
         let is_there = |simulator: &mut Simulator| {
-            // The recorded position is the end of a segment. In the simulator this end can lie between two events, so
-            // `look` lets the controller notice it. This can shift the controller's wake-ups in these last
-            // milliseconds, but not what the step task receives.
+            // The recorded position is the end of a segment. The controller of the simulator would update its position
+            // only at its next wake-up, so let it do that now. This can shift its further wake-ups, but not what the
+            // step task receives.
             simulator.look();
             let controller = simulator.controller();
             let here = controller.machine_position();

@@ -14,7 +14,8 @@ use oxmill_controller::error::{Alarm, Error};
 use oxmill_controller::gcode::Units;
 use oxmill_controller::messages::Realtime;
 
-/// Start of the controller's message that a held program waits for a subprogram; the number of the subprogram follows.
+/// Start of the controller's message that a program waits for a subprogram that it calls; the number of the subprogram
+/// follows.
 const AWAITS: &str = "[MSG:Program waits for subprogram ";
 /// Start of the controller's message about G43 while no tool is in the table.
 pub const NO_TOOLS: &str = "[MSG:No tool is in the table";
@@ -53,7 +54,7 @@ impl Outcome {
                 }
                 Said::Error { line, code, text, reason: None } => self.refused(line, code, error_text(code), text),
                 Said::Warning(warning) => self.warn(warning),
-                // The controller can send the message about a held program several times in a row: list it once.
+                // The controller can send this message several times in a row: list it once.
                 Said::Message { text, .. } if self.messages.last() == Some(&text) && text.starts_with(AWAITS) => {}
                 Said::Message { line, text } if self.messages.len() < KEPT_MESSAGES => {
                     if text.starts_with(NO_TOOLS) {
@@ -137,7 +138,8 @@ impl Outcome {
         }
     }
 
-    /// Completes the error about a held program that does not fit into the memory: `lacking` bytes are missing for it.
+    /// Adds advice to the error about a program that the controller stores until its subprograms have arrived, and that
+    /// does not fit into the memory: `lacking` bytes are missing.
     fn measure_held(&mut self, lacking: usize, board: &str) {
         let is_of_memory = |error: &&mut LineError| error.code == Error::OutOfMemory.code();
         if let Some(error) = self.errors.iter_mut().rfind(is_of_memory) {
@@ -165,7 +167,8 @@ fn moves(source: &str) -> bool {
     ['X', 'Y', 'Z'].iter().any(|letter| advice::count(source, *letter) > 0)
 }
 
-/// Returns what is wrong with a call of `number`, in a file with the program numbers `present`.
+/// Returns the error text for calls of the subprogram `number`, such as `O1001`, which is not in the file. `present`:
+/// the program numbers that the file has.
 fn missing<'a>(number: &str, present: impl Iterator<Item = &'a str>) -> String {
     match present.collect::<Vec<_>>()[..] {
         [] => format!("{number} is called here and is not in the file: write it after M30, from {number} to M99"),
@@ -194,7 +197,7 @@ fn missing<'a>(number: &str, present: impl Iterator<Item = &'a str>) -> String {
 pub struct Check {
     simulator: Simulator,
     origin: u64,
-    /// Motor positions at the beginning, in steps.
+    /// Motor positions at the beginning of the job, in steps.
     began_at: [i32; AXES],
     outcome: Outcome,
     done: bool,
@@ -572,8 +575,8 @@ mod tests {
         );
     }
 
-    /// Here, M6 does not wait for the preceding moves. The time of a move must still count for the tool of the move,
-    /// even if the controller has already read the next M6.
+    /// With the default settings, M6 does not wait for the moves before it. So the controller can have read the next M6
+    /// while a move is still running, and the time of the move must still count for the move's own tool.
     #[test]
     fn the_time_is_told_by_tool_and_by_kind() {
         let text = "G21 G91\nM3 S1000\nG4 P0.5\nT1 M6\nG1 X3 F600\nT2 M6 G0 X-3\nG4 P2\nG82 G99 X0 Y0 Z-1 R0.5 P0.25 F600\nG80\nG4 P1 M5\nT1 M6\nG0 X1\n";
@@ -612,7 +615,8 @@ mod tests {
         assert!((summary.spin_up_s - (1.5 + 0.75 + 1.5)).abs() < 1e-4, "{summary}");
     }
 
-    /// A check marks the moves. The same job without marks has the same steps at the same times.
+    /// A check numbers the moves to find their lines and tools. The same job without these numbers makes the same steps
+    /// at the same times.
     #[test]
     fn marks_change_nothing_of_the_job() {
         let short: String = (1..400).map(|i| format!("N{i} G1 X{}\n", f64::from(i) * 0.003)).collect();

@@ -24,7 +24,7 @@ pub(crate) const ANSWERS: usize = 64;
 /// Interval at which a reader that waits for room, or a writer whose client does not read, checks whether the client is
 /// still connected.
 pub(crate) const LOOK: Duration = Duration::from_millis(20);
-/// Interval at which a writer retries if its client does not read.
+/// Pause before a write is tried again if the client does not read its replies.
 const AGAIN: Duration = Duration::from_millis(1);
 /// Sent to a client before its connection is closed because its line does not end.
 pub(crate) const ENDLESS: &[u8] = b"[MSG:The line has no end]\r\n";
@@ -35,7 +35,7 @@ const CONNECTIONS: usize = 64;
 pub(crate) enum Happened {
     /// A client is ready to be served.
     Connected(Client),
-    /// A connection was accepted. Its reader thread will report to the loop through this sender.
+    /// A connection was accepted. If it is served, its reader thread sends its events through this sender.
     Connecting(Incoming, SyncSender<Happened>),
     /// The client has sent bytes or has disconnected: see its [`Inbox`].
     Heard,
@@ -49,7 +49,7 @@ pub(crate) struct Incoming {
     pub(crate) place: Taken,
 }
 
-/// The kind of a connection.
+/// The socket of a connection, by the port that accepted it.
 pub(crate) enum Connection {
     /// A program, at the port of `--tcp`.
     Program(TcpStream),
@@ -165,8 +165,8 @@ impl Inbox {
         self.state().failure.take()
     }
 
-    /// Waits until there is room for more bytes. Returns `false` if the client has disconnected meanwhile, is no longer
-    /// served, or has sent a line that is too long.
+    /// Waits until the inbox has room for more bytes. Returns `false` if the client has disconnected meanwhile, is no
+    /// longer served, or has sent a line that is too long.
     pub(crate) fn wait_for_room(&self, hung_up: impl Fn() -> bool) -> bool {
         let mut state = self.state();
         while !state.closed && state.bytes.len() >= AHEAD {
@@ -254,7 +254,7 @@ pub(crate) fn pass_bytes(
         tell_endless();
     }
     inbox.end();
-    // Ignore the error: without a receiver the loop has ended.
+    // Ignore the error: it occurs only if the loop that receives these events has ended.
     let _ = sender.send(Happened::Heard);
 }
 
@@ -272,7 +272,8 @@ pub(crate) fn writer(mut link: impl Write + Send + 'static, inbox: Arc<Inbox>) -
     (sender, handle)
 }
 
-/// Writes all bytes. Fails if the client has disconnected, or if it does not read and is no longer served.
+/// Writes all bytes. While the client does not read, tries again until the loop closes its inbox. Fails then, or if the
+/// client has disconnected.
 fn write_out(link: &mut impl Write, mut bytes: &[u8], inbox: &Inbox) -> io::Result<()> {
     while !bytes.is_empty() {
         match link.write(bytes) {

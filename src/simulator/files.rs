@@ -119,7 +119,7 @@ pub fn read_machine(path: &Path) -> Result<(Fittings, String)> {
 pub struct Role<'a> {
     /// Path of the file.
     pub path: &'a Path,
-    /// The role, for messages.
+    /// What the file is, as error messages name it: `the job`, `--output` and so on.
     pub name: &'static str,
     /// Whether the run writes the file.
     pub written: bool,
@@ -143,9 +143,9 @@ pub fn check_apart(files: &[Role]) -> Result<()> {
 #[derive(Debug)]
 struct Place {
     path: Option<PathBuf>,
-    /// Device and inode number.
+    /// Device and inode number; `None` if the file does not exist, or if the system has no such numbers.
     file: Option<(u64, u64)>,
-    /// A device, a pipe or the like, which can be both read and written.
+    /// Whether it is a device, a pipe or the like, which a run may both read and write.
     special: bool,
 }
 

@@ -68,7 +68,7 @@ enum Side {
     Negative,
 }
 
-/// One contact; positions in mm from where the carriages were at power-up.
+/// A limit switch or the probe plate. Positions are in mm from where the carriages were at power-up.
 #[derive(Clone, Debug)]
 struct Fitted {
     axis: usize,
@@ -105,7 +105,7 @@ pub struct HomeSwitches {
 /// Tolerance for rounding, mm: less than any step.
 const A_HAIR_MM: f64 = 1.0e-7;
 
-/// All contacts of a machine.
+/// The hardware of a machine as its [`Description`] says, and the present state of its contacts.
 #[derive(Clone, Debug, Default)]
 pub struct Fittings {
     steps_per_mm: [f64; AXES],
@@ -229,7 +229,8 @@ impl Fittings {
         self.contacts.is_empty() && self.backlash_mm == [0.0; AXES]
     }
 
-    /// Follows the motors to the current position of `machine`. Returns whether a contact has changed.
+    /// Updates driven parts and contacts to the motor positions of `machine`. Returns whether a contact has opened or
+    /// closed.
     pub fn moved(&mut self, machine: &Machine, now_us: u64) -> bool {
         if self.is_empty() {
             return false;
@@ -247,7 +248,7 @@ impl Fittings {
             } else {
                 places[contact.axis]
             };
-            // Because of the tolerance, a contact located exactly at a step closes at that step.
+            // In spite of rounding, a contact located exactly at a step must close at that step: hence `A_HAIR_MM`.
             let beyond = match contact.side {
                 Side::Positive => place - contact.at_mm,
                 Side::Negative => contact.at_mm - place,

@@ -76,7 +76,8 @@ fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
     error.map_or(Ok(()), |code| Err(format!("was refused with error:{code}: {}{messages}", error_text(code))))
 }
 
-/// Shifts the step counts so that they count from machine coordinate 0.
+/// Shifts the step counters of the motors, and the switches with them, so that a counter of 0 is machine coordinate 0.
+/// `machine`: the present machine position, mm.
 fn name_steps(simulator: &mut Simulator, machine: [f64; AXES]) {
     simulator.learn_resolution();
     let world = &mut simulator.world;

@@ -85,11 +85,12 @@ pub struct HostLink {
     heard: u16,
     connected: bool,
     disconnected: bool,
-    /// Time at which a `!` that may be text is executed as a command if no byte follows until then.
+    /// A `!` within a comment can be text or a feed hold. If no byte follows it until this time, it is executed as a
+    /// hold.
     command_at: Option<Instant>,
     /// In a replay: whether the board had more bytes waiting after those sent so far.
     more: bool,
-    /// In a replay: whether the host never counts as silent.
+    /// In a replay: whether the controller must never find that the host has gone silent (see [`HostLink::heard`]).
     never_silent: bool,
 }
 
@@ -122,19 +123,20 @@ impl HostLink {
         self.more = more;
     }
 
-    /// From here on the host never counts as silent.
+    /// From here on, the controller never finds that the host has gone silent: see [`HostLink::heard`].
     pub fn hear_always(&mut self) {
         self.never_silent = true;
     }
 
-    /// Simulates the loss of bytes at this point of the stream.
+    /// Simulates that bytes were lost on their way to the link, after those sent so far. The controller refuses the
+    /// line that they belonged to.
     pub fn lose(&mut self) {
         self.link.lose();
     }
 
-    /// Queues a realtime command that does not come over the link.
+    /// Queues a realtime command that does not arrive as a byte of the host, such as that of a button.
     pub fn command(&mut self, command: Realtime) {
-        // The queue has room, because each turn of the simulator empties it.
+        // The queue has room: after every input the control task runs and empties it.
         self.arbiter.command(command, &mut self.queues);
     }
 
@@ -149,7 +151,7 @@ impl HostLink {
         self.disconnected |= self.link.went(&mut self.arbiter);
     }
 
-    // The serial task
+    // What the serial task does on a board.
 
     /// Moves bytes from the link into the queues, as far as there is room. Returns whether any byte was moved.
     pub fn pass_on(&mut self) -> bool {
@@ -168,8 +170,8 @@ impl HostLink {
         Some(self.link.take(byte, &mut self.arbiter, &mut self.unused_link, &mut self.queues))
     }
 
-    /// Call after all available bytes have been fetched. If the last byte is a `!` that may be text, waits for the rest
-    /// of its line. When the wait is over, queues the `!` as a command and returns whether a command was queued.
+    /// Call after all available bytes have been fetched. If the last byte is a `!` in a comment, it can be text or a
+    /// feed hold: if no byte follows it for `AMBIGUOUS_US`, queues it as a hold. Returns whether a command was queued.
     pub fn await_rest(&mut self, now: Instant) -> bool {
         if !self.link.is_ambiguous() {
             return false;
@@ -184,23 +186,23 @@ impl HostLink {
         self.pass_on()
     }
 
-    /// When a `!` that may be text is executed as a command; `None` without such a `!`, or while bytes wait in the
-    /// port.
+    /// When a `!` that ends the received part of a comment is executed as a feed hold; `None` without such a `!`, or
+    /// while bytes wait in the port.
     pub fn rest_due(&self) -> Option<Instant> {
         self.command_at.filter(|_| self.port.is_empty())
     }
 
-    /// Returns whether the step task must be stopped; returns `true` only once per request.
+    /// Returns whether a reset has arrived since the last call. It must stop the step task.
     pub fn wants_stop(&mut self) -> bool {
         std::mem::take(&mut self.queues.stop)
     }
 
-    /// Returns whether bytes wait in the port or the link.
+    /// Returns whether bytes of the host have not reached the queues yet: they are in the port or in the link.
     pub fn waits(&self) -> bool {
         !self.port.is_empty() || self.link.is_waiting() || self.link.is_ambiguous()
     }
 
-    // The control task
+    // What the control task receives.
 
     /// Returns the next connect or disconnect.
     pub fn next_event(&mut self) -> Option<Event<AXES>> {
@@ -230,9 +232,9 @@ impl HostLink {
         self.queues.lines.len()
     }
 
-    /// Number of line bytes in the queue and in the link. If bytes are in the link and a `HOST_CHANGED`, which discards
-    /// the unfinished line of the former host, must be queued before them, that mark counts, too. In a replay, bytes
-    /// that still wait count as one more.
+    /// Number of line bytes in the queue and in the link. If a `HOST_CHANGED` (it discards the unfinished line of the
+    /// former host) must be queued before the bytes of the link, it counts as one byte. In a replay, one byte is added
+    /// if the board had more bytes waiting.
     pub fn received(&self) -> usize {
         let held = self.link.held();
         self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut()) + usize::from(self.more)
@@ -245,7 +247,7 @@ impl HostLink {
         self.heard
     }
 
-    /// Number of bytes sent and not yet taken by the controller: in the queue, the link and the port.
+    /// Number of bytes sent and not yet read by the controller: in the queue, the link and the port.
     pub fn unread(&self) -> usize {
         self.port.len() + self.received() - usize::from(self.more)
     }

@@ -16,7 +16,7 @@ const PER_AXIS: RangeInclusive<u32> = 100..=139;
 const GRBLHAL: Decimal = Decimal::from_int(3);
 /// Number of axes with which A is in use.
 const WITH_A: Decimal = Decimal::from_int(4);
-/// First homing cycle for which a machine with three axes has no setting.
+/// Number of the setting for the fourth homing cycle. A machine with three axes has only three.
 const FOURTH_CYCLE: u16 = AxisKey::HomingCycle.number() + LINEAR as u16;
 /// Number of the setting for the resolution of A.
 const RESOLUTION_OF_A: u16 = AxisKey::Resolution.number() + LINEAR as u16;
@@ -142,8 +142,8 @@ fn axes(found: &[Line]) -> u32 {
     if found.iter().any(|line| line.number == u32::from(RESOLUTION_OF_A)) { 0b1111 } else { 0b111 }
 }
 
-/// Takes a mask: the bits of the setting itself, and the bit that becomes `$932`. Bits without a function in Oxmill are
-/// listed as not taken.
+/// Imports a mask: the bits that mean the same in Oxmill's setting of this number, and the bit that is `$932` in
+/// Oxmill. Bits without a function in Oxmill are listed as not taken.
 fn take_mask(import: &mut Import, number: u16, mask: &GrblHalMask, bits: u32, entry: &FileEntry) {
     import.take(number, decimal(bits & mask.own), entry);
     if let Some(on) = mask.zero_at_pull_off(bits).filter(|_| import.what == "grblHAL") {
@@ -158,7 +158,8 @@ fn leave_bits(import: &mut Import, bits: u32, why: &str, entry: &FileEntry) {
     }
 }
 
-/// Takes a setting of grblHAL that is not one of the masks of `$900=3`. `axes`: the mask of the machine's axes.
+/// Imports a setting of grblHAL that `take_mask` does not handle, or lists it as not taken. `axes`: bit mask of the
+/// machine's axes.
 fn take_of_hal(import: &mut Import, number: u16, value: Decimal, axes: u32, entry: &FileEntry) {
     const ENABLE_INVERT: u16 = Key::EnableInvert.number();
     const LIMIT_INVERT: u16 = Key::LimitInvert.number();
@@ -192,13 +193,14 @@ fn take_of_hal(import: &mut Import, number: u16, value: Decimal, axes: u32, entr
     }
 }
 
-/// Takes a setting of grblHAL that has another number in Oxmill. Lists any other setting as not taken.
+/// Imports a setting whose number only grblHAL has, if Oxmill has that setting under another number. Otherwise lists it
+/// as not taken.
 fn take_of_hal_only(import: &mut Import, number: u16, value: Decimal, entry: &FileEntry) {
     match (number, whole(value)) {
         (HAL_PECK, _) => import.take(Key::PeckClearance.number(), value, entry),
-        // With 0, M6 waits for the tool.
+        // In grblHAL, 0 means that M6 waits for the tool.
         (HAL_TOOL_CHANGE, Some(0)) => import.take(Key::ToolChange.number(), decimal(1), entry),
-        // With 4, M6 is ignored.
+        // In grblHAL, 4 means that M6 is ignored.
         (HAL_TOOL_CHANGE, Some(4)) => import.take(Key::ToolChange.number(), decimal(0), entry),
         (HAL_TOOL_CHANGE, _) => {
             import.leave(entry, "see $918: with 2 the tool is changed at G30 and measured at G59.3")

@@ -6,7 +6,7 @@ use oxmill_controller::axes::{Axis, LINEAR};
 use oxmill_controller::settings::{AxisKey, Key};
 use oxmill_controller::units::Decimal;
 
-/// Reason for entries about hardware that the Oxmill board determines.
+/// Why an entry about hardware is not taken if an Oxmill board itself determines that hardware.
 const OF_THE_BOARD: &str = "pins and parts of another board";
 /// Name of a pin that is not connected.
 const NO_PIN: &str = "NO_PIN";
@@ -156,8 +156,8 @@ impl Reader {
         }
     }
 
-    /// Takes a value that FluidNC has for each axis, and Oxmill once for all axes: takes the first one, and leaves out
-    /// later ones that differ from it.
+    /// Imports a value that FluidNC has for each axis, and Oxmill once for all axes: the first one in the file. Later
+    /// ones that differ from it are listed as not taken.
     fn take_for_all(&mut self, key: Key, value: &str, entry: FileEntry) {
         let taken = self.import.taken.iter().find(|taken| taken.number == key.number()).map(|taken| taken.value.0);
         if taken.is_none() || number(value).is_none() {
@@ -293,7 +293,7 @@ impl Reader {
         }
     }
 
-    /// Takes the lowest and the highest speed of a speed map such as `0=0.000% 1000=100.000%`.
+    /// Imports the limits of the spindle speed from a speed map such as `0=0.000% 1000=100.000%`.
     fn speeds(&mut self, map: &str, entry: &FileEntry) {
         let point = |text: &str| {
             let (speed, part) = text.split_once('=')?;
@@ -339,14 +339,14 @@ impl Reader {
         self.import.leave(&entry, why);
     }
 
-    /// Takes the settings that need several entries.
+    /// Adds the settings that result from several entries together, and returns the import.
     fn finish(mut self) -> Import {
         let machine = std::mem::take(&mut self.machine);
         let is_homed = self.homing_cycles(&machine);
         self.limits(&machine.soft_limits, Key::SoftLimits, is_homed);
         self.limits(&machine.hard_limits, Key::HardLimits, true);
         self.second_motor(&machine);
-        // Take a mask of 0, too, because the machine may have another mask stored.
+        // A mask of 0 becomes a setting, too, because the machine may have another mask stored.
         let of_first = machine.directions.iter().filter(|(_, motor, ..)| *motor == 0);
         let directions: Vec<_> = of_first.map(|(axis, _, is_low, entry)| (*axis, *is_low, entry)).collect();
         self.mask(Key::DirectionInvert, &directions);
@@ -360,8 +360,8 @@ impl Reader {
         self.import.finish()
     }
 
-    /// Takes a mask of the axes that are set, if there are any axes at all. The entry of the first axis that is set
-    /// counts as the source of the mask, or else that of the first axis.
+    /// Imports the mask of those `axes` whose `bool` is true; does nothing if `axes` is empty. The report shows the
+    /// mask with the entry of the first axis in it, or if it is 0, with the first entry.
     fn mask(&mut self, key: Key, axes: &[(Axis, bool, &FileEntry)]) {
         if let Some((_, _, entry)) = axes.iter().find(|(_, is_set, _)| *is_set).or(axes.first()) {
             let bits = axes.iter().filter(|(_, is_set, _)| *is_set).fold(0, |mask, (axis, ..)| mask | bit(*axis));
@@ -369,7 +369,8 @@ impl Reader {
         }
     }
 
-    /// Takes homing, its cycles and its directions. Returns whether any axis is homed.
+    /// Imports whether the machine is homed, in which cycles and in which directions. Returns whether any axis is
+    /// homed.
     fn homing_cycles(&mut self, machine: &ConfiguredMachine) -> bool {
         let Some((_, _, first)) = machine.cycles.first() else { return false };
         let mut order: Vec<i32> =
@@ -405,8 +406,8 @@ impl Reader {
         true
     }
 
-    /// Takes limits, which FluidNC enables for each axis, and Oxmill by one setting for all axes. If not `is_possible`,
-    /// limits that are on are left out.
+    /// Imports soft or hard limits, which FluidNC enables for each axis, and Oxmill by one setting for all axes.
+    /// Without `is_possible` (soft limits need homing), limits that are on are listed as not taken.
     fn limits(&mut self, axes: &[(bool, FileEntry)], key: Key, is_possible: bool) {
         let is_on = is_possible && axes.iter().any(|(on, _)| *on);
         for (index, (on, entry)) in axes.iter().enumerate() {
@@ -421,8 +422,8 @@ impl Reader {
         }
     }
 
-    /// Takes which axis has a second motor, whether the direction of this motor is inverted, and whether it has its own
-    /// switch. Leaves out further second motors.
+    /// Imports which axis has a second motor, whether the direction of this motor is inverted, and whether it has its
+    /// own switch. Second motors of further axes are listed as not taken.
     fn second_motor(&mut self, machine: &ConfiguredMachine) {
         let mut ganged = None;
         for (axis, entry) in &machine.second_motors {

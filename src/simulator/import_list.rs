@@ -22,9 +22,9 @@ pub const NO_SETTING: &str = "no such setting";
 pub struct Import {
     /// The controller that the settings come from: `Grbl`, `grblHAL`, `FluidNC` or `Oxmill`.
     pub what: &'static str,
-    /// Settings, in the order of the file. Each number appears once.
+    /// The settings that result from the file, in its order. Each number appears once.
     pub taken: Vec<TakenSetting>,
-    /// Entries that are not taken, in the order of the file.
+    /// Entries, or parts of entries, that become no setting, in the order of the file.
     pub left: Vec<LeftEntry>,
 }
 
@@ -45,7 +45,7 @@ pub struct TakenSetting {
     pub line: usize,
 }
 
-/// An entry that is not taken.
+/// An entry, or a part of an entry, that becomes no setting.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LeftEntry {
     /// Text of the entry in the file.
@@ -114,7 +114,7 @@ pub fn row(number: u16) -> Option<Row> {
     (0..lines(AXES)).filter_map(|line| Settings::<AXES>::described(line, AXES)).find(|row| row.number == number)
 }
 
-/// Returns the values that a setting takes, in the firmware's words.
+/// Returns which values a setting accepts, in the firmware's words.
 pub fn values_of(row: &Row) -> String {
     let mut text = Text::new();
     descriptions::values_of(&mut text, row);
@@ -128,13 +128,13 @@ impl Import {
         Self { what, ..Self::default() }
     }
 
-    /// Whether a setting was taken.
+    /// Returns whether an entry so far has become the setting with this number.
     pub fn has(&self, number: u16) -> bool {
         self.taken.iter().any(|taken| taken.number == number)
     }
 
-    /// Takes a setting if its row accepts the value. Otherwise lists the entry as not taken, with the values that are
-    /// accepted.
+    /// Adds a setting if the controller's table of settings accepts the value. Otherwise lists the entry as not taken,
+    /// with the values that are accepted.
     pub fn take(&mut self, number: u16, value: Decimal, entry: &FileEntry) {
         let Some(row) = row(number) else { return self.leave(entry, NO_SETTING) };
         match Settings::<AXES>::default().accepted(number, value) {

@@ -16,12 +16,12 @@ pub struct InputTask {
     contacts: Signals,
     /// Number of samples since the contacts last changed.
     steady: u8,
-    /// Time of the next sample, in ticks; `None` while the filter and all contacts have settled.
+    /// Time of the next sample, in ticks; `None` while no contact bounces and the filter has accepted their state.
     sample_due: Option<u64>,
     inputs: Inputs,
     /// Per input: changes that the filter has rejected.
     noise: [u16; input::COUNT],
-    /// The last report to the controller.
+    /// The state of the inputs that was last reported to the controller.
     told: Option<Sensed>,
 }
 
@@ -70,8 +70,8 @@ impl InputTask {
         self.sample_due.get_or_insert(ticks);
     }
 
-    /// Takes one sample with the machine's contacts as they are now. Schedules another sample unless the filter and all
-    /// contacts have settled. `period` is the time between samples, in ticks. Returns whether the step task must be
+    /// Takes one sample with the machine's contacts as they are now. Schedules another one, `period` ticks later, while
+    /// a contact bounces or fewer than [`SETTLING`] samples in a row were equal. Returns whether the step task must be
     /// stopped.
     pub fn sample_contacts(&mut self, fittings: &mut Fittings, clock: &Clock, period: u64) -> bool {
         let now = clock.instant().ticks();
@@ -104,7 +104,7 @@ impl InputTask {
         (0..SETTLING).filter(|_| self.sample(self.low())).count()
     }
 
-    /// Sets polarity and arming of the inputs.
+    /// Sets which inputs are inverted, and which of them stop the step task when they become active.
     pub fn wire(&mut self, wiring: &Wiring) {
         self.inputs.wire(wiring);
     }

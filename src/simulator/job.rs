@@ -113,8 +113,8 @@ fn begin_recorder(
     Ok(recorded.then(|| Recorder::begin(simulator, machine)))
 }
 
-/// Returns the settings of the options, each as (origin, setting). The dialect comes last, so that `--dialect`
-/// overrides a dialect in the settings file.
+/// Returns the settings of `--settings`, `--set` and `--dialect`, each as (origin for error messages, setting). The
+/// dialect comes last, so that `--dialect` overrides a dialect in the settings file.
 fn settings(options: &MachineOptions) -> Result<Vec<(String, String)>> {
     let mut lines = Vec::new();
     if let Some(path) = &options.settings {
@@ -444,7 +444,7 @@ fn reading_failure(check: &mut Check, name: &str) -> Option<Error> {
     Some(anyhow!(failure).context(format!("cannot read the job {name} to its end")))
 }
 
-/// The files of a run with their roles.
+/// Returns the files that a run reads and writes.
 fn roles(options: &Run) -> Vec<Role<'_>> {
     let job = (options.job.as_os_str() != "-").then_some(options.job.as_path());
     let plots = options.plot.iter().map(|path| Role { path, name: "--plot", written: true });
@@ -454,7 +454,7 @@ fn roles(options: &Run) -> Vec<Role<'_>> {
     others.chain(machine).chain(plots).collect()
 }
 
-/// The files of a machine and its recording, with their roles.
+/// Returns the files that the options of a machine name, and the file of its recording.
 pub fn machine_roles<'a>(machine: &'a MachineOptions, record: Option<&'a Path>) -> Vec<Role<'a>> {
     let files = [
         (machine.settings.as_deref(), "--settings", false),

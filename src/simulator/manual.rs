@@ -9,7 +9,7 @@ use clap_mangen::Man;
 use std::path::Path;
 use std::{fs, io, iter};
 
-/// Writes all pages to standard output, one after the other, or each to a file in `folder`, which is created.
+/// Writes all manual pages to standard output, one after the other, or each to a file in `folder`, which is created.
 ///
 /// # Errors
 /// If they cannot be written.

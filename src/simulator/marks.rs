@@ -20,7 +20,7 @@ pub struct Mark {
     pub speed: u32,
 }
 
-/// The marks of the lines whose moves can still come.
+/// Line and tool (a [`Mark`]) for each move number, as long as moves with that number can still come.
 #[derive(Clone, Debug, Default)]
 pub struct Marks {
     known: VecDeque<(u32, Mark)>,
@@ -28,9 +28,10 @@ pub struct Marks {
 }
 
 impl Marks {
-    /// Records the line that is being executed. Returns a new number for its moves if the mark has changed. `queued`
-    /// returns the numbers of the moves in the queue. If there are more than `KEPT` entries, only those of queued moves
-    /// are kept: lines without moves could fill the table without limit.
+    /// Enters line and tool (`mark`) of the line that the controller now executes. Returns the number that its moves
+    /// get; `None` if they have the same mark as those before. `queued` returns the numbers of the moves in the
+    /// look-ahead: if the table has more than `KEPT` entries, only those of queued moves are kept, because lines
+    /// without moves could fill it without limit.
     pub fn begin(&mut self, mark: Mark, queued: impl FnOnce() -> Vec<u32>) -> Option<u32> {
         if self.known.back().is_some_and(|(_, last)| *last == mark) {
             return None;
@@ -44,8 +45,8 @@ impl Marks {
         Some(self.last)
     }
 
-    /// Returns the mark of a number, or the default mark if the number is unknown. Forgets all earlier numbers, because
-    /// moves are passed on in order.
+    /// Returns line and tool of the moves with this number; the default if the number is not in the table. Removes all
+    /// earlier entries: moves come in the order of their numbers.
     pub fn of(&mut self, number: u32) -> Mark {
         let Some(at) = self.known.iter().position(|(known, _)| *known == number) else { return Mark::default() };
         self.known.drain(..at);

@@ -33,14 +33,15 @@ const DRAWN_TOLERANCE: f64 = 0.06;
 /// Maximum distance between the end of a block and the step to which this end is rounded, in steps. The time that the
 /// planner gives to a block is rounded likewise.
 const ROUNDING: f64 = 0.5;
-/// Maximum position error, in steps, of the ends of an arc's chord. These ends are given in fractions of a step.
+/// Maximum position error, in steps, of the ends of a block that approximates a part of an arc. The controller gives
+/// these ends in sevenths of a step.
 const TOLD: f64 = 0.5 / AxisSteps::PARTS as f64;
 /// Blocks shorter than this many steps say little about the length of their path: several are measured together.
 const SHORT: f64 = 4.0;
 /// Rounding to steps also moves the ends of a block sideways, which makes the block longer. In blocks of at least this
 /// many steps, this is less than 0.01 % and is not corrected.
 const LONG: f64 = 32.0;
-/// Number of steps of short blocks that are measured together.
+/// Consecutive short blocks are measured together until they have this many steps.
 const TOGETHER: f64 = 12.0;
 /// Two neighbouring windows count as straight if the sum of their lengths exceeds the distance from end to end by at
 /// most this fraction. Between windows of equal length, the direction then changes by less than 0.13 rad.
@@ -77,7 +78,7 @@ struct Coming {
     /// Number of units of the block that were executed before an interruption; the block continues after them. 0 for a
     /// new block.
     entered: u32,
-    /// The line and tool of the block, if moves are marked.
+    /// The line and tool of the block, if `Simulator::mark_moves` was called.
     mark: Mark,
 }
 
@@ -87,13 +88,13 @@ struct Block {
     delta: [f64; AXES],
     units: f64,
     length: f64,
-    /// Average length that rounding adds by moving the ends across the path.
+    /// Average length, in mm, that rounding to steps adds to the block, because it moves the ends sideways.
     excess: f64,
-    /// Uncertainty of the length (without `excess`) because of rounding across the path.
+    /// Uncertainty of `length - excess` because of this sideways rounding, in mm.
     doubt: f64,
-    /// Maximum distance of the ends from their nominal positions, along the path.
+    /// By how much rounding can move each end of the block along the path, at most, in mm.
     error: f64,
-    /// Whether the block is shorter than [`SHORT`].
+    /// Whether the block is shorter than [`SHORT`] steps.
     short: bool,
     number: u64,
     mark: Mark,
@@ -119,19 +120,19 @@ struct Pending {
 #[derive(Clone, Copy, Debug)]
 struct Node {
     time: f64,
-    /// Distance along the path since the machine was last at rest, without the `excess` of the blocks.
+    /// Length of the path since the machine was last at rest, without the `excess` of the blocks.
     way: f64,
-    /// Sum of the `doubt` of the blocks since the machine was last at rest.
+    /// Uncertainty of `way`: sum of the `doubt` of the blocks since the machine was last at rest.
     doubt: f64,
     place: [f64; AXES],
     error: f64,
     /// Serial number of the block that the segment belongs to.
     block: u64,
-    /// Relative uncertainty of the block's length.
+    /// Uncertainty of the block's length, as a fraction of the length.
     wrong: f64,
 }
 
-/// Distance and time between two nodes.
+/// Distance and time between two nodes (ends of segments).
 #[derive(Clone, Copy, Debug)]
 struct Way {
     time: f64,
@@ -152,7 +153,7 @@ impl Way {
 }
 
 impl Node {
-    /// Returns the way to another node along the path.
+    /// Returns the length of the path from this node to a later one, and the time between them.
     fn along(&self, to: &Node) -> Way {
         let (time, length) = (to.time - self.time, to.way - self.way);
         let error =
@@ -160,7 +161,8 @@ impl Node {
         Way { time, length, error }
     }
 
-    /// Returns the way to another node in a straight line: a lower bound of the length.
+    /// Returns the straight distance from this node to a later one, and the time between them. The path is at least as
+    /// long.
     fn straight(&self, to: &Node) -> Way {
         Way { time: to.time - self.time, length: distance(&self.place, &to.place), error: self.error + to.error }
     }
@@ -190,11 +192,12 @@ pub struct Meter {
     block: Block,
     units_done: f64,
     waited: f64,
-    /// Ends of the most recent segments, enough for the longest window. Cleared when the machine comes to rest.
+    /// The most recent segment ends, enough for two neighbouring windows of the longest kind. Cleared when the machine
+    /// comes to rest.
     nodes: VecDeque<Node>,
     /// Number of segments since power-up.
     segments: usize,
-    /// Number of segments since the last change between rapids and feeds.
+    /// Number of consecutive segments, up to the latest one, that are all rapids or all feeds.
     alike: usize,
     rapid: bool,
     /// Short blocks whose length has not been counted yet.
@@ -300,7 +303,7 @@ impl Meter {
         &self.times
     }
 
-    /// The same times, for adding waits.
+    /// The times of [`Meter::times`]; the simulator adds dwells and spindle delays to them.
     pub fn times_mut(&mut self) -> &mut Times {
         &mut self.times
     }
@@ -311,8 +314,8 @@ impl Meter {
         self.times = Times::default();
     }
 
-    /// Call for each message that is loaded into the step task. `mark` is the line and tool of its move, if moves are
-    /// marked.
+    /// Call for each message that is loaded into the step task. `mark` is the line and tool of its move, if
+    /// `Simulator::mark_moves` was called.
     pub fn loaded(&mut self, message: &ToStep, mark: Mark) {
         match message {
             ToStep::BlockRest { steps_by_axis } => self.rest = Some(*steps_by_axis),
@@ -360,7 +363,7 @@ impl Meter {
         let Some((segment, block)) = self.upcoming.pop_front() else { return };
         if let Some(block) = block {
             self.new_block(block, position);
-            // Keep `fresh` set until a segment of the block is drawn: the first segment may be a wait.
+            // `fresh` stays set until a segment of the block is drawn, because the first segment can be a mere pause.
             self.fresh = true;
         }
         let ticks = f64::from(segment.ticks);
@@ -376,7 +379,7 @@ impl Meter {
         let units = ticks * f64::from(UNITS_PER_STEP >> segment.level);
         let part = units / self.block.units;
         let length = part * (self.block.length - self.block.excess);
-        // Count a wait with the segment that it delays.
+        // The pauses before this segment (`FLAG_WAIT`) delay it, so their time counts as its own.
         let waited = std::mem::take(&mut self.waited);
         let time = time + waited;
         let rapid = segment.flags & Segment::FLAG_RAPID != 0;
@@ -407,8 +410,8 @@ impl Meter {
         }
     }
 
-    /// Adds the part of the block that a segment covers to the distances. `parts`: the fractions of the block at which
-    /// the segment begins and ends. Blocks shorter than [`SHORT`] form a staircase of steps, which is longer than the
+    /// Adds a segment of `length` mm to the measured distances. `parts`: the fractions of its block at which the
+    /// segment begins and ends. Blocks shorter than [`SHORT`] steps form a staircase, which is longer than the
     /// programmed path. So several such blocks are counted together, as one straight line.
     fn add_distance(&mut self, length: f64, parts: [f64; 2], rapid: bool) {
         if !self.block.short || rapid != self.pending.rapid {
@@ -452,7 +455,7 @@ impl Meter {
         }
     }
 
-    /// Returns the node `segments` before the last, and the last node.
+    /// Returns the two ends of the window over the last `segments` segments; `None` if there are not so many.
     fn window(&self, segments: usize) -> Option<(&Node, &Node)> {
         let last = self.nodes.len().checked_sub(1)?;
         Some((self.nodes.get(last.checked_sub(segments)?)?, self.nodes.get(last)?))
@@ -584,8 +587,8 @@ impl Meter {
     fn new_block(&mut self, block: Coming, position: [i32; AXES]) {
         let Coming { steps_by_axis, directions, entered, mark } = block;
         let sign = |motor: usize| if directions & (1 << motor) != 0 { -1.0 } else { 1.0 };
-        // The fractions of a step at both ends count in the motor's direction of motion, and in the positive direction
-        // if the motor does not move.
+        // `AxisSteps` gives the fractions of a step at both ends as positive in the motor's direction of motion, and in
+        // the positive direction if the motor makes no step.
         let way = |motor: usize| if steps_by_axis[motor].steps() == 0 { 1.0 } else { sign(motor) };
         let told = |parts: i32| f64::from(parts) / f64::from(AxisSteps::PARTS);
         let delta = self.place_of(std::array::from_fn(|motor| {
@@ -602,8 +605,8 @@ impl Meter {
         let error = ROUNDING * steps.iter().sum::<f64>();
         let step = steps.iter().copied().fold(0.0, f64::max);
         let short = length < SHORT * step;
-        // Across the path, each end is off by up to r, evenly distributed. The mean square of the difference of both
-        // ends is 2/3 r^2, which divided by twice the length is the added length.
+        // Rounding moves each end across the path by at most r (`across`), all values being equally likely. The mean
+        // square of the difference of both ends is 2/3 r^2. Divided by twice the length, it is the added length.
         let across =
             step * if steps_by_axis.iter().all(|axis_steps| axis_steps.is_on_steps()) { ROUNDING } else { TOLD };
         let excess = if length < LONG * step { (across * across / (3.0 * length)).min(length * 0.1) } else { 0.0 };
@@ -625,18 +628,18 @@ impl Meter {
     }
 }
 
-/// Returns the window lengths, in segments.
+/// Returns the lengths, in segments, of the windows over which speeds are averaged: 1, 2, 4 and so on.
 fn scales() -> impl Iterator<Item = usize> {
     std::iter::successors(Some(1), |segments| Some(segments * 2)).take_while(|segments| *segments <= LONGEST_WINDOW)
 }
 
-/// Returns the window lengths to evaluate after `segments` segments. Windows of four or more segments are evaluated
-/// after each quarter of their length.
+/// Returns the lengths of the windows whose mean speed is evaluated after segment number `segments`. A window of four
+/// or more segments is evaluated only after each quarter of its length.
 fn due_scales(segments: usize) -> impl Iterator<Item = usize> {
     scales().filter(move |scale| segments.is_multiple_of((scale / 4).max(1)))
 }
 
-/// Returns the change of speed per time between two neighbouring ways, and its uncertainty.
+/// Returns the acceleration from the mean speeds of two consecutive windows, and its uncertainty.
 fn change(first: Way, second: Way) -> (f64, f64) {
     let per = 2.0 / (first.time + second.time);
     ((second.speed() - first.speed()).abs() * per, (first.error / first.time + second.error / second.time) * per)

@@ -18,9 +18,9 @@ const LONGEST_METHOD: usize = 64;
 /// beginning of TLS. A line longer than `LONGEST_LINE` counts as a request.
 pub struct NoBrowser<R> {
     reader: R,
-    /// The first line, while it may still be the beginning of a request.
+    /// The first line so far, while it can still become an HTTP request or the beginning of TLS.
     first: Option<Vec<u8>>,
-    /// Bytes that were read and may be passed on.
+    /// Bytes that were read from `reader` and found harmless, and that `read` has not returned yet.
     passed: Vec<u8>,
 }
 
@@ -95,7 +95,7 @@ impl<R: Read> Read for NoBrowser<R> {
 mod tests {
     use super::*;
 
-    /// A reader that returns its pieces one by one.
+    /// A reader that returns one of its pieces with each read.
     struct Pieces(Vec<&'static [u8]>);
 
     impl Read for Pieces {
@@ -169,7 +169,7 @@ mod tests {
         let mut buffer = [0; 8];
         assert_eq!(reader.read(&mut buffer).unwrap(), 1);
         assert_eq!(reader.read(&mut buffer).unwrap(), 2);
-        // Realtime commands within a line do not wait for its end, either.
+        // Nor does a realtime command within a line wait for the end of the line.
         let mut reader = NoBrowser::new(Pieces(vec![b"G1 ", b"X", b"!", b"~"]));
         for read in [b"G1 X" as &[u8], b"!", b"~"] {
             let length = reader.read(&mut buffer).unwrap();

@@ -14,7 +14,7 @@ const FIRST_WIDTH: f64 = 0.000_25;
 /// Speeds that differ by less than this fraction of the maximum speed look the same.
 const SAME_SPEED: f32 = 0.02;
 
-/// Tolerance of the first thinning, in mm.
+/// Tolerance with which points are removed from the path at first, in mm; `thin_out` doubles it when needed.
 const FIRST_TOLERANCE: f32 = 0.000_5;
 /// Maximum number of points that are thinned together.
 const AT_A_TIME: usize = 512;
@@ -34,11 +34,11 @@ pub struct Sample {
     pub rapid: bool,
     /// Where the straight move started, in mm.
     pub from: [f64; LINEAR],
-    /// Where the piece ended, in mm.
+    /// Where the motion of this sample ended, in mm.
     pub to: [f64; LINEAR],
-    /// Whether it is the first piece of its move.
+    /// Whether this is the first sample of its straight move.
     pub new_block: bool,
-    /// The line and tool of the move, if moves are marked.
+    /// The line and tool of the move, if `Simulator::mark_moves` was called.
     pub mark: Mark,
 }
 
@@ -53,8 +53,8 @@ pub struct Point {
     pub rapid: bool,
     /// Start and end time of the motion to this point, in seconds from the start of the drawing.
     pub seconds: [f64; 2],
-    /// The line and tool of the motion to this point, if moves are marked. If several motions were merged, those of the
-    /// last one.
+    /// The line and tool of the motion to this point, if `Simulator::mark_moves` was called. If several motions were
+    /// merged, those of the last one.
     pub mark: Mark,
 }
 
@@ -102,10 +102,10 @@ pub struct Drawing {
     width: f64,
     columns: Vec<Column>,
     top_speed: f32,
-    /// Whether the last point can still be moved further along its straight move.
+    /// Whether the last point can be moved further along its straight move when the next sample continues that move.
     extend: bool,
-    /// Speed of the first piece that led to the last point, mm/s. Later pieces are merged with it if their speeds
-    /// differ little.
+    /// Speed of the first sample that was merged into the last point, mm/s. Further samples are merged only if their
+    /// speeds differ little from it.
     first_speed: f32,
 }
 
@@ -136,7 +136,7 @@ impl Drawing {
         }
     }
 
-    /// Adds a piece of motion.
+    /// Adds a sample to the path and to the speed curve.
     pub fn add(&mut self, sample: Sample) {
         let began = sample.seconds - self.origin;
         let point = Point {
@@ -352,7 +352,7 @@ mod tests {
         }
         assert_eq!(drawing.points().len(), 2);
         assert!((drawing.points()[1].speed - 98.9375).abs() < 1e-3, "{:?}", drawing.points()[1]);
-        // The mean speed is the same if the points are kept at first and removed only when the path is thinned.
+        // If the path has a point for each sample, and `simplified` merges them, the mean speed is the same.
         let points: Vec<Point> = std::iter::once(drawing.points()[0])
             .chain(speeds.iter().enumerate().map(|(i, speed)| {
                 let seconds = [i as f64, i as f64 + 1.0];

@@ -7,7 +7,7 @@
 use oxmill_controller::axes::Axis;
 use oxmill_controller::messages::{SECOND_SWITCH, Signals, input};
 
-/// Returns the levels after a line of the protocol, or a sentence that says what is wrong with the line.
+/// Returns `signals` as changed by a line of the protocol, or a sentence that says what is wrong with the line.
 pub fn apply(signals: Signals, axes: usize, line: &str) -> Result<Signals, String> {
     let words: Vec<String> = line.split_whitespace().map(str::to_ascii_lowercase).collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();

@@ -11,7 +11,7 @@ use std::fmt;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "program", derive(clap::ValueEnum))]
 pub enum Dialect {
-    /// As Grbl 1.1h, even where Oxmill knows more.
+    /// Only the words and answers of Grbl 1.1h.
     Grbl,
     /// Grbl and everything beyond it.
     Oxmill,

@@ -39,9 +39,9 @@ pub struct Entry {
 /// and the words that the line of the continuation needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mode {
-    /// The first line of the rest that continues in the mode or selects another one, as an index in the rest.
+    /// Index, in the rest, of the first line that moves in this mode or selects another one.
     pub line: usize,
-    /// The words to add to that line, if it continues in the mode.
+    /// The words to add to that line if it moves in this mode; `None` if it selects another one.
     pub words: Option<String>,
 }
 
@@ -111,7 +111,7 @@ fn words(place: &PerAxis<Coordinate, AXES>) -> String {
     axes.map(|(axis, value)| format!(" {}{}", char::from(axis.letter()), exact(value.0))).collect()
 }
 
-/// Returns the moves to the position; a cutter's spindle starts before the move down.
+/// Returns the moves to the position. Unless the spindle is a laser, it is started before the move down.
 fn way(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String> {
     let mut lines = Vec::new();
     if let Some(clearance) = entry.clearance {
@@ -201,12 +201,12 @@ fn modes(modal: &Modal, is_fed: bool) -> Vec<String> {
 }
 
 /// Returns the words for the feed rate and its mode, the unit, and G0 or G1. `is_fed`: earlier lines of the prologue
-/// have set a feed rate; it is cleared if the state has none.
+/// have set a feed rate, which must be cleared if the state has none.
 fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
     let is_linear = modal.straight == MotionMode::Linear;
     let feed_in = |mode| (modal.feed_mode == mode).then_some(modal.feed).filter(|feed| *feed > Decimal::ZERO);
     let feed = feed_in(FeedMode::PerMinute);
-    // G1 needs a feed rate, even if it is cleared afterwards.
+    // G1 needs a feed rate. If the state has none, use 1, and clear it below.
     let needed = feed.or(is_linear.then_some(Decimal::from_int(1)));
     let mut words = vec![modal.straight.word().to_owned()];
     if let (Some(feed), Some(word)) = (needed, words.first_mut()) {
@@ -235,8 +235,8 @@ fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
     words
 }
 
-/// Finds the first line of the rest that continues in the motion mode in force before the rest, or selects another one.
-/// Also returns the words to add to that line. After that line, the earlier mode does not matter any more.
+/// Finds the line up to which the motion mode in force before the `rest` of a job matters: the first line of the rest
+/// that moves in this mode or selects another one. Also returns the words to add to that line.
 ///
 /// # Errors
 /// A text for users: no line of the rest moves the machine.
@@ -248,7 +248,7 @@ pub fn mode_of(state: &Interpreter<AXES>, rest: &[&[u8]], dialect: Dialect) -> R
     for (line, text) in rest.iter().enumerate() {
         let found = words_of(text);
         let groups = found.iter().filter_map(|(letter, number)| group_of(*letter, *number, dialect).ok());
-        // M2 and M30 select another mode; M0 does not.
+        // M2 and M30 select another motion mode, too; M0 does not.
         let mut selects = has_word(text, b'M', &[2, 30]);
         let mut takes_axes = false;
         for group in groups {
@@ -270,9 +270,9 @@ pub fn mode_of(state: &Interpreter<AXES>, rest: &[&[u8]], dialect: Dialect) -> R
     Err("no line moves the machine from there on".into())
 }
 
-/// Returns the index, in the rest, of the line whose curve (G5 without I and J) continues a curve from before the rest.
-/// Returns `None` if there is no such line, or another curve of the rest precedes it. Only words with literal numbers
-/// are recognized. `mode` is the motion mode in force.
+/// Returns the index of the line of `rest` that continues a curve of the lines before the rest, because it is a G5
+/// without I and J. Returns `None` if there is no such line, or another curve of the rest comes first. Only words with
+/// literal numbers are recognized. `mode` is the motion mode in force.
 pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) -> Option<usize> {
     let mut is_curve = mode == MotionMode::Spline(SplineKind::Cubic);
     for (line, text) in rest.iter().enumerate() {
@@ -287,8 +287,8 @@ pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) ->
             if !has(b'I') {
                 return Some(line);
             }
-            // This curve needs no earlier curve, and a later curve would continue this one, so the search ends here.
-            // But if this line can be skipped (`/`), look further.
+            // This G5 has its own I, and a later G5 would continue this curve, so the search ends here. But if this
+            // line can be skipped (`/`), look further.
             if !text.trim_ascii_start().starts_with(b"/") {
                 return None;
             }
@@ -304,7 +304,7 @@ pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) ->
 fn cycle(kind: CycleKind, words: &CycleWords, units: Units, has: impl Fn(u8) -> bool) -> String {
     let length = |length: Coordinate| match units {
         Units::Mm => exact(length.0),
-        // The result is exact if the length was written with at most six decimals of an inch.
+        // Exact if the job gives the length in inches with at most six decimals.
         Units::Inch => exact((length.0 * 10 + length.0.signum() * 127) / 254),
     };
     let depth = words.plane.axes().linear.letter();
@@ -359,7 +359,7 @@ pub fn put_in_front(line: &[u8], words: &str) -> Vec<u8> {
     let skip = |at: usize, is: &dyn Fn(&u8) -> bool| at + line[at..].iter().take_while(|byte| is(byte)).count();
     let mut at = skip(0, &blank);
     if line.get(at) == Some(&b'/') {
-        // A number can follow the slash.
+        // The slash of a line that can be skipped can have a number, as in `/1`.
         at = skip(at + 1, &|byte| byte.is_ascii_digit());
     }
     at = skip(at, &blank);

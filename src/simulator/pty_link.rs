@@ -29,7 +29,8 @@ pub(crate) fn open(link: Option<&Path>, sender: SyncSender<Happened>) -> Result<
     make_raw(&master).context("cannot set up the pseudo terminal")?;
     // The write side must not block forever if a client does not read.
     fcntl(&master, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).context("cannot set up the pseudo terminal")?;
-    // Close the other end, so that the first client that opens it is noticed.
+    // Close the clients' end. While no client has it open, `poll` reports a hang-up, so that the first client is
+    // detected.
     drop(ends.slave);
     if let Some(link) = link {
         match fs::symlink_metadata(link) {
@@ -129,7 +130,7 @@ impl Port {
             while (&self.master).read(&mut rest).is_ok_and(|length| length > 0) {}
             client.inbox.end();
             self.sender.send(Happened::Heard).ok()?;
-            // When the writer has ended, the loop has released the client, and nothing more is written.
+            // Wait until the loop has released the client and its writer has ended: then no further reply comes.
             let _ = client.writer.join().ok()?;
             let flags = (OFlag::O_NOCTTY | OFlag::O_NONBLOCK).bits();
             if let Ok(end) = OpenOptions::new().read(true).write(true).custom_flags(flags).open(&self.path) {

@@ -19,7 +19,7 @@ impl Pump<AXES> for Simulator {
     }
 
     fn begin(&mut self) -> Instant {
-        // The simulator receives no bytes during a round, so what is in the queues now is all that the round gets.
+        // A round of the control task begins. Make ready the bytes of the job that the round may read.
         self.read_job_ahead();
         self.clock.instant()
     }
@@ -75,8 +75,8 @@ impl Pump<AXES> for Simulator {
     }
 
     fn room(&mut self) -> Room {
-        // Mark the line here, because `room` is called before each output: at the first output, the line in progress is
-        // known, and none of its moves is queued yet.
+        // Number the moves of the line in progress here, because `room` is called before each output: at the line's
+        // first output, none of its moves is queued yet.
         self.mark_line();
         Room { step: self.step.queued() < SEGMENTS_DEPTH, reply: self.outgoing.len() < OUTGOING }
     }
@@ -119,7 +119,8 @@ impl Pump<AXES> for Simulator {
 }
 
 impl Simulator {
-    /// Passes the next piece of the recording that `$REC` lists to the controller, in the same form as on a board.
+    /// Answers a request of `$REC`: passes the next part of the recording to the controller, in the same form as on a
+    /// board. `first`: begins with the start of the recording.
     fn read_recording(&mut self, first: bool) {
         let Simulator { controller, recorder, store, board, .. } = self;
         let record = |number| store.records().into_iter().nth(usize::from(number));

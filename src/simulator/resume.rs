@@ -20,8 +20,8 @@ use oxmill_controller::units::{Coordinate, DECIMAL_ONE, Decimal};
 /// axis that a program names moves.
 const START: [f64; AXES] = [-0.1357, -0.2473, -0.3791, -0.4919];
 
-/// Distance of the second simulator's position from [`START`]. Also the shift of each coordinate system's zero relative
-/// to that of the previous system.
+/// Distance, in mm, of the second run's first position from [`START`]. In the second run, the zero of each coordinate
+/// system is also this far from that of the previous system.
 const ELSEWHERE: [f64; AXES] = [1.9, 3.1, -2.3, 4.7];
 
 /// Default spin-up time, in seconds.
@@ -168,12 +168,12 @@ fn line_number_of(line: &str) -> Option<u32> {
     digits.split(|c: char| !c.is_ascii_digit()).next()?.parse().ok()
 }
 
-/// The end of a move of a job.
+/// The Z that a move of a job reached, and how the move got there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct End {
     line: usize,
     system: CoordinateSystem,
-    /// Z of the tool's tip in that system, without G52 and G92.
+    /// Z of the tool's tip at the end of the move, in `system` without G52 and G92.
     height: Coordinate,
     /// The tool length offset in Z.
     length: Coordinate,

@@ -62,7 +62,8 @@ pub fn serve(options: &Serve) -> Result<()> {
     let written = open_link(options, sender)?;
     begin_recording(&mut recorder, record)?;
     Device::new(simulator, options.speed, options.reset_on_connect, recorder).run(&receiver)?;
-    // The device has ended, so nothing more is sent to the writer: wait until it has written its queue.
+    // The loop has ended, so nothing more is sent to the writer of standard output: wait until it has written its
+    // queue.
     match written.map_or(Ok(Ok(())), Writer::join) {
         Ok(Err(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         Ok(written) => written.context("cannot write the answers"),
@@ -108,7 +109,7 @@ struct Device {
     simulator: Simulator,
     speed: Speed,
     reset_on_connect: bool,
-    /// A time of the host's clock and the corresponding virtual time in ticks.
+    /// Reference for [`Speed::Times`]: a time of the host's clock, and the virtual time at that moment in ticks.
     anchor: (Instant, u64),
     client: Option<Client>,
     /// TCP clients that connected while the previous client was about to disconnect.
@@ -175,8 +176,8 @@ impl Device {
             }
             let active = self.simulator.is_active();
             if self.is_done() && !active && self.simulator.unfetched() == 0 && self.kept.is_none() {
-                // Lines that are still unread would be executed only after a command from a host, but no host will
-                // come. The writer ends after the last reply, when its sender is dropped.
+                // Standard input has ended. Lines that are still unread stay unread, because the machine would need a
+                // realtime command first. The writer ends after the last reply, when its sender is dropped.
                 let failure = self.client.as_ref().and_then(|client| client.inbox.failure());
                 return failure.map_or(Ok(()), Err).context("cannot read standard input to its end");
             }
@@ -235,7 +236,8 @@ impl Device {
         }
     }
 
-    /// Returns whether standard input has ended, and all of it has been passed on or the port has no room for the rest.
+    /// Returns whether standard input has ended and no more of it can be sent to the simulator: all has been sent, or
+    /// the port has no room for the rest.
     fn is_done(&self) -> bool {
         let has_room = self.simulator.unread() < PORT;
         self.client.as_ref().is_some_and(|client| {

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, anyhow};
 use std::io::{self, Read};
 use std::path::Path;
 
-/// Maximum width of the entries' column, in characters.
+/// Maximum width, in characters, of the column of the report that shows the entries of the file.
 const WIDEST: usize = 50;
 
 /// Runs `settings import`.

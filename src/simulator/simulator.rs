@@ -72,9 +72,9 @@ pub struct Simulator {
     /// Whether the controller has requested the state of the inputs and has not received it yet.
     pub(crate) pins_asked: bool,
     pub(crate) outgoing: Vec<u8>,
-    /// A loaded job. The controller takes its bytes instead of the host's lines, as soon as it can execute more.
+    /// A loaded job. The controller reads its bytes instead of the host's lines, as soon as it can execute more.
     pub(crate) job: Sole<JobText>,
-    /// Number of bytes of `job` that the controller can take in the present round.
+    /// Number of bytes of `job` that the controller can read in the present round of [`oxmill_controller::pump`].
     pub(crate) job_ready: usize,
     pub(crate) wiring: Option<Wiring>,
     /// Records the inputs as a board does.
@@ -142,14 +142,14 @@ impl Simulator {
         };
         let World { fittings, machine, .. } = &mut simulator.world;
         if !fittings.is_empty() && fittings.moved(machine, 0) {
-            // A switch is closed at power-up, so the inputs must be sampled.
+            // A contact is closed at power-up: schedule a sample, so that the controller learns of it.
             simulator.inputs.sample_at(0);
         }
         simulator.turn();
         simulator
     }
 
-    // Inputs
+    // Inputs: bytes of the host, its port, and the pins.
 
     /// Receives bytes from the host at the present virtual time. Realtime commands act immediately: they overtake line
     /// bytes sent earlier, as long as these line bytes fit into the board's queue and the link (255 and 192 bytes).
@@ -165,12 +165,13 @@ impl Simulator {
     pub fn send_followed(&mut self, bytes: impl AsRef<[u8]>, more: bool) {
         self.host.follow(more);
         self.send(bytes);
-        // `more` holds only for these bytes. The board took the waiting bytes next, even if they are recorded only
-        // later, when their line ends.
+        // Reset it: the board took the waiting bytes next. The recording can contain them later, because it contains
+        // a line with the time of its end.
         self.host.follow(false);
     }
 
-    /// For a replay: the host never counts as silent, because a recording does not tell when each byte was received.
+    /// For a replay: the controller never finds that the host has gone silent. A recording does not contain the time of
+    /// each byte.
     pub fn hear_always(&mut self) {
         self.host.hear_always();
     }
@@ -180,7 +181,7 @@ impl Simulator {
         self.host.lose();
     }
 
-    /// For a replay: sets the state of the machine. See `Controller::stand`.
+    /// For a replay: puts the machine, which must be at rest, into a recorded state. See `Controller::stand`.
     pub fn stand(&mut self, standing: &Standing, lock: bool) {
         self.controller.stand(standing, lock);
         self.turn();
@@ -286,7 +287,7 @@ impl Simulator {
         }
     }
 
-    /// Number of bytes sent and not yet taken by the controller: in its queue, in the link, and in the host's port.
+    /// Number of bytes sent and not yet read by the controller: in its queue, in the link, and in the host's port.
     pub fn unread(&self) -> usize {
         self.host.unread()
     }
@@ -296,7 +297,7 @@ impl Simulator {
         self.outgoing.len()
     }
 
-    // Time
+    // Virtual time: advancing it, and what will happen in it.
 
     /// Advances virtual time.
     pub fn run_for(&mut self, time: Duration) {
@@ -340,8 +341,8 @@ impl Simulator {
         }
         let until = wake.unwrap_or(u64::MAX).min(limit).min(sample.unwrap_or(u64::MAX));
         let began = self.clock.now();
-        // Reaching only `limit` is not an event, so that the caller's choice of limits does not shift the following
-        // wake-ups.
+        // If nothing but `limit` is reached, the control task does not run. So the limits that the caller chooses do
+        // not shift the controller's wake-ups.
         let is_event = loop {
             match self.step.due() {
                 Some(due) if due <= until => {
@@ -368,8 +369,8 @@ impl Simulator {
         true
     }
 
-    /// Returns the tick at which the controller must work next, or at which a `!` that may be text is executed as a
-    /// command, whichever comes first; `None` if there is no such tick or the clock never reaches it.
+    /// Returns the tick at which the controller must work next, or at which a `!` in an unfinished comment becomes a
+    /// feed hold, whichever comes first; `None` if there is no such tick or the clock never reaches it.
     fn wake_due(&self) -> Option<u64> {
         let due = [self.controller.next_wakeup(), self.host.rest_due()].into_iter().flatten();
         let due = due.map(|instant| self.clock.ticks_at(instant)).min()?;
@@ -418,7 +419,7 @@ impl Simulator {
         &self.clock
     }
 
-    // State
+    // Access to the parts of the simulator, to their state and measurements.
 
     /// Profile of the simulated board.
     pub fn board(&self) -> &Board {
@@ -497,7 +498,7 @@ impl Simulator {
         self.wiring
     }
 
-    /// Step-clock ticks during which the step task was busy: the time base of the trace's digest.
+    /// Step-clock ticks during which the step task was busy. The trace's digest uses them as the time of a step.
     pub fn busy_ticks(&self) -> u64 {
         self.step.busy()
     }
@@ -529,15 +530,15 @@ impl Simulator {
         self.learn_resolution();
     }
 
-    /// From here on, each move is marked with its line and tool, for drawings and times. Status reports then contain
-    /// the numbers of the marks instead of N words.
+    /// From here on, moves have numbers, by which drawings and times find the line and tool of each move. Status
+    /// reports then contain these numbers instead of N words.
     pub fn mark_moves(&mut self) {
         self.marks = Some(Marks::default());
     }
 
-    /// Loads a job, whose lines the controller takes whenever it is ready.
+    /// Loads a job. The controller reads its lines as soon as it can execute more.
     pub fn load_job(&mut self, mut job: JobText) {
-        // Grbl's dialect (0) has no tape marks.
+        // In Grbl's dialect (0), a line `%` is no tape mark.
         let has_tape_marks = self.controller.settings().whole(Key::Dialect) != 0;
         job.begin(self.controller.lines_read(), self.board.has_all_words, has_tape_marks);
         self.job = Sole(Some(job));
@@ -554,7 +555,7 @@ impl Simulator {
         self.job.0.as_mut()
     }
 
-    // The tasks
+    // What the tasks of a board do.
 
     /// Takes one sample of the machine's contacts as they are now.
     fn sample_contacts(&mut self) {
@@ -603,7 +604,7 @@ impl Simulator {
         (self.stored, self.pins_asked, self.wiring) = (None, false, None);
     }
 
-    /// Runs one turn of the control task at the present time.
+    /// Lets the control task work at the present time until it finds nothing more to do.
     fn turn(&mut self) {
         while !self.power_is_gone() {
             if !pump::round(self) {

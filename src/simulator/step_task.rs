@@ -83,12 +83,12 @@ impl StepTask {
         self.due
     }
 
-    /// Number of ticks during which the task was busy: the time base of the trace's digest.
+    /// Number of ticks during which the task was busy. The trace's digest uses it as the time of a step.
     pub fn busy(&self) -> u64 {
         self.busy
     }
 
-    /// Resets the time base of the digest to zero.
+    /// Resets [`StepTask::busy`], because a new trace begins.
     pub fn restart(&mut self) {
         self.busy = 0;
     }
@@ -142,7 +142,7 @@ impl StepTask {
         world.trace.outputs(clock.now(), &outputs, self.power);
     }
 
-    /// Queues a message. `mark` is the line and tool of its move, if moves are marked.
+    /// Queues a message. `mark` is the line and tool of its move, if `Simulator::mark_moves` was called.
     pub fn queue(&mut self, message: ToStep, mark: Mark, clock: &Clock, world: &mut World) {
         self.segments.push_back((message, mark));
         self.load(clock, world);
@@ -213,7 +213,8 @@ impl StepTask {
             world.meter.at_rest(clock.seconds(due));
             return true;
         }
-        // Let the control task run, so that sampling of a changed contact begins now and not at the next wake-up.
+        // If a contact has changed or the probe has touched, the caller samples the inputs and runs the control task
+        // now.
         probed || contact
     }
 
@@ -243,7 +244,8 @@ impl StepTask {
     pub fn stop(&mut self, clock: &Clock, world: &mut World) {
         let event = self.stepper.stop([0; AXES]);
         self.stopped(event, clock, world);
-        // Take all messages from the queue: they are void now, and a full queue would have no room for `Resume`.
+        // Let the stepper discard all messages of the queue, which the stop has made void. A full queue would have no
+        // room for `Resume`.
         self.load(clock, world);
     }
 

@@ -34,7 +34,7 @@ pub type Keep = Arc<dyn Fn(Kept<'_>) -> std::io::Result<()> + Send + Sync>;
 pub enum Unusable {
     /// The bytes are not a flash image with a settings log.
     Foreign(anyhow::Error),
-    /// The log in the image cannot be continued.
+    /// The image contains a settings log, but opening the log has failed.
     Log(Failure),
 }
 
@@ -77,7 +77,8 @@ impl Store {
         Ok(Self { log: Log::open(image)? })
     }
 
-    /// Returns the store as found after a power cycle: the same flash, without an ordered power cut.
+    /// Returns the store as it is after a power cycle: with the same flash, and without the power cut of
+    /// [`Store::cut_power_after`].
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -88,7 +89,7 @@ impl Store {
         Self::power_up(image).map_err(|failure| anyhow!("{failure}"))
     }
 
-    /// Returns a copy in memory only: its changes are not passed to `keep`.
+    /// Returns a copy in memory only: its changes do not reach the file of the original (see [`Store::kept`]).
     ///
     /// # Errors
     /// If the log cannot be read.
@@ -172,7 +173,7 @@ impl fmt::Display for Failure {
 #[derive(Clone)]
 struct Image {
     sectors: [Vec<u32>; 2],
-    /// Shared, because a cloned store represents the same flash.
+    /// Receives every change. Clones share it, because a cloned store represents the same flash.
     keep: Option<Keep>,
     operations: u32,
     cut: Option<u32>,
@@ -262,7 +263,7 @@ impl Flash for Image {
         let torn = self.torn;
         let at = address as usize / 4;
         let slot = &mut self.words(sector)[at];
-        // Programming clears bits and never sets one.
+        // A write to flash can only clear bits. If the power is cut during the write, it clears only those of `torn`.
         *slot &= if powered { word } else { word | !torn };
         let now = *slot;
         self.tell(sector, at, &[now])?;

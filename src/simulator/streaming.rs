@@ -13,7 +13,8 @@ use std::time::Duration;
 
 /// Length of a time slice.
 const SLICE: Duration = Duration::from_millis(1);
-/// Slices per second, times the bits on the wire per byte: start, eight data bits, stop.
+/// Capacity of the link that a byte takes, in units of 1/1000 bit: start, eight data bits, stop. In these units, the
+/// link gains its baud rate with each slice of 1/1000 s.
 const BYTE: u64 = 1000 * 10;
 /// The lag is how much later a line ends than over an unlimited link. If the lag grows by less than this from one line
 /// to the next, in seconds, the growth is ignored, because the time slices alone can cause it.
@@ -56,12 +57,12 @@ pub struct Streaming {
     in_flight: VecDeque<usize>,
     /// Bytes that the sender has handed to the link and that the link has not carried yet.
     outgoing: VecDeque<u8>,
-    /// Unused transmission capacity for `outgoing`, in units of 1/[`BYTE`] byte.
+    /// Capacity that the link has gained for `outgoing` and not used yet, in the unit of [`BYTE`].
     credit: u64,
     /// Reply bytes that the link has not carried back to the sender yet.
     returning: VecDeque<u8>,
     answer: Vec<u8>,
-    /// Unused transmission capacity for `returning`, in units of 1/[`BYTE`] byte.
+    /// Capacity that the link has gained for `returning` and not used yet, in the unit of [`BYTE`].
     credit_back: u64,
     errors: u64,
     done: bool,
@@ -133,7 +134,7 @@ impl Streaming {
         self.done = answered && self.simulator.is_idle() || stuck && !self.in_flight.is_empty();
     }
 
-    /// Skips slices in which nothing happens, because a dwell can last for years.
+    /// Skips the time slices in which nothing happens, because a dwell can last for years.
     fn pass_slices_without_event(&mut self) {
         let slice = self.simulator.clock().ticks_in(SLICE);
         let slices = self.simulator.ticks_without_event() / slice;
@@ -195,14 +196,15 @@ impl Streaming {
     }
 }
 
-/// Returns how many of the waiting bytes a link carries in one slice.
+/// Returns how many of the `waiting` bytes a link carries in one time slice. `credit`: its unused capacity, in the unit
+/// of [`BYTE`].
 fn carried(baud: u32, credit: &mut u64, waiting: usize) -> usize {
     if baud == 0 {
         return waiting;
     }
     *credit += u64::from(baud);
     let carried = usize::try_from(*credit / BYTE).unwrap_or(waiting).min(waiting);
-    // If nothing more waits, keep only the fraction of a byte: capacity that was not used is lost.
+    // If all bytes are carried, keep less than a byte as credit: an idle link cannot save up capacity.
     *credit = if carried < waiting { *credit - carried as u64 * BYTE } else { *credit % BYTE };
     carried
 }

@@ -108,7 +108,7 @@ pub struct Summary {
     pub feed_s: f64,
     /// Part of the forecast in rapids.
     pub rapid_s: f64,
-    /// Remaining part of the forecast: dwells, spindle delays, tool changes.
+    /// Part of the forecast without motion: dwells, spindle delays, tool changes.
     pub standing_s: f64,
     /// Part of `standing_s` for G4 and the dwells of canned cycles.
     pub dwell_s: f64,

@@ -40,9 +40,9 @@ pub(crate) fn set_up(stream: &TcpStream, unread: Duration) -> io::Result<()> {
 
 /// Maximum length of a line of the pin protocol, bytes.
 const PIN_LINE: u64 = 256;
-/// Maximum time until the first line of a pin client.
+/// Maximum time until a pin client has sent its first line.
 const FIRST_LINE: Duration = Duration::from_secs(60);
-/// Maximum time for which a pin client can leave replies unread when there is no room for another.
+/// Maximum time for which writing a reply blocks if a pin client does not read and its buffers are full.
 const UNREAD: Duration = Duration::from_secs(5);
 /// Socket buffer sizes for the lines and the replies of a pin client, bytes.
 const PIN_BUFFER: usize = 1 << 14;

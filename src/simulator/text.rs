@@ -38,7 +38,7 @@ pub enum Said {
     Message {
         /// Line number in the file of the oldest line that was unanswered when this output came; 0 if there was none.
         line: u64,
-        /// The output.
+        /// The line of output.
         text: String,
     },
     /// A line given to the controller may not do what was intended.
@@ -62,7 +62,7 @@ pub struct JobText {
     unanswered: VecDeque<(u64, String, Option<Error>)>,
     /// Whether the board supports all words of the simulator.
     has_all_words: bool,
-    /// Whether the controller's dialect has tape marks.
+    /// Whether a line `%` is a tape mark in the controller's dialect.
     has_tape_marks: bool,
     lines: u64,
     answers: u64,
@@ -76,10 +76,10 @@ pub struct JobText {
     said: Vec<Said>,
     /// Number of lines that the controller had read before this job.
     lines_before: u32,
-    /// For each tape mark in the file: the number of lines before it that are not tape marks.
+    /// For each tape mark (`%`) in the file: the number of lines before it that are not tape marks.
     marks: Vec<u64>,
-    /// Line number of the most recent tape mark, if words came before the mark and none have come since. The next line
-    /// with words passes this mark on.
+    /// Line number of a tape mark that follows words. If words follow it, too, it lies between two programs, and is
+    /// given to the controller before them. `None` if there is no such mark, or if it has been given.
     between: Option<u64>,
     /// For each tape mark that was given to the controller: the number of lines given before it, including tape marks.
     given_marks: Vec<u64>,
@@ -120,9 +120,9 @@ const OF_STATE: [u8; 6] = [
 
 /// A line that may have opened a block.
 struct Opener {
-    /// Its index among the lines given to the controller, from 1.
+    /// Number of this line among those given to the controller, from 1.
     given: u64,
-    /// Its line number in the file.
+    /// Number of this line in the file, from 1.
     number: u64,
     text: String,
 }
@@ -177,7 +177,7 @@ impl JobText {
         self.openers.iter().find(|opener| opener.given == given).map(|opener| (opener.number, opener.text.as_str()))
     }
 
-    /// Returns the program numbers (`O1001`) among the lines that may have opened a block, as the file has them.
+    /// Returns the program numbers, such as `O1001`, among the lines that may have opened a block.
     pub fn program_numbers(&self) -> impl Iterator<Item = &str> {
         self.openers.iter().filter_map(|opener| {
             let text = opener.text.trim();
@@ -391,7 +391,7 @@ impl JobText {
     }
 
     fn reply_line(&mut self, reply: &str) {
-        // If the file switches checked lines on (`$LC`), the answers have a header, too.
+        // After `$LC=ON` in the file, each answer begins with a header, which has a checksum.
         let reply = match without_header(reply) {
             "known" => "ok",
             text => text,
@@ -440,7 +440,7 @@ fn mentions_inches(line: &str) -> bool {
         || words.windows(2).any(|pair| is_number(pair[0]) && pair[1] == "IN")
 }
 
-/// Returns an answer without the header of a checked line.
+/// Returns an answer without the header with the checksum that it has after `$LC=ON`.
 pub fn without_header(reply: &str) -> &str {
     reply.strip_prefix(':').and_then(|answer| answer.get(ANSWER_HEADER - 1..)).unwrap_or(reply)
 }
@@ -570,7 +570,7 @@ mod tests {
         assert!(!drain(&mut job).contains('%'), "Grbl's dialect has none");
     }
 
-    /// The lines after `$LC=ON` are not checked lines, so they are rejected.
+    /// After `$LC=ON`, answers begin with a header. The lines of the job have no checksums, so they are rejected.
     #[test]
     fn answers_to_checked_lines_are_answers() {
         let mut job = JobText::new(&b"$LC=ON\nG0\n\n"[..]);

@@ -13,7 +13,8 @@ use crate::boards::AXES;
 pub struct StepRecord {
     /// Virtual time in step-clock ticks since power-up.
     pub at: u64,
-    /// Step-clock ticks during which the step task had been busy: the time base of the digest.
+    /// Number of step-clock ticks, up to this event, during which the step task was busy. The digest uses this time,
+    /// not `at`.
     pub busy: u64,
     /// Axes that stepped; bit 0 is X.
     pub steps: u8,
@@ -88,7 +89,7 @@ pub fn hash(words: impl IntoIterator<Item = u64>) -> u64 {
 }
 
 impl Trace {
-    /// Also writes a CSV file from here on.
+    /// From here on, also writes a row for each step event into this CSV file.
     pub fn write_csv(&mut self, csv: Csv) {
         self.csv = Sole(Some(csv));
     }

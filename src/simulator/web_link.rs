@@ -39,8 +39,8 @@ const MARK: &str = "<meta charset=\"utf-8\">";
 /// The page that is served.
 pub struct Site {
     html: Vec<u8>,
-    /// The names of the loopback, each with the port. For port 80 also the names alone, because browsers omit that
-    /// port.
+    /// What `Host` may be: `127.0.0.1` or `localhost`, with the port. For port 80 also without it, because browsers
+    /// omit that port.
     hosts: Vec<String>,
 }
 
@@ -76,7 +76,7 @@ impl Site {
     }
 }
 
-/// Returns the names of the loopback as they appear in `Host` and `Origin`.
+/// Returns how a browser names this computer in `Host`, and after `http://` in `Origin`, if the page is at `port`.
 fn names(port: u16) -> Vec<String> {
     const NAMES: [&str; 2] = ["127.0.0.1", "localhost"];
     let bare = NAMES.iter().filter(|_| port == 80).map(|name| (*name).to_owned());
@@ -175,7 +175,7 @@ pub fn pass_messages(
 ) {
     let _ = carry(&mut socket, inbox, answers, sender);
     inbox.end();
-    // If the loop has ended, there is no receiver.
+    // Ignore the error: it occurs only if the loop that receives these events has ended.
     let _ = sender.send(Happened::Heard);
     if inbox.is_endless() {
         let _ = socket.send(Message::binary(ENDLESS.to_vec()));

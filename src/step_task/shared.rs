@@ -20,17 +20,18 @@ pub struct StepStatus {
     pub wants: AtomicU8,
 }
 
-/// See [`StepStatus`].
+/// Status of the step task. Only `step` writes it, except that the watchdog writes [`STEP_ASKED`] to `wants`.
 pub static STEP: StepStatus =
     StepStatus { segments_begun: AtomicU32::new(0), at_rest: AtomicBool::new(true), wants: AtomicU8::new(1) };
 
-/// Value of [`StepStatus::wants`] that `inputs` (the watchdog) writes to check whether a run of `step` follows. It is
-/// nonzero, so until `step` has run, a task that queues a message still pends the step vector.
+/// Value of [`StepStatus::wants`] that the watchdog (in `inputs`) writes to check whether `step` runs: each run
+/// replaces it. It is nonzero, so a task that queues a message before that run still pends the step vector.
 pub const STEP_ASKED: u8 = 2;
 
 /// Status that `serial` publishes to the other tasks.
 pub struct SerialStatus {
-    /// Line bytes put into the queue, or gathered for a message to it, since power-up (wrapping).
+    /// Line bytes put into the queue to `control`, or gathered in `serial` for the next message to it, since power-up
+    /// (wrapping).
     pub bytes_queued: AtomicU32,
     /// Line bytes received since power-up (wrapping): `bytes_queued` plus the bytes that wait for room. A command that
     /// waits for room counts as one byte.
@@ -47,7 +48,7 @@ pub struct SerialStatus {
     owed: AtomicU32,
 }
 
-/// See [`SerialStatus`].
+/// Status of the serial task. Only `serial` writes it, except that `control` clears the owed commands ([`take_owed`]).
 pub static SERIAL: SerialStatus = SerialStatus {
     bytes_queued: AtomicU32::new(0),
     bytes_received: AtomicU32::new(0),
@@ -66,7 +67,7 @@ pub struct InputStatus {
     pub noise: [AtomicU16; input::COUNT],
 }
 
-/// See [`InputStatus`].
+/// Status of the task `inputs`. Only `inputs` writes it, except that `control` clears `noise`.
 pub static INPUTS: InputStatus =
     InputStatus { low: AtomicU32::new(0), noise: [const { AtomicU16::new(0) }; input::COUNT] };
 
@@ -79,11 +80,11 @@ pub struct ControlStatus {
     pub reads_characters: AtomicBool,
     /// Whether hosts are answered like grblHAL, which has more realtime commands.
     pub speaks_grblhal: AtomicBool,
-    /// See [`Power`].
+    /// The requested power of spindle or laser, encoded by [`Power::want`].
     power: AtomicU32,
 }
 
-/// See [`ControlStatus`].
+/// Status of the control task. Only `control` writes it, except that `step` switches a laser off at a stop or underrun.
 pub static CONTROL: ControlStatus = ControlStatus {
     free_at: AtomicU32::new(u32::MAX),
     reads_characters: AtomicBool::new(false),
@@ -99,7 +100,7 @@ pub struct Asked {
     pub control: AtomicBool,
 }
 
-/// See [`Asked`].
+/// The flags by which the watchdog finds out whether `serial` and `control` still run.
 pub static ASKED: Asked = Asked { serial: AtomicBool::new(false), control: AtomicBool::new(false) };
 
 /// Stops requested by any task since power-up (wrapping). A count instead of a flag, so that each request is executed
@@ -113,9 +114,9 @@ pub fn ask_for_stop() {
 }
 
 /// For `serial`: keeps a command for which the queue had no room. Returns `false`, and does not keep the command, if
-/// its loss does no harm. A stop (0x19) and a jog cancel are kept as resets, so this function requests a stop of the
-/// step task for them; for a reset, `serial` has already done so. The caller must pend the step vector afterwards, as
-/// for [`ask_for_stop`].
+/// its loss does no harm. A stop (0x19) and a jog cancel are kept as resets, and each reset needs a stop of the step
+/// task. For the two, this function requests that stop; for a reset, `serial` has already done so. The caller must pend
+/// the step vector afterwards, as for [`ask_for_stop`].
 pub fn owe(command: Realtime) -> bool {
     let Some(owed) = Owed(SERIAL.owed.load(Ordering::Relaxed)).with(command) else { return false };
     if command.opens_epoch() && command != Realtime::Reset {
@@ -145,8 +146,8 @@ pub fn stops_asked() -> u16 {
     STOPS_ASKED.load(Ordering::Relaxed)
 }
 
-/// For `control`: sets whether everything received until [`SerialStatus::heard`] had the value `heard` has been
-/// executed and answered.
+/// For `control`: publishes whether it has executed and answered everything that arrived until [`SerialStatus::heard`]
+/// reached the value `heard`.
 pub fn set_free(heard: u32, free: bool) {
     CONTROL.free_at.store(if free { heard } else { heard.wrapping_sub(1) }, Ordering::Relaxed);
 }

@@ -191,8 +191,8 @@ fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
         if difference.to_le_bytes().iter().filter(|byte| **byte != 0).count() <= 1 {
             return Some((index, difference));
         }
-        // The CRC is linear. So running it backwards over one word converts these bits into those that must be wrong in
-        // the preceding word, if the error is there.
+        // `difference` holds the wrong bits if the error is in the word `index`. If it is in the word before, it has
+        // other wrong bits there: since the CRC is linear, running it backwards over one word computes them.
         for _ in 0..32 {
             difference = if difference >> 31 == 0 { difference << 1 } else { (difference ^ POLYNOMIAL) << 1 | 1 };
         }
@@ -479,8 +479,8 @@ impl<F: Flash> Log<F> {
                 Entry { kind: REMOVE, key: *from, value }
             }
         };
-        // Flash cannot be repaired in place. So a change that removes the report of damage compacts the log into the
-        // spare sector.
+        // Flash cannot be repaired in place. So a change that removes the report of damage (the user confirms it)
+        // copies the valid records into the spare sector.
         let cleans = self.unsound && entry.kind == REMOVE && entry.replaces(STORE_DAMAGED);
         // After a failed write (`appendable` is false), store the change even if it seems to have no effect: the failed
         // record is ignored now, but a restart could find it as valid.
@@ -547,8 +547,8 @@ impl<F: Flash> Log<F> {
             end = self.copy(target, end, &entry)?;
         }
         if coming.kind == PUT {
-            // The new record replaces its predecessor atomically, because it becomes valid with the header, like the
-            // copies.
+            // The new record becomes valid together with the copied ones, when the header is written. So it replaces
+            // the old record of its key atomically.
             end = self.copy(target, end, coming)?;
         }
         let sequence = self.sequence.wrapping_add(1);
@@ -653,9 +653,9 @@ impl<F: Flash> Log<F> {
         Ok(None)
     }
 
-    /// Returns the addresses of the valid records of `KEYS` consecutive keys, and the first later key that has a
-    /// record. `from`: the first of the keys. One walk over the log finds all of them. To search the rest of the log
-    /// for a replacement of each record would take seconds if the log is full.
+    /// Finds the valid records of `KEYS` consecutive keys, beginning with `from`. Returns their addresses, and the next
+    /// key after these that has a record. Walks over the log once for all keys: to search the rest of the log for a
+    /// newer record of each key would take seconds if the log is full.
     fn counting(&mut self, from: u16) -> Result<(Places, Option<u16>), F::Error> {
         let mut places = [NOWHERE; KEYS];
         let index = |key: u16| usize::from(key.saturating_sub(from)).min(KEYS);

@@ -277,8 +277,8 @@ fn cut_everywhere(changes: &[Store], torn_bits: u32) -> Result<(), TestCaseError
         let mut log = Log::open(flash).unwrap();
         let (stored, told) = found(&mut log);
         prop_assert!(stored == before || stored == after, "{stored:?} is neither {before:?} nor {after:?}");
-        // A power cut may be reported as damage only if the bits that it left unprogrammed are in a crc and lie in a
-        // single byte.
+        // A word whose write was interrupted may be reported as damage only if it is a crc, and if its unprogrammed
+        // bits lie in a single byte.
         let one_byte = |missing: u32| missing.to_le_bytes().iter().filter(|byte| **byte != 0).count() == 1;
         let like_damage = torn.is_some_and(|(sector, address, missing)| {
             one_byte(missing) && (address == 4 || log.is_erased(sector, address + 4).unwrap())
@@ -292,8 +292,8 @@ fn cut_everywhere(changes: &[Store], torn_bits: u32) -> Result<(), TestCaseError
     Ok(())
 }
 
-/// Correcting one byte of the partial record that this power cut leaves would make its crc fit by chance. But the
-/// corrected record would have another length, so this must not count as damage.
+/// The power cut leaves a partial record whose crc would fit if one of its bytes were changed. But the changed record
+/// would have another length, so the partial record must not be reported as damage.
 #[test]
 fn a_crc_that_fits_by_chance_is_no_damage() {
     let value = heapless::Vec::from_slice(&[203, 117, 14, 83, 92, 38, 228, 0, 129, 48]).unwrap();

@@ -72,7 +72,7 @@ const fn spin_up() -> u16 {
     SPIN_UP
 }
 
-/// Splits an input into the order and the job: JSON, a 0 byte, the job.
+/// Splits an input at its first 0 byte into an [`Order`] in JSON and the job.
 ///
 /// # Errors
 /// If the order is not valid JSON of this form.

@@ -197,7 +197,8 @@ pub extern "C" fn oxmill_check_summary() -> u32 {
     })
 }
 
-/// Prepares the rows of the checked job's path and returns their number; 0 if no path was kept.
+/// Prepares the path of the job that [`oxmill_check_begin`] has begun, as rows of numbers, and returns the number of
+/// rows; 0 if no path was kept.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_path() -> usize {
     with(|instance| {
@@ -241,8 +242,8 @@ pub extern "C" fn oxmill_stream_begin() -> u32 {
     })
 }
 
-/// Advances the machines of both links by up to `milliseconds`. Returns the part of the job that the machine of the
-/// limited link has read, 0 to 1000, or [`DONE`].
+/// Advances both machines, that of the unlimited and that of the limited link, by up to `milliseconds`. Returns the
+/// part of the job that the machine of the limited link has read, 0 to 1000, or [`DONE`].
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_stream_advance(milliseconds: u32) -> u32 {
     with(|instance| {

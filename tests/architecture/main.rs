@@ -101,8 +101,9 @@ fn module_of(file: &Path) -> Vec<String> {
     parts
 }
 
-/// Returns the room (or name in the crate's root) that a path leads to, if the path starts with `crate`, `self` or
-/// `super`.
+/// Returns the first name of a path, counted from the root of the crate: a room (top-level module) of the controller,
+/// or another name in the root. `module` is the module whose file has the path. `None` if the path does not start with
+/// `crate`, `self` or `super`.
 fn room_of(path: &[String], module: &[String]) -> Option<String> {
     let mut base = module.to_vec();
     let mut rest = path;
@@ -152,8 +153,8 @@ fn faults(file: &Path, text: &str) -> Vec<String> {
             faults.push(format!("uses `{}`", path.join("::")));
         }
         // `room_of` counts `super` from the module of the file. That is right because rooms have inline modules only in
-        // tests. Names that the crate's root re-exports are rejected: used through the root, a room's name would bypass
-        // the table.
+        // tests. A path to a name that the crate's root re-exports, such as `crate::Profile`, is rejected: it does not
+        // show the room that the name comes from.
         if let Some(other) = room_of(&path, &module)
             && other != *room
             && !allowed.contains(&other.as_str())
@@ -261,7 +262,7 @@ fn board_faults(_: &Path, text: &str) -> Vec<String> {
             "oxmill_controller" => {
                 matches!(path.get(1).map(String::as_str), Some("Profile" | "StepRates" | "digest" | "ResetCause"))
             }
-            // To hand received bytes to a task, boards need only a channel, not RTIC itself.
+            // Boards may use the channels of `rtic_sync`, to pass received bytes to a task, but not RTIC itself.
             "rtic" | "oxmill_simulator" => false,
             _ => true,
         };

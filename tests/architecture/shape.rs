@@ -74,7 +74,7 @@ fn circles(graph: &BTreeMap<String, BTreeSet<String>>) -> usize {
     let reached: BTreeMap<&String, BTreeSet<String>> = graph.keys().map(|file| (file, reach(file))).collect();
     let on: Vec<_> = reached.iter().filter(|(file, there)| there.contains(**file)).map(|(file, _)| file).collect();
     if !on.is_empty() {
-        // The failing assertion gives only the number of files.
+        // Printed because the failing assertion shows only the number of these files.
         println!("on a circle: {on:?}");
     }
     on.len()
@@ -182,7 +182,8 @@ fn a_crate_has_each_type_name_once() {
     for folder in CRATES.into_iter().filter(|folder| *folder != "boards") {
         for (_, items) in items(folder) {
             for item in items.iter().filter(|item| ["struct", "enum", "trait"].contains(&item.kind.as_str())) {
-                // A type in a macro (`$name`) gets its name only where the macro is used.
+                // A type that a macro declares with `$name` is not counted: its name is known only where the macro is
+                // used.
                 if item.name != "$" {
                     *found.entry(format!("{folder} {}", item.name)).or_default() += 1;
                 }

@@ -238,7 +238,8 @@ pub fn items(tokens: &[String]) -> Vec<Item> {
     found
 }
 
-/// Returns the last name of the type of an `impl`, without its parameters.
+/// Returns the name of the type of an `impl`, without its path and its parameters: `Ring` for `impl<T> Display for
+/// log::Ring<T>`.
 fn type_of_impl(tokens: &[String]) -> String {
     let (mut angles, mut name) = (0_usize, String::new());
     for (i, token) in tokens.iter().enumerate().skip(1) {

@@ -82,7 +82,7 @@ fn the_simulator_as_a_library_has_no_files_threads_or_clock() {
         {
             if condition { &mut gated } else { &mut parts }.push(name.to_owned());
         }
-        // The feature's name is a string, which `bare` has blanked.
+        // Any `cfg(feature = "...")` counts: `bare` has blanked the string with the name of the feature.
         condition = line.starts_with("#[cfg(feature");
     }
     assert!(parts.len() > 12 && gated.contains(&"server".to_owned()), "{parts:?} {gated:?}");

@@ -1,8 +1,8 @@
 //! Durations of jobs, compared with those of other controllers for equivalent jobs: the table of `docs/motion.md`.
 //!
 //! `cargo xtask bench` prints the table; given file names, it prints the durations of these programs. The controller
-//! and the step generator run in a loop with a link that is never late, so every figure is in step-clock time and the
-//! same on every machine. Each job also runs with a look-ahead that holds the whole job.
+//! and the step generator run in a loop, in which the controller never has to wait for bytes of a job. So every figure
+//! is in step-clock time and the same on every machine. Each job also runs with a look-ahead that holds the whole job.
 
 #[path = "../../xtask/src/programs/mod.rs"]
 #[allow(dead_code, unused_imports, reason = "only the benchmark's jobs are wanted here, and without their tests")]
@@ -24,7 +24,7 @@ const STEP_CLOCK_HZ: u32 = 96_000_000;
 const MACHINE: &str = "$0=3\n$11=0.010\n$30=1000\n$100=80\n$101=80\n$102=80\n$110=10000\n$111=10000\n$112=10000\n\
     $120=500\n$121=500\n$122=500\n";
 
-/// Result of a job.
+/// Motion of a program on the simulated machine: its duration, its net steps, and the number of `error:` answers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Outcome {
     /// Time from the first to the last step, s.
@@ -116,13 +116,13 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
     Outcome { seconds, net, lines_refused: refused as u32 }
 }
 
-/// A row of the table.
+/// A job for the printed tables, with its settings and the results of other controllers.
 struct Row {
     job: &'static str,
     what: &'static str,
     settings: &'static str,
-    /// Results of the equivalent job with Grbl 1.1h and with grblHAL: the duration in seconds, or the steps made. Empty
-    /// if there is none.
+    /// Results of the equivalent job with Grbl 1.1h and with grblHAL: the duration in seconds, or the number of steps
+    /// followed by `steps`. An empty text if there is no result.
     peers: [&'static str; 2],
 }
 

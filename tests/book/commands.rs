@@ -8,13 +8,14 @@ use oxmill_tables::BOARDS;
 
 /// Cargo's own commands that the pages use.
 const OF_CARGO: [&str; 9] = ["bench", "binstall", "build", "clippy", "deny", "install", "mutants", "package", "test"];
-/// Other programs that the pages use.
+/// Programs that the pages use, other than `oxmill`, `cargo`, and the interpreters of scripts (bash, node, python).
 const OF_OTHERS: [&str; 9] = ["dfu-util", "git", "ls", "mdbook", "printf", "rustup", "stty", "timeout", "wait"];
 
-/// A command of a page.
+/// A command that a page shows or names, split into words.
 struct Command<'a> {
     words: Vec<&'a str>,
-    /// Whether it is a complete line to be typed; otherwise the text only names the command.
+    /// Whether the page shows the command as a line to type. If not, its text only names the command, and arguments can
+    /// be missing.
     whole: bool,
 }
 
@@ -64,7 +65,7 @@ fn filled_in(word: &str) -> String {
 fn fault_of_oxmill(words: &[&str], whole: bool) -> Option<String> {
     let words: Vec<String> = words.iter().map(|word| filled_in(word)).collect();
     let error = CommandLine::try_parse_from(words).err()?;
-    // If the text only names a command, its arguments can be missing.
+    // A command that a page only names (`whole` is false) may lack arguments.
     let is_short = matches!(
         error.kind(),
         ErrorKind::MissingRequiredArgument

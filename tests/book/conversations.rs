@@ -34,9 +34,9 @@ fn send(mill: &mut Simulator, line: &str) {
     }
 }
 
-/// Plays a fence and returns the conversation with the actual answers, and the number of lines. `> ` sends a line, `* `
-/// sets an input pin as `--pins` does; both wait until the machine is idle. A line that ends in ` ...` gets only half a
-/// second.
+/// Sends the lines of a fence to the machine. Returns these lines with the machine's actual answers, and the number of
+/// lines. A line after `> ` is sent to the controller; a line after `* ` sets an input pin, as `--pins` does. After
+/// each line virtual time runs until the machine is idle, or for half a second if the line ends in ` ...`.
 fn said(mill: &mut Simulator, fence: &str) -> (String, usize) {
     let (mut now, mut seen) = (String::new(), 0);
     for line in fence.lines().filter(|line| line.starts_with("> ") || line.starts_with("* ")) {
@@ -51,8 +51,8 @@ fn said(mill: &mut Simulator, fence: &str) -> (String, usize) {
             mill.run_for(std::time::Duration::from_millis(500));
         }
         let answer = mill.take_output().replace('\r', "");
-        // The machine must become idle. The only exception is an alarm that only a reset ends: then the machine leaves
-        // bytes unread.
+        // The machine must become idle after each line. The only exception is an alarm that only a reset ends, in which
+        // the controller reads no more lines.
         assert!(done || answer.contains("ALARM"), "{line}: {answer}");
         now += &format!("{line}\n{answer}");
         seen += 1;
@@ -99,7 +99,8 @@ fn pages_with_hands_on_say_all_lines_in_conversations() {
     }
 }
 
-/// Returns the settings of the lines `$n=v`, with the last value of each number.
+/// Returns the values that the lines `$n=v` of a text assign, by setting number; of several values of a setting the
+/// last. Only lines that begin with `before` count.
 fn assignments(text: &str, before: &str) -> BTreeMap<u16, String> {
     let lines = text.lines().filter_map(|line| line.strip_prefix(before)?.strip_prefix('$')?.split_once('='));
     lines.filter_map(|(number, value)| Some((number.parse().ok()?, value.to_owned()))).collect()

@@ -13,7 +13,8 @@ const FOLDER: &str = "docs/pictures/boards";
 /// Maximum size of a drawing, bytes.
 const MOST_BYTES: usize = 25_000;
 
-/// Colour of the kinds, and their names in the legend. White text on each has a contrast of 4.5 or more.
+/// For each kind of pin, its colour and its name in the legend. White text on each colour has a contrast ratio of 4.5
+/// or more.
 const COLOURS: [(Kind, &str, &str); 8] = [
     (Kind::Motors, "#1f6fb2", "motors"),
     (Kind::Spindle, "#7c3aed", "spindle, laser"),
@@ -49,7 +50,7 @@ fn all(groups: &[Group]) -> impl Iterator<Item = (Kind, &Wire)> {
     groups.iter().flat_map(|group| group.wires.iter().map(move |wire| (group.kind, wire)))
 }
 
-/// A side of the board.
+/// Direction in which the line, the arrow and the text of a pin are drawn.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Side {
     Left,
@@ -62,7 +63,8 @@ impl Side {
         if self == Side::Left { edge - distance } else { edge + distance }
     }
 
-    /// Returns the class of a text that grows away from the board.
+    /// Returns the CSS class of a text that is drawn in this direction: `e` (`text-anchor:end`) for the left, so that
+    /// the text ends at its coordinate; none for the right.
     fn class(self) -> &'static str {
         if self == Side::Left { "e" } else { "" }
     }
@@ -115,7 +117,7 @@ impl Svg {
         self.line(format_args!("M{x} {y}h6l11 -7M{} {y}h6v4m-5 0h10m-8 3h6m-4 3h2", x + 17), colour(kind));
     }
 
-    /// Draws the function of a pin beside its chip.
+    /// Draws the text of a pin's function at a place, followed by MOSFET if the connector has one.
     fn function(&mut self, place: (i32, i32), class: &str, wire: &Wire) {
         let mosfet = if wire.has_mosfet() { " <tspan class=\"s\">MOSFET</tspan>" } else { "" };
         let class = if class.is_empty() { String::new() } else { format!(" class=\"{class}\"") };
@@ -123,8 +125,8 @@ impl Svg {
         self.add(format_args!("<text x=\"{x}\" y=\"{y}\"{class}>{}{mosfet}</text>", wire.text));
     }
 
-    /// Draws the legend: the kinds that the board has, and what the signs mean. Returns the y coordinate of its lower
-    /// end.
+    /// Draws the legend: the colours of the kinds of pins that the board has, and below them `lines`, which explain the
+    /// signs. Returns the y coordinate of its lower end.
     fn legend(&mut self, y: i32, groups: &[Group], lines: &[&str]) -> i32 {
         let mut x = 20;
         for (kind, colour, name) in COLOURS {
@@ -180,8 +182,8 @@ fn signs(boards: &[Board], groups: &[Group]) -> Vec<String> {
     signs
 }
 
-/// x coordinates of the left and right edge of a control board. The next three constants are heights, and the last is
-/// the y coordinate of the first group.
+/// x coordinates of the left and right edge of a control board. The next three constants are the heights of a group's
+/// caption, of a pin's row and of the gap between groups; the last is the y coordinate of the first group.
 const EDGES: (i32, i32) = (305, 635);
 const CAPTION: i32 = 24;
 const ROW: i32 = 22;
@@ -300,7 +302,7 @@ const BLACK_PILL: ([&str; 20], [&str; 20]) = (
         "C14", "C13", "VBAT",
     ],
 );
-/// Pins that the board itself uses.
+/// Pins of a Black Pill that its own components use, with this use.
 const OWN_USES: [(&str, &str); 5] =
     [("B2", "BOOT1"), ("C13", "LED"), ("C14", "32 kHz crystal"), ("C15", "32 kHz crystal"), ("A0", "KEY")];
 
@@ -434,7 +436,8 @@ fn nucleo(title: &str, boards: &[Board]) -> String {
             let Some((kind, wire)) = used else { continue };
             drawn += 1;
             let (side, edge) = if name == "CN7" { (Side::Left, EDGE.0) } else { (Side::Right, EDGE.1) };
-            // The inner pin of the first row has its function above that of the outer one.
+            // In the first row, the line and the text of the inner pin are drawn 24 units higher, above those of the
+            // outer pin.
             let is_inner = row == 1 && (x == CN7.1 || x == CN10.0);
             let y = if is_inner { at(1) - 24 } else { at(row) };
             let end = side.out(edge, 18);

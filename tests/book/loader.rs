@@ -25,7 +25,8 @@ fn loader(board: &Board) -> &'static Loader {
     }
 }
 
-/// Returns the two cells of a board in the table: its outputs with a pull-up, and its pins that may be driven.
+/// Returns the last two cells of a board's row in the table of boot loaders: its outputs on which the boot loader
+/// switches a pull-up on, and its pins that the boot loader may drive.
 pub fn cells(board: &Board) -> [String; 2] {
     let loader = loader(board);
     let groups = groups(board);

@@ -55,7 +55,8 @@ fn writes() -> bool {
     std::env::var_os("OXMILL_WRITE_DOCS").is_some()
 }
 
-/// Compares a page with the generated text, or writes it.
+/// Fails if a page differs from the text that `make` returns for it. With `OXMILL_WRITE_DOCS`, writes that text to the
+/// page instead.
 fn keep(page: &Path, make: impl FnOnce(&str) -> String) {
     let _alone = PAGES.lock().unwrap_or_else(PoisonError::into_inner);
     let text = fs::read_to_string(page).unwrap_or_default();

@@ -16,7 +16,8 @@ fn drawing_commands(text: &str) -> Vec<Vec<String>> {
     words.filter(|words: &Vec<String>| words.last().is_some_and(|file| file.starts_with("docs/"))).collect()
 }
 
-/// Draws a picture to another file and compares, or overwrites it.
+/// Draws a picture into a temporary file and fails if it differs from the stored one. With `OXMILL_WRITE_DOCS`,
+/// overwrites the stored picture instead.
 fn draw(words: &[String]) {
     let (own, command) = words.split_last().expect("words");
     let own = root().join(own);

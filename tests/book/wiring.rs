@@ -165,7 +165,8 @@ pub fn groups(board: &Board) -> Vec<Group> {
     groups
 }
 
-/// Returns the links to hosts (`boards/stm32f4/setup.rs`).
+/// Returns the pins that connect a board to hosts: those of the UART and, if the image has USB, those of USB (as in
+/// `boards/stm32f4/setup.rs`).
 fn links(board: &Board) -> Vec<Wire> {
     let link = |text, way, pin: &str| Wire { key: "", text, way, pin: pin.to_owned(), label: String::new() };
     let (tx, rx) = if board.image.has_usb { ("A9", "A10") } else { ("A2", "A3") };

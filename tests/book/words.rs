@@ -143,7 +143,8 @@ fn names(dialects: &[&str]) -> String {
     if dialects.len() == DIALECTS.len() { "all".into() } else { dialects.join(", ") }
 }
 
-/// Returns the table of words.
+/// Returns the table of the G and M words that the firmware accepts. Panics if [`MEANINGS`] lacks one of them or has
+/// another word.
 fn table() -> String {
     let mut words = words();
     let mut table = "| word | dialects | group | meaning |\n|---|---|---|---|\n".to_owned();
@@ -179,7 +180,8 @@ fn dialects_of_letter(letter: char) -> Vec<&'static str> {
     found
 }
 
-/// Returns the table of letters.
+/// Returns the table of the letters, other than G and M, that the firmware accepts with a value. Panics if [`LETTERS`]
+/// lacks one of them or has another letter.
 fn letters() -> String {
     let mut known: BTreeMap<String, Vec<&str>> = ('A'..='Z')
         .filter(|letter| !"GM".contains(*letter))
@@ -208,7 +210,8 @@ fn refused_on_the_page(text: &str, error: Error) -> BTreeSet<String> {
     let section = text.split("## Not supported").nth(1).expect("a section");
     let list = section.split(&format!("`error:{}` for `", error.code())).nth(1).expect("a list").split('`').next();
     let words: Vec<&str> = list.unwrap_or_default().split_whitespace().collect();
-    // The page also lists `M52 P1` and `M53 P0`: known M words with an invalid value. Their P words are removed here.
+    // The page also lists `M52 P1` and `M53 P0`, which are M words with an invalid value. Only the M words are
+    // returned, so the P words are dropped here.
     words
         .windows(2)
         .map(|pair| pair[0])
@@ -234,7 +237,8 @@ fn what_the_page_says_is_refused_is_what_the_firmware_refuses() {
         assert!(named.remove(known), "{known}");
     }
     let mut every: BTreeSet<String> = refused(Error::NotSupported).collect();
-    // These are words of subprograms, which the firmware accepts in the lines in which they are allowed.
+    // `group_of` rejects the words of subprograms, but the firmware accepts them in lines that call or end a
+    // subprogram.
     every.retain(|word| !["G65", "G66", "M98", "M99"].iter().any(|known| word.starts_with(known)));
     for word in &named {
         assert!(every.contains(word), "the firmware does not refuse {word} by error:121");

@@ -19,8 +19,8 @@ use std::collections::{BTreeMap, VecDeque};
 
 pub const AXES: usize = 3;
 const BLOCKS: usize = 16;
-/// Maximum number of outputs in a round, not counting answers. All of these outputs except the last change a pin or its
-/// wiring.
+/// Maximum number of outputs in a round (one pass of the pump), not counting [`REPLIES_DEPTH`] texts for the host. Most
+/// of these outputs change a pin or the wiring of pins.
 const MOST_QUIET_OUTPUTS: usize = 8;
 /// Maximum number of rounds without time passing. A program can loop without moving; after this many rounds the board
 /// no longer waits for its end.
@@ -30,7 +30,7 @@ const MOST_WORK: u64 = 100_000;
 /// Maximum number of ticks and wake-ups in a session. After these, time no longer advances.
 const MOST_MOMENTS: u32 = 60_000;
 
-/// Sources of events that can be delayed, as bits of [`Board::late`].
+/// Bits of [`Board::late`]. While a bit is set, the controller does not get the events of this source.
 pub mod late {
     pub const STEP: u8 = 1;
     pub const COMMANDS: u8 = 2;
@@ -70,7 +70,8 @@ pub struct Board {
     pub hosts: VecDeque<Event<AXES>>,
     pub answers: VecDeque<Event<AXES>>,
     pins_asked: bool,
-    /// Records the input; its pages fill up soon.
+    /// Records the events and lines that the controller receives. It has only four pages, so that short inputs also
+    /// fill them.
     recorder: Recorder<Vec<Page>>,
     pub late: u8,
     epoch: u16,
@@ -91,12 +92,13 @@ pub struct Board {
     pub travel: Option<[(i32, i32); AXES]>,
     /// Maximum number of rounds without time passing.
     pub most_rounds: usize,
-    /// Number of times that a program had not finished after `most_rounds`.
+    /// Number of times that the controller still had work to do after `most_rounds` rounds.
     pub unended: usize,
     book: Book,
 }
 
-/// Returns whether a text line is an answer to a G-code line: plain, or with a number and a check if lines are checked.
+/// Returns whether an output line answers a G-code line: `ok` or `error:`, or an answer with a line number and a
+/// checksum after a colon, as the controller sends them while lines are checked (`$LC=ON`).
 fn is_answer(line: &[u8]) -> bool {
     match line.strip_prefix(b":") {
         None => line == b"ok" || line.starts_with(b"error:"),
@@ -106,17 +108,19 @@ fn is_answer(line: &[u8]) -> bool {
     }
 }
 
-/// Account of the answers that are due.
+/// Counts the answers to lines, and how many there must and can be.
 #[derive(Clone, Debug, Default)]
 struct Book {
-    /// Whether the line whose first bytes have been read must be answered for sure.
+    /// Whether the line that is being read must be answered. It need not be if the controller can have dropped a part
+    /// of it, for example at a reset.
     is_sure: bool,
     last_byte: u8,
-    /// Number of answers that must have been sent.
+    /// Minimum number of answers since the previous [`Book::settle`]: one for each line that has been read and must be
+    /// answered.
     least: usize,
-    /// Number of answers that can have been sent.
+    /// Maximum number of answers since the previous [`Book::settle`]: one for each line end that has been read.
     most: usize,
-    /// Number of answers that were sent.
+    /// Number of answers that the controller has sent since the previous [`Book::settle`].
     come: usize,
     /// Output since the last line end.
     text: Vec<u8>,
@@ -129,7 +133,8 @@ impl Book {
         match byte.byte {
             HOST_CHANGED => self.is_sure = true,
             b'\n' | b'\r' => {
-                // CR LF need not be answered twice: its LF can be the end of an empty line, or part of one line end.
+                // The controller may answer the LF of a CR LF, as the end of an empty line, or not, as a part of the
+                // line end. So this LF raises only `most`.
                 let merged = byte.byte == b'\n' && self.last_byte == b'\r';
                 self.most += 1;
                 self.least += usize::from(self.is_sure && !merged);
@@ -329,7 +334,7 @@ impl Board {
 
     // Time
 
-    /// Returns whether time can still pass in this session ([`MOST_MOMENTS`]).
+    /// Returns whether the clock may still advance: a session has at most [`MOST_MOMENTS`] ticks and wake-ups.
     pub fn has_time(&self) -> bool {
         self.moments < MOST_MOMENTS
     }
@@ -439,12 +444,13 @@ impl Board {
             }
             assert_eq!(begun, self.stepper.segments_begun(), "time stands still in a round");
         }
-        // Only a program in a loop can go on for so many rounds, and the controller accepts no line during the loop.
+        // After so many rounds the controller must be running a loop of a program, during which it accepts no line.
         self.unended += 1;
         assert!(!self.controller.wants_line(), "rounds without end");
     }
 
-    /// Restarts the board (`$REBOOT`): everything begins again but the store, the time, and what the case has chosen.
+    /// Restarts the board (`$REBOOT`) as after a power-up. Only the stored records, the clock, unread output, `unended`
+    /// and the fields that the fuzz target sets are kept.
     fn reboot(&mut self) {
         let Board { now, late, travel, is_true, store_fails, most_rounds, unended, .. } = *self;
         let (said, records) = (std::mem::take(&mut self.said), std::mem::take(&mut self.records));
@@ -521,8 +527,8 @@ impl Pump<AXES> for Board {
                     // The controller drops all lines received so far.
                     self.forget_lines();
                     if self.commands.iter().any(|command| command.opens_epoch()) {
-                        // A byte that the controller has taken, but that waits for the pending command, is dropped,
-                        // too.
+                        // A byte that the controller has taken can wait there for the pending command, which then drops
+                        // it. So the lines read so far need not be answered any more.
                         self.book.least = self.book.come;
                     }
                 }
@@ -532,7 +538,7 @@ impl Pump<AXES> for Board {
                 let event = self.hosts.pop_front()?;
                 if matches!(event, Event::Disconnected(_)) {
                     self.forget_lines();
-                    // The line in progress is not answered.
+                    // A line that the controller has read but not answered need not be answered any more.
                     self.book.least = self.book.come;
                 }
                 Some(event)
@@ -558,12 +564,12 @@ impl Pump<AXES> for Board {
             return None;
         }
         self.lines.pop_front();
-        // The line that this byte belongs to is dropped, and not answered.
+        // The byte is from before a reset, a stop or a jog cancel: the controller drops its line without an answer.
         self.book.given(byte, false);
         Some(byte)
     }
 
-    /// Hands over as many bytes as fit into a message of the firmware.
+    /// Passes at most as many bytes to the controller at once as a message between the firmware's tasks holds.
     fn give_text(&mut self, now: Instant) -> bool {
         let Some((LineByte { epoch, .. }, _)) = self.lines.front().copied() else { return false };
         let alike = self.lines.iter().take_while(|(byte, _)| byte.epoch == epoch && !byte.damaged);

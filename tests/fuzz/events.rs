@@ -110,8 +110,8 @@ const LINES: [&str; 33] = [
 /// Settings that change behaviour, but not how long a session takes.
 const NUMBERS: [u16; 24] =
     [0, 1, 3, 5, 10, 13, 15, 20, 21, 22, 23, 27, 30, 32, 40, 56, 58, 900, 901, 902, 924, 925, 926, 928];
-/// The direction mask: the only one of these settings that changes how positions are computed from the motors' step
-/// counts.
+/// Beginning of a line that sets the direction mask. Of [`NUMBERS`], only this setting changes how positions are
+/// computed from the motors' step counts.
 const RENAMING: &str = "$3=";
 /// A [`Line::Setting`] with this number or a higher one changes one of [`WATCHES`].
 const WATCHES_FROM: u8 = 240;
@@ -278,8 +278,8 @@ fn back_to_idle(mut board: Board) {
         return;
     }
     board.inputs(0);
-    // A startup line can keep the machine moving for long, even after a dwell. The second reset then comes during this
-    // motion and locks the machine, so the startup line is not run again.
+    // A reset runs the startup lines. One of them can keep the machine moving for long, even after a dwell. A second
+    // reset during this motion locks the machine, so this reset does not run the startup lines again.
     let is_restored = (0..4).any(|_| {
         for time in [20_000, 200_000] {
             board.command(Realtime::Reset);

@@ -71,14 +71,14 @@ enum Action {
 struct Reader {
     half: Vec<LineByte>,
     epoch: u16,
-    /// For each host the unread lines: the number of letters, and how many of them are left if a reset in the middle of
-    /// the line drops its beginning.
+    /// For each host, the lines that it has sent and the controller has not read. A line has two possible numbers of
+    /// letters: of the whole line, and of its rest after a reset in the middle of the line.
     sent: [VecDeque<[usize; 2]>; 2],
     /// Realtime commands that were sent and have not been read.
     commands: Vec<Realtime>,
 }
 
-/// Maximum number of control-flow edges in a call; the highest count when this was chosen: 15.
+/// Maximum number of control-flow edges while a link takes one byte; the highest count when this was chosen: 15.
 pub const MOST_WORK: u64 = 64;
 
 /// Runs the target on one input; panics if an invariant is violated.

@@ -20,7 +20,7 @@ pub mod work;
 /// A target: its name and its function.
 pub type Target = (&'static str, fn(&[u8]));
 
-/// All targets.
+/// The fuzz targets. Each has a corpus of the same name.
 pub const TARGETS: [Target; 9] = [
     ("lines", lines::run),
     ("programs", programs::run),
@@ -40,7 +40,7 @@ pub fn target(name: &str) -> Option<fn(&[u8])> {
 
 #[cfg(test)]
 mod tests {
-    /// Runs the inputs of the tree.
+    /// Runs a target on its inputs in `corpus` and `finds`. The target panics if an invariant is violated.
     fn replay(name: &str) {
         let run = super::target(name).expect("a target");
         let text = |folder| std::fs::read_to_string(format!("{}/{folder}/{name}.txt", env!("CARGO_MANIFEST_DIR")));

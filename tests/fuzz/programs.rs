@@ -18,7 +18,7 @@ const STEPS_PER_MM: i64 = 4;
 const TRAVEL: i32 = 60;
 const SETTINGS: &str = "$100=4 $101=4 $102=4 $110=30000 $111=30000 $112=30000 $120=4000 $121=4000 $122=4000 $130=60 $131=60 \
     $132=60 $24=3000 $25=6000 $26=1 $27=1 $22=1 $20=1";
-/// Position of the motors at the switches, in steps from power-up.
+/// Position at which the limit switch of each axis closes, in steps of its motor from power-up.
 const SWITCHES: i32 = 20;
 /// Number of times that the target waits for an answer before it abandons the program, which can contain an endless
 /// loop.
@@ -26,7 +26,7 @@ const MOST_WAITS: usize = 40;
 /// Maximum number of rounds (passes of the pump) without time passing. A line that needs more counts as an endless
 /// loop.
 const MOST_ROUNDS: usize = 600;
-/// Maximum number of such loops in one input.
+/// Maximum number of endless loops (see [`MOST_ROUNDS`]) in one input. After more, the target abandons the input.
 const MOST_UNENDED: usize = 2;
 /// Maximum number of lines of an input.
 const MOST_LINES: usize = 48;
@@ -120,7 +120,8 @@ fn carry_out(board: &mut Board, text: &[u8], line: &[u8]) -> bool {
                 println!("{:?} {:?} {:?}", line.escape_ascii().to_string(), board.take_said(), board.motors);
             }
             if board.controller.alarm().is_some() {
-                // After a stop at speed the position is not trusted, and soft limits do not apply.
+                // An alarm can have stopped the machine at speed. Then the position is not trusted, and soft limits do
+                // not apply.
                 board.ask("$X");
                 if !board.controller.is_trusted() {
                     board.travel = None;

@@ -22,7 +22,7 @@ pub const MACHINE: &str = r#"
     ]
     plate = { axis = "z", at_mm = -3.0, side = "negative", bounce_us = 200 }
 "#;
-/// Settings of this machine, separated by spaces.
+/// Settings that a machine gets after start-up, separated by spaces: rates, accelerations, travel and homing.
 pub const SETTINGS: &str =
     "$110=3000 $111=3000 $112=3000 $120=300 $121=300 $122=300 $130=12 $131=12 $132=12 $24=300 $25=2000 $26=20";
 /// Names of the inputs in the simulator's pin protocol.
@@ -51,7 +51,7 @@ enum Action<'a> {
     Pin(u8, bool),
     Wait(u8),
     Hosts(bool),
-    /// Sends a line. While it is being stored, the power fails once `after` words are written, and then returns.
+    /// Sends a line. The power fails after `after` words have been written to the flash, and then returns.
     PowerCut {
         line: Line,
         after: u8,
@@ -113,7 +113,8 @@ impl Line {
                 let mm = |value: &i8| f64::from(*value) / 50.0;
                 format!("$J=G91X{:.2}Y{:.2}Z{:.2}F{}\n", mm(x), mm(y), mm(z), 60 + u32::from(*feed) * 12)
             }
-            // Resolution, rates and accelerations are left alone, so that a session stays short.
+            // Settings of resolution, rates, accelerations and travel are not changed, because motions could then last
+            // very long. An empty line is sent instead.
             Line::Setting { number, .. } if (100..=132).contains(number) => "\n".into(),
             Line::Setting { number, value } => format!("${}={value}\n", number % 950),
             Line::Command(which @ WATCHES_FROM..) => format!("{}\n", WATCHES[usize::from(which - WATCHES_FROM)]),

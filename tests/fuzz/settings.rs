@@ -27,7 +27,7 @@ enum Action<'a> {
 
 #[derive(Arbitrary)]
 enum Number {
-    /// An existing setting.
+    /// An index into [`KNOWN`].
     Known(u8),
     Any(u16),
 }
@@ -95,7 +95,7 @@ const MOST_ACTIONS: usize = 16;
 /// Maximum number of times that a line is expected to wait for the operator.
 const MOST_WAITS: usize = 4;
 
-/// From this value on, the first byte chooses the dialect of grblHAL.
+/// If the first byte of an input is at least this value, the input runs in the dialect of grblHAL (`$900=3`).
 pub const OF_GRBLHAL: u8 = 0xF0;
 
 thread_local! {
@@ -188,7 +188,7 @@ impl Machine {
         // A dwell or move that takes too long is interrupted by the reset below, and not answered.
         let is_cut = answers.is_empty() && !self.board.controller.is_idle();
         assert!(answers.len() == 1 || is_cut, "{line:?}: {said}");
-        // The reset ends whatever the line has started, including the mode of checked lines (`$LC=ON`).
+        // A reset ends a motion or an alarm that the line has started, and the mode of checked lines (`$LC=ON`).
         let begins = said.contains("[MSG:Enabled]") || said.starts_with(':');
         if !self.board.controller.is_idle() || self.board.controller.alarm().is_some() || begins {
             self.reset();
@@ -273,7 +273,8 @@ impl Machine {
         }
     }
 
-    /// Changes a text and checks that it is listed as set, and that nothing else changes.
+    /// Sets a startup line, a macro or the build info. Checks that an accepted text is listed as it was set, and that
+    /// nothing else in the listings changes.
     fn text(&mut self, name: &str, text: &str, listing: &str) {
         let number = name.trim_start_matches("$N").trim_start_matches("$M").trim_end_matches('=');
         let shown = format!("{}{number}=", if listing == "$I" { "[VER" } else { listing });
@@ -300,8 +301,8 @@ impl Machine {
         listed
     }
 
-    /// Cycles the power: stored values are listed again; startup lines are carried out and change only values that a
-    /// power-up resets.
+    /// Cycles the power, after which the startup lines run. If the store has accepted all changes, the listings must
+    /// then be the same as before, except for values that a power-up resets ([`PASSING`]).
     fn power_up(&mut self) {
         self.board = Board::new(std::mem::take(&mut self.board.records));
         self.board.pass(2_000_000, false);

@@ -45,7 +45,7 @@ struct Run {
     /// End position of the queued blocks.
     planned: [i32; AXES],
     ticks: u32,
-    /// While motion is stopped (after a stop or an underrun): the number of stops so far.
+    /// While a stop or an underrun has stopped the motion: the number of stops so far. `None` while motion is allowed.
     shut: Option<u16>,
 }
 

@@ -59,7 +59,8 @@ impl Flash for Memory {
     }
 }
 
-/// Maximum number of control-flow edges in a call; the highest count when this was chosen: 1,911.
+/// Maximum number of control-flow edges while the log is opened or changed once; the highest count when this was
+/// chosen: 1,911.
 const MOST_WORK: u64 = 8_000;
 
 #[derive(Arbitrary)]
@@ -126,7 +127,7 @@ pub fn run(data: &[u8]) {
 
 fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
     let mut memory = Memory { sectors: [[ERASED; WORDS]; 2], power: None };
-    // Either an erased memory, which the actions fill, or one that starts with words of any kind.
+    // The flash is either erased, or each sector starts with arbitrary words from the input.
     if input.ratio(1, 2)? {
         for sector in &mut memory.sectors {
             let used = input.int_in_range(0..=WORDS)?;

@@ -88,12 +88,13 @@ struct Bus {
     now: u32,
     dtr: bool,
     plugged: bool,
-    /// Letter of the connected host, or of the next one.
+    /// Letter of which the lines of the connected host consist; the next host has another one. Without a connected
+    /// host, the letter of the next one.
     letter: u8,
     closed_at: Option<u32>,
     /// Number of letters of this host's unfinished line.
     begun: usize,
-    /// Packets that have arrived and were not fetched.
+    /// Packets that the host has sent and the serial task has not fetched.
     packets: VecDeque<Vec<u8>>,
 }
 
@@ -119,9 +120,9 @@ struct Board {
     arbiter: HostArbiter,
     queues: ToControl,
     half: Vec<u8>,
-    /// Lines that were sent completely and have not been read, as letter and length.
+    /// Complete lines that the controller has not read, each as the letter of its host and the number of letters.
     sent: VecDeque<(u8, usize)>,
-    /// Lines that have been read completely.
+    /// Complete lines that the controller has read.
     read: Vec<Vec<u8>>,
 }
 
@@ -168,7 +169,7 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
         board.act(&action);
         board.task();
     }
-    // These reads take more than the queue and the links hold.
+    // Reads everything that earlier hosts have sent: more bytes than the queue to the controller and the links hold.
     for _ in 0..3 {
         board.act(&Action::Read(255));
         board.task();
@@ -214,7 +215,8 @@ impl Board {
             Action::Plugged(now_plugged) if now_plugged != *plugged => {
                 *plugged = now_plugged;
                 if now_plugged {
-                    // The driver clears DTR only when the bus is reset.
+                    // While the cable was unplugged, the driver has kept DTR set. The bus reset at plugging in clears
+                    // DTR, as if the host had closed the port.
                     *closed_at = dtr.then_some(*now);
                     *dtr = false;
                 } else {

@@ -40,9 +40,11 @@ use super::oracle::{AXES, Place, Pulse};
 
 /// Share by which the combined acceleration along and across the path may exceed the acceleration limit of the axis.
 pub const RAMP: f64 = 0.05;
-/// Uncertainty of a position, in steps: between two steps that are near each other, and otherwise.
+/// Uncertainty of a position, in steps: interpolated between two steps that follow each other quickly, and elsewhere,
+/// where the axis can rest or reverse.
 const STEPS: [f64; 2] = [0.6, 1.0];
-/// Uncertainty of a position, in half digits: its own 1, and √3 by which a curve can be taken to be flatter.
+/// Uncertainty of a position, in half digits (of the program's coordinates): 1 for its own rounding, and √3 because a
+/// controller can take the curve to be flatter by half a digit in each of three coordinates.
 const DIGITS: f64 = 2.75;
 /// Uncertainty of a point, in half digits: about √3, because a point has three coordinates.
 const POINT: f64 = 1.75;
@@ -50,7 +52,7 @@ const POINT: f64 = 1.75;
 const STRAIGHT: f64 = 0.25;
 /// Minimum change of direction, rad, that counts as a corner of a smooth curve.
 const CORNER: f64 = 0.3;
-/// Position readings per window.
+/// Number of readings per window: positions are read at intervals of a window divided by this number.
 const READINGS: usize = 8;
 
 /// A program of straight feed moves.
@@ -184,10 +186,10 @@ struct Reading {
     places: Vec<[(f64, f64); AXES]>,
 }
 
-/// Returns an axis' position and its uncertainty at evenly spaced times, in steps. At a step the axis is half way
-/// between two positions. Between steps it is taken to move evenly, so the only error is the rounding at the ends of
-/// blocks. Where steps are so far apart that the axis can rest or reverse between them, the counted position is
-/// returned.
+/// Returns the position of an axis at evenly spaced times, and its uncertainty, both in steps. At the time of a step
+/// the axis counts as half way between two positions. Between two steps it is taken to move evenly, so the only error
+/// comes from the ends of blocks, which are rounded to steps. If two steps are so far apart that the axis can rest or
+/// reverse between them, the counted position is returned.
 fn course_of_axis(places: &[(f64, Place)], axis: usize, step: f64, margin: usize, total: usize) -> Vec<(f64, f64)> {
     let mut levels = vec![];
     let mut before = 0;
@@ -217,7 +219,7 @@ fn course_of_axis(places: &[(f64, Place)], axis: usize, step: f64, margin: usize
 }
 
 fn read(places: &[(f64, Place)], passed: &[f64], step: f64) -> Reading {
-    // The margin is two windows of rest before the first step and after the last.
+    // Add readings at rest: two windows before the first step and two after the last.
     let margin = 2 * READINGS;
     let last = places.last().map_or(0.0, |p| p.0);
     let total = (last / step).ceil() as usize + 2 * margin;
@@ -235,8 +237,8 @@ fn read(places: &[(f64, Place)], passed: &[f64], step: f64) -> Reading {
     Reading { step, directions, places }
 }
 
-/// Returns the uncertainty of each chord's direction, rad, twice: as measured over the straight stretch that ends with
-/// the chord, and over the straight stretch that starts with it.
+/// Returns the uncertainty of each chord's direction, rad, in two lists: measured over the straight stretch that ends
+/// with the chord, and over the straight stretch that starts with it.
 fn unsure(course: &Course, chords: &[[f64; AXES]]) -> [Vec<f64>; 2] {
     let length = |k: usize| norm(minus(course.meant[k + 1], course.meant[k]));
     let kept = |k: usize, others: &mut dyn Iterator<Item = usize>| {
@@ -249,7 +251,8 @@ fn unsure(course: &Course, chords: &[[f64; AXES]]) -> [Vec<f64>; 2] {
     ]
 }
 
-/// Returns for each reading the jump granted to each axis until the reading one window later.
+/// Returns for each reading the speed jump of each axis, mm/s, that the junction rule allows for the turn between this
+/// reading and the one a window later.
 fn grants(course: &Course, chords: &[[f64; AXES]], directions: &[usize], limits: &Limits) -> Vec<[f64; AXES]> {
     let [behind, ahead] = unsure(course, chords);
     let grant = |before: usize, after: usize| {
@@ -267,8 +270,8 @@ fn grants(course: &Course, chords: &[[f64; AXES]], directions: &[usize], limits:
             corners.fold([0.0; AXES], |sum, one| std::array::from_fn(|axis| sum[axis] + one[axis]))
         })
         .collect();
-    // The time at which the machine passes a vertex is known only to within a step, so take the maximum of this
-    // reading's grant and those of its neighbours.
+    // The time at which the machine passes a vertex is known only to within a step. So each reading gets the largest
+    // jump that is allowed for it or for one of its two neighbours.
     (0..pairs.len())
         .map(|k| {
             let near = &pairs[k.saturating_sub(1)..pairs.len().min(k + 2)];

@@ -270,7 +270,7 @@ fn a_motor_that_takes_up_slack_is_not_too_fast() {
     run(&mut mill, "G0 X0");
     let times: Vec<u64> = mill.trace().kept().iter().map(|r| r.at).collect();
     assert_eq!(times.len(), 10 * 400 + 20);
-    // Ten steps at 20 mm/s.
+    // At the rate of 20 mm/s, ten steps take at least this many ticks.
     let least = HZ as f64 * 10.0 / (20.0 * STEPS);
     let fastest = times.windows(11).map(|w| w[10] - w[0]).min().unwrap() as f64;
     assert!(fastest > 0.99 * least, "{fastest} of {least}");
@@ -445,7 +445,8 @@ fn home_is_true_with_belts_that_have_slack() {
             let reported = mill.machine_position();
             for axis in 0..AXES {
                 let off = reported[axis] - (tool[axis] - AT[axis]);
-                // A switch closes at a whole or a half step of both motors.
+                // A step of one motor moves the tool by half a step in X and in Y. So a switch can close half way
+                // between two steps.
                 assert!(off.abs() < 1.6 / STEPS, "{cycles:?} {commands:?} {from:?}: {reported:?} is {tool:?}");
             }
         }

@@ -53,8 +53,8 @@ fn farthest(points: &[Point], line: &[Point]) -> f64 {
     let pieces: Vec<[Point; 2]> = line.windows(2).map(|pair| [pair[0], pair[1]]).collect();
     let (mut nearest, mut most) = (0_usize, 0.0_f64);
     for point in points {
-        // Search outward from the piece nearest to the previous point; stop at a distance that cannot raise the
-        // maximum.
+        // Search outward from the piece nearest to the previous point. Stop as soon as a piece is no farther away than
+        // the maximum so far: then this point cannot raise the maximum.
         let (start, mut least) = (nearest, f64::INFINITY);
         let outward = (0..pieces.len()).flat_map(|away| [start.checked_add(away), start.checked_sub(away)]);
         for index in outward.flatten().filter(|index| *index < pieces.len()) {
@@ -294,8 +294,8 @@ fn whatever_the_job_it_stays_within_the_tolerance_and_is_no_slower() {
     assert!(times.1 < times.0, "{} s in all, {} s without a tolerance", times.1, times.0);
 }
 
-/// Holds, resumes and overrides during a job change neither the path nor its end; with backlash compensation the job
-/// ends at the same position as without a tolerance.
+/// Holds, resumes and overrides during a job with a tolerance (G64 P) change neither the path nor its end. With
+/// backlash compensation, the job ends at the same position with and without the tolerance.
 #[test]
 fn holds_overrides_and_slack_leave_the_path_as_it_is() {
     let mut points = walk(&mut Random(11));
@@ -328,7 +328,8 @@ fn holds_overrides_and_slack_leave_the_path_as_it_is() {
     assert_eq!(run(&slack, &blended).place, run(&slack, &text).place);
 }
 
-/// After a reset during a job the machine is where its steps have moved it, and the next job starts there.
+/// After a reset during a job with G64 P the machine is where its steps have moved it, and the next job starts there:
+/// the moves that the controller was holding back to merge them or to round their corners are dropped.
 #[test]
 fn after_a_reset_nothing_is_left_of_what_was_held_back() {
     let points = walk(&mut Random(5));
@@ -360,7 +361,8 @@ struct Space {
 }
 
 impl Space {
-    /// Edge of a cube, mm: the maximum distance that can be measured.
+    /// Edge of the cubes into which [`Space`] divides space, mm. Also the maximum distance that it can measure, because
+    /// it searches only a point's own cube and the adjacent ones.
     const CUBE: f64 = 0.15;
 
     fn of(path: &[Point]) -> Space {
@@ -387,7 +389,8 @@ impl Space {
         let mut most = 0.0_f64;
         for point in points {
             let [x, y, z] = Self::cube(point);
-            // For most points the pieces in the point's own cube are near enough.
+            // For most points, a piece that passes the point's own cube is already nearer than the maximum found so
+            // far.
             let nearest = |cube: [i32; AXES]| {
                 let pieces = self.cubes.get(&cube).map_or(&[][..], Vec::as_slice);
                 pieces.iter().map(|piece| from_line(*point, self.pieces[*piece as usize])).fold(Self::CUBE, f64::min)
@@ -440,8 +443,7 @@ fn the_relief_of_the_examples_takes_less_time_and_stays_within_the_tolerance() {
         seconds(&blended)
     );
     assert!(steps_exact.max(path_exact) <= 1.5 / CARVER_STEPS * 2.0_f64.sqrt(), "exact: {steps_exact} {path_exact}");
-    // The rounding to steps could be allowed on top of P. It is not needed, because moves this short never use all of
-    // P.
+    // P is compared without an allowance for the rounding to steps: moves this short never use all of P.
     assert!(steps.max(path_off) <= P, "{steps} and {path_off} mm, allowed {P}");
     assert!(seconds(&blended) < 0.99 * seconds(&exact), "{} s, exact {} s", seconds(&blended), seconds(&exact));
 }
@@ -492,8 +494,8 @@ fn greatest_jump(trace: &[Pulse], steps_per_mm: f64) -> f64 {
     most
 }
 
-/// Returns the largest change of speed relative to that on the exact path. A change of two steps per window is allowed
-/// in addition, because a step can fall into either of two windows.
+/// Returns the ratio of the largest changes of an axis' mean speed: with a tolerance (`rig`) and on the exact path. Two
+/// steps per window are added to the latter, because a step can fall into either of two windows.
 fn against(rig: &Rig, exact: &Rig, steps_per_mm: f64) -> f64 {
     greatest_jump(&rig.trace, steps_per_mm) / (greatest_jump(&exact.trace, steps_per_mm) + 2.0 / steps_per_mm / WINDOW)
 }

@@ -17,8 +17,8 @@ fn machine(scale: f64, rate: f64, acceleration: f64) -> Rig {
     Rig::with(&text)
 }
 
-/// A move of 0.2 nm crosses the position at which a coordinate is rounded to the next step, so it makes one step. That
-/// step takes at least half of the time that a step takes at the axis' rate.
+/// A move of 0.2 nm crosses the position at which a coordinate is rounded to the next step, so it makes one step. No
+/// interval between two steps may be shorter than half of the interval at the axis' maximum rate.
 #[test]
 fn a_hairs_breadth_is_no_faster_than_its_axis() {
     let mut rig = machine(80.0, 100.0, 500.0);
@@ -27,8 +27,7 @@ fn a_hairs_breadth_is_no_faster_than_its_axis() {
     assert!(least > 0.99 * 0.5 / 80.0 / 100.0, "{least} s");
 }
 
-/// If another axis makes a longer move in the same block as a move shorter than a step, that axis does not exceed its
-/// maximum rate either.
+/// If lines move X by less than a step and Y by more, Y must not exceed its maximum rate.
 #[test]
 fn beside_a_hairs_breadth_axes_keep_their_rates() {
     let mut rig = Rig::with("$0=1\n$11=0.01\n$100=80\n$101=400\n$110=6000\n$111=600\n$120=500\n$121=100\n");
@@ -61,19 +60,21 @@ fn inverse_time_of_a_hairs_breadth() {
     assert!(seconds > 2.0 && seconds < 3.5, "{seconds} s");
 }
 
-/// While Y makes moves shorter than a step, X waits. So X must first brake to the speed allowed at a corner, and
-/// accelerate from that speed afterwards.
+/// Between two long moves of X, Y moves back and forth by less than a step. Meanwhile X cannot move on. So X must brake
+/// to the speed allowed at a corner, and accelerate from that speed afterwards.
 #[test]
 fn a_wait_for_crumbs_is_a_corner() {
     let mut rig = machine(80.0, 100.0, 500.0);
     let crumbs = "Y0.005\nY0\n".repeat(50);
     rig.run_clean(&format!("G1 X20 Y0 F6000\n{crumbs}X20.0125\nX60\n"));
     let speeds: Vec<f64> = intervals(&rig, 0).iter().map(|seconds| 1.0 / 80.0 / seconds).collect();
-    // The junction rule, v² = √2 a d s / (1 - s), allows 4.1 mm/s at a right angle; one step later it is 5.4 mm/s.
+    // The junction rule, v² = √2 a d s / (1 - s), allows 4.1 mm/s at a right angle. One step (0.0125 mm) later the
+    // acceleration has raised this to 5.4 mm/s.
     let slowest = speeds[200..3000].iter().copied().fold(f64::MAX, f64::min);
     assert!(slowest < 6.0, "{slowest} mm/s");
-    // Mean speeds over 32 steps (0.4 mm), because single intervals jitter with the smoothing of steps. Their squares
-    // may differ by 1.2 times what the acceleration allows over 0.4 mm, and by 40 (mm/s)² more for the corner.
+    // Compare mean speeds over 32 steps (0.4 mm), because the smoothing of steps makes single intervals uneven. The
+    // squares of two successive means may differ by 1.2 times what the acceleration allows over 0.4 mm, plus 40 (mm/s)²
+    // for the speed jump at the corner.
     let means: Vec<f64> = speeds.chunks(32).map(|w| w.len() as f64 / w.iter().map(|v| 1.0 / v).sum::<f64>()).collect();
     for pair in means.windows(2) {
         let change = (pair[1] * pair[1] - pair[0] * pair[0]).abs();
@@ -90,8 +91,8 @@ fn corners_between_moves_shorter_than_a_digit() {
     rig.run_clean(&format!("G91 G1 F600\n{x}{y}"));
     let last = intervals(&rig, 0);
     let speed = 10.0 / 10_000.0 / last[last.len() - 10..].iter().sum::<f64>();
-    // The junction rule, v² = √2 a d s / (1 - s), allows 1.8 mm/s in a right angle. The bound is higher, because the
-    // rounding of the short moves makes the turn uncertain.
+    // The junction rule, v² = √2 a d s / (1 - s), allows 1.8 mm/s in a right angle. The test allows 3 mm/s, because
+    // rounding changes the directions of such short moves, and with them the angle of the corner.
     assert!(speed < 3.0, "{speed} mm/s into the corner");
     let back = "X-0.0004 Y0.0003\n".repeat(2000);
     let mut rig = machine(10_000.0, 10.0, 100.0);
@@ -101,7 +102,8 @@ fn corners_between_moves_shorter_than_a_digit() {
     assert!(speed < 3.0, "{speed} mm/s into the turn");
 }
 
-/// A move that is split to take up backlash is carried out even if the step sizes of the axes differ extremely.
+/// A reversed move of X, during which the motor also takes up backlash, is carried out even though X has 0.1 and Z
+/// 40,000 steps/mm.
 #[test]
 fn slack_on_the_longest_moves() {
     let settings = "$0=1\n$11=0\n$100=0.1\n$160=70\n$102=40000\n$110=60000\n$112=100\n$120=1000\n$122=100\n";

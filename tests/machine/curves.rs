@@ -141,7 +141,7 @@ fn along(part: &Part, chord: f64) -> Vec<[f64; AXES]> {
         .collect()
 }
 
-/// Splits a shape into the pieces of the reference.
+/// Splits a shape into the short pieces from which [`optimum`] computes the shortest time.
 fn pieces(shape: &[Part]) -> Vec<Piece> {
     let mut pieces: Vec<Piece> = Vec::new();
     for part in shape {
@@ -151,7 +151,7 @@ fn pieces(shape: &[Part]) -> Vec<Piece> {
         let mut entry2 = f64::INFINITY;
         if let Some(before) = pieces.last() {
             let turn = minus(tangents[0], before.tangent);
-            // At a smooth join the tangents differ by no more than the turn within one piece.
+            // Where two parts join smoothly, the tangents differ by no more than the path turns within one piece.
             if norm(turn) > 0.02 {
                 let jump = granted(before.tangent, tangents[0], Unsure::default(), &LIMITS, f64::INFINITY);
                 entry2 = (norm(jump) / norm(turn)).powi(2);
@@ -173,7 +173,8 @@ fn pieces(shape: &[Part]) -> Vec<Piece> {
     pieces
 }
 
-/// Returns the program of a shape in chords, starting at the origin, and its course.
+/// Returns a program that drives a shape in chords, starting at the origin, and the course (the intended points) with
+/// which its steps are compared.
 fn in_chords(shape: &[Part]) -> (String, Course) {
     let start = (shape[0].curve)(0.0);
     let (mut points, mut feeds) = (Vec::new(), Vec::new());
@@ -191,7 +192,8 @@ fn in_chords(shape: &[Part]) -> (String, Course) {
     (lines.join("\n") + "\n", course)
 }
 
-/// Returns the duration of a shape, s, and its largest change of speed.
+/// Runs a shape in chords. Returns its duration, s, and the change of an axis' speed that is largest relative to what
+/// is allowed.
 fn measure(shape: &[Part], jerk: f64) -> (f64, Change) {
     let (text, course) = in_chords(shape);
     let rig = run(&settings(&LIMITS, jerk), &text);
@@ -224,7 +226,8 @@ fn the_shortest_time_is_known_for_lines_and_circles() {
     assert!((0.9 * even..1.02 * even).contains(&turns), "{turns}, {even} at an even speed");
     let turns = shortest(&[arc(100.0, [0.0, 0.0], 5.0, [0.0, 10.0 * TAU])], Bound::Resultant);
     assert!((turns / even - 1.0).abs() < 0.02, "{turns}, {even} at an even speed");
-    // A right angle by the junction rule, v² = √2 a d × 2.41, with a ramp on each side.
+    // At a right angle the junction rule allows v² = √2 a d s / (1 - s), where s / (1 - s) = 2.41. The machine
+    // accelerates and brakes on each side.
     let corner = of(&[line(100.0, [0.0, 0.0], [10.0, 0.0]), line(100.0, [10.0, 0.0], [10.0, 10.0])]);
     let speed = (2.0_f64.sqrt() * 500.0 * 0.01 * 2.414_213_6).sqrt();
     let top = ((2.0 * 500.0 * 10.0 + speed * speed) / 2.0).sqrt();

@@ -42,13 +42,15 @@ pub const TOLERANCE: f64 = 0.01;
 /// Resolution of the coordinates of the programs in these tests, mm.
 pub const DIGIT: f64 = 0.001;
 
-/// Distances of the points from which a bend is measured, mm.
+/// Distances along the path from a corner, mm, at which a point on each side is chosen to measure how tight the bend
+/// is.
 const REACHES: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
 /// Maximum turn of the path between these points, rad.
 const GENTLE: f64 = 0.35;
 /// Maximum turn at a single point that still counts as a bend, rad.
 const SHARP: f64 = 0.6;
-/// Minimum ratio of the straight distance to the distance along the path.
+/// Minimum ratio of the straight distance to the distance along the path, between a corner and a point that is used to
+/// measure the bend.
 const STRAIGHTNESS: f64 = 0.95;
 
 /// Maximum distance of a point from its intended position, mm: half a digit in two axes at once, rounded up.
@@ -58,7 +60,8 @@ const NOISE: f64 = 0.0008;
 const SMOOTHED: f64 = 8000.0;
 /// Maximum shift of a step by the finer grid, in steps.
 const SHIFT: f64 = 7.0 / 16.0;
-/// Maximum rounding of line ends within a joined move, in steps.
+/// Maximum error of the length of a part of a joined move, in steps: the machine can have driven this part as a
+/// separate move, whose ends are rounded to steps.
 const JOINED_SHIFT: f64 = 0.5;
 /// Number of steps over which a speed is measured on the finer grid and in joined moves.
 const WINDOW: usize = 16;
@@ -117,9 +120,9 @@ struct Reading {
 }
 
 impl Reading {
-    /// Returns the time, s, by which an acceleration is multiplied to get the largest difference that it can make
-    /// between two mean speeds. It is the distance of the middles of the intervals, plus a quarter of the difference of
-    /// their lengths, plus one step for a change of acceleration between them.
+    /// Returns a time, s: multiplied by an acceleration, it gives the largest difference that this acceleration can
+    /// make between two mean speeds. It is the distance of the middles of the intervals, plus a quarter of the
+    /// difference of their lengths, plus one step, because a change of acceleration can show one step late.
     fn apart(&self, other: &Reading) -> f64 {
         (self.at - other.at).abs() + (self.span - other.span).abs() / 4.0 + self.step.max(other.step)
     }
@@ -132,8 +135,8 @@ impl Limits {
         (0..AXES).filter(|&a| unit[a] != 0.0).map(|a| values[a] / unit[a].abs()).fold(f64::INFINITY, f64::min)
     }
 
-    /// Returns the position in steps nearest to `mm`, rounding a half away from zero (2.03 is slightly less in binary;
-    /// this must not matter).
+    /// Returns the position in steps nearest to `mm`, rounding a half away from zero. Steps are first rounded to 1e-6,
+    /// because decimals such as 2.03 are slightly less in binary.
     pub fn place(&self, mm: [f64; AXES]) -> Place {
         std::array::from_fn(|a| ((mm[a] * self.steps_per_mm[a] * 1e6).round() / 1e6).round() as i64)
     }
@@ -191,7 +194,8 @@ impl Joins<'_> {
         dominant(self.limits.place(line.from), self.limits.place(line.to)).1 > 0
     }
 
-    /// Returns the possible last lines of a move that starts with line `first`, the shortest move first.
+    /// Returns the indexes of lines with which a move can end that starts with line `first`, the shortest move first.
+    /// If it ends with `first`, no lines have been joined.
     fn ends(&self, first: usize) -> Vec<usize> {
         let (start, mut ends) = (&self.lines[first], vec![first]);
         let is_short = |line: &Line| (0..AXES).map(|a| (line.to[a] - line.from[a]).abs()).sum::<f64>() <= MOST_PIECE;
@@ -320,9 +324,9 @@ pub fn check(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits) -> Resul
     Ok(())
 }
 
-/// Returns a reading for each interval, `None` for those longer than a millisecond. The reading of a slow interval, or
-/// of an interval of a joined move, also covers the following steps, up to [`WINDOW`] steps and up to the first
-/// interval longer than a millisecond.
+/// Returns the mean speed in each interval between two steps of the dominant axis; `None` for intervals longer than a
+/// millisecond. In a joined move and at low step rates, the mean also covers the intervals that follow: up to
+/// [`WINDOW`] in all, and only those before the next interval longer than a millisecond.
 fn readings(m: &Move, hz: f64) -> Vec<Option<Reading>> {
     (1..m.times.len())
         .map(|i| {
@@ -351,7 +355,7 @@ fn check_move(m: &Move, hz: f64) -> Result<(), String> {
             return Err(format!("{} mm/s where {} are allowed, at {} s", reading.speed, m.speed, reading.at));
         }
     }
-    // Feeds below one step per millisecond have no readings: check the mean speed of the whole move instead.
+    // Feeds below one step per millisecond have no `readings`, so check the mean speed of the whole move, too.
     if let [first, .., last] = m.times[..] {
         let seconds = (last - first) as f64 / hz;
         let steps = (m.times.len() - 1) as f64;
@@ -427,14 +431,16 @@ fn bend(points: [[f64; AXES]; 3], greatest_turn: f64, limits: &Limits) -> f64 {
     limits.along(limits.acceleration, turn.map(|t| t / norm(turn))) * (l1 + l2) / 2.0 / sure + junction * junction
 }
 
-/// Checks the speeds on both sides of a corner against the bend that the corner belongs to.
+/// Checks the speeds just before and just after a corner: they must not exceed the maximum for the bend that the moves
+/// around the corner form.
 fn check_bend(moves: &[Move], corner: usize, hz: f64, limits: &Limits) -> Result<(), String> {
     let (before, after) = (&moves[corner - 1], &moves[corner]);
     let readings = [readings(before, hz).last().copied(), readings(after, hz).first().copied()];
     let here = after.from;
     let mut allowed2 = bend([before.from, here, after.to], SHARP, limits);
     for reach in REACHES {
-        // The nearest ends of moves at least `reach` away along the path.
+        // Finds the nearest end of a move that lies at least `reach` away from the corner along the path. Returns it
+        // with that distance.
         let reached = |mut corners: Box<dyn Iterator<Item = usize> + '_>, far: fn(&Move) -> [f64; AXES]| {
             let mut path = 0.0;
             corners.find_map(|i| {
@@ -619,8 +625,9 @@ mod tests {
         assert!(run(50.0, a * 1.03).unwrap_err().contains("mm/s²"));
     }
 
-    /// Thirty lines of 14 um, in three versions: driven as one move; too fast; and with a few lines driven as a
-    /// separate move, which rounding makes longer than these lines are.
+    /// Thirty lines of 14 um that the machine can join. They are driven as one move, which passes; as one move that is
+    /// too fast; and as one move in the middle of which a few lines are a separate move, which rounding makes longer
+    /// than these lines are.
     #[test]
     fn joined_lines_are_measured_over_several_steps() {
         let limits = Limits { steps_per_mm: [250.0; 3], acceleration: [9000.0; 3], ..limits() };
@@ -633,7 +640,7 @@ mod tests {
         };
         run(40.0).unwrap();
         assert!(run(43.0).unwrap_err().contains("are allowed"));
-        // At constant speed, in the middle: four steps in the time of three and a half.
+        // In the middle of the move, at constant speed, make four steps in the time of three and a half.
         let even = trapezoid(0.42, 40.0, 9000.0);
         let (first, last) = (50.0 / 105.0, 54.0 / 105.0);
         let rounded = |share: f64| {

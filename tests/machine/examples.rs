@@ -104,7 +104,8 @@ fn drilling() {
     for pair in all.windows(2) {
         assert!(pair[0][2] > 0.0 || pair[0][..2] == pair[1][..2], "{pair:?}");
     }
-    // Pecks of 0.2 inch from R: the tool reverses at each peck and retracts by 0.01 inch.
+    // Each peck goes 0.2 inch deeper, the first one from the retract plane R. At the end of each peck the tool reverses
+    // and retracts by 0.01 inch.
     let turns: Vec<f64> = all
         .windows(3)
         .filter(|p| p[0][0] == first_hole(&all, bottom) && p[0][2] > p[1][2] && p[2][2] > p[1][2])

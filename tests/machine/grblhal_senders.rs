@@ -25,7 +25,7 @@ struct Known {
     /// Fields of `[OPT:..]`.
     options: Vec<String>,
     words: Vec<String>,
-    /// Values of `$$`, rows of `$ES`, and the numbers of the rows of `$ESH`.
+    /// Values that `$$` lists, rows that `$ES` lists, and the numbers of the settings for which `$ESH` has a row.
     values: BTreeMap<u16, f64>,
     rows: BTreeMap<u16, Vec<String>>,
     details: BTreeSet<u16>,
@@ -48,13 +48,13 @@ fn numbers(text: &str) -> Result<Vec<f64>, String> {
     text.split(',').map(number).collect()
 }
 
-/// Returns whether a text is not empty and consists of such characters only.
+/// Returns whether a text is not empty and `may_be` accepts each of its characters.
 fn is_of(text: &str, may_be: impl Fn(char) -> bool) -> bool {
     !text.is_empty() && text.chars().all(may_be)
 }
 
 impl Known {
-    /// Takes a line of the machine, as gSender does.
+    /// Reads a line from the machine as gSender does, and stores what it says.
     ///
     /// # Errors
     /// If the line fits no pattern, or if ioSender could not read it.
@@ -80,7 +80,7 @@ impl Known {
             self.details.insert(number.parse().map_err(|_| "no number")?);
             return if row.split('\t').count() == 7 { Ok(()) } else { Err("not 8 columns".into()) };
         }
-        // `NAME 1.1f [..]`
+        // The greeting: `NAME 1.1f [..]`.
         let mut words = line.split_whitespace();
         let (name, version) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
         if is_of(name, |c| c.is_ascii_alphanumeric()) && version.starts_with("1.1") && line.contains('[') {
@@ -184,7 +184,8 @@ impl Known {
         Ok(())
     }
 
-    /// Checks each value against the row of its setting, as the senders' pages show it.
+    /// Checks that `$ES` and `$ESH` have a row for each setting, and that each value fits the type, labels and bounds
+    /// in its row, by which senders show it.
     fn check_settings(&self) {
         let of = |map: &BTreeMap<u16, _>| map.keys().copied().collect::<BTreeSet<u16>>();
         let numbers: BTreeSet<u16> = self.rows.keys().copied().collect();
@@ -217,7 +218,7 @@ impl Known {
     }
 }
 
-/// A sender at a machine.
+/// A machine, and what a sender that is connected to it has learned from its output.
 struct Session {
     rig: Rig,
     known: Known,

@@ -1,5 +1,5 @@
-//! Jerk-limited motion: the jerk is bounded at all times, borders of blocks cost no time, and durations are near the
-//! shortest possible.
+//! Jerk-limited motion: the jerk is bounded at all times, splitting a path into blocks costs no time, and durations are
+//! near the shortest possible.
 
 use super::estimator::{Limits, Line, check, check_jerk};
 use super::oracle::AXES;
@@ -105,14 +105,14 @@ fn least_time(length: f64, from: f64, to: f64, most: f64, acceleration: f64, jer
 
 const JERK: f64 = 5000.0;
 
-/// Returns the time that the trace does not cover. The motor starts half a step before the first step and ends half a
-/// step after the last one, which takes a few milliseconds each.
+/// Returns the time, s, in which the motor moves before its first and after its last step, so that the trace does not
+/// cover it: half a step from rest and half a step to rest, a few milliseconds each.
 fn of_steps() -> f64 {
     2.0 * (6.0 * 0.5 / MACHINE.steps_per_mm[0] / JERK).cbrt()
 }
 
-/// Compares five jobs with their shortest times. Where a corner is passed or the feed changes, the controller's rule
-/// makes the acceleration zero; so does the reference.
+/// Compares the durations of five jobs with the shortest possible ones. At a corner or a change of feed, the controller
+/// lets the acceleration along the path fall to zero; so does the reference.
 #[test]
 fn jobs_take_little_more_than_the_shortest_time() {
     let a = MACHINE.acceleration[0];
@@ -165,7 +165,7 @@ fn borders_of_blocks_cost_no_time() {
     let whole = Job::line(50.0, 1, 100.0).run(&MACHINE, [JERK; 3]);
     let chain = Job::line(50.0, 500, 100.0).run(&MACHINE, [JERK; 3]);
     assert!((chain / whole - 1.0).abs() < 0.005, "{whole} s in one block, {chain} s in 500");
-    // Along the tangent into a circle of R = 10 mm, on which v² = a·R allows more than the feed.
+    // A straight line along the tangent leads into a circle of R = 10 mm, on which v² = a·R allows more than the feed.
     let mut circle = Job::new();
     circle.to([0.0, 30.0, 0.0], 60.0);
     for k in 1..=900 {
@@ -272,7 +272,7 @@ fn corners_behind_coarse_steps_are_minded() {
 fn a_start_right_behind_a_hold_keeps_the_limit() {
     for (feed, jerk) in [(8.0, 8000.0), (5.6, 8000.0), (8.0, 1500.0), (2.0, 1500.0), (40.0, 5000.0)] {
         let job = Job::line(10.0, 4, feed);
-        // From 0.7 to 1.3 times the duration of the hold.
+        // Send the cycle start after 0.7 to 1.3 times the time that the hold needs to brake.
         let brakes = 2.0 * (feed / jerk).sqrt();
         for part in 0..60 {
             let mut rig = Rig::with(&settings(&MACHINE, [jerk; 3]));

@@ -90,7 +90,8 @@ fn check(course: &[(f64, f64)], bounds: impl Fn(f64) -> [f64; 3], exempt: impl F
     if compared > 0 { Ok(()) } else { Err("nothing was compared".into()) }
 }
 
-/// Checks each axis that moves.
+/// Checks that each axis that moves keeps [`RATE`], [`ACCELERATION`] and [`JERK`], except where `exempt` (axis,
+/// position in mm) returns true.
 #[track_caller]
 fn check_axes(places: &[(f64, [f64; AXES])], exempt: impl Fn(usize, f64) -> bool) {
     for axis in 0..AXES {
@@ -112,7 +113,8 @@ fn assert_counted(mill: &Simulator) {
     assert_eq!(mill.machine().position().map(|steps| f64::from(steps) / STEPS), mill.machine_position());
 }
 
-/// Checks the measurement itself: it sees a trapezoid, and a jerk that is 50 % too high.
+/// Checks the measurement itself: it must detect motion without a jerk limit, and motion with a jerk that is 50 % too
+/// high.
 #[test]
 fn what_exceeds_the_jerk_limit_is_seen() {
     for jerk in [0.0, 1.5 * JERK] {
@@ -129,8 +131,8 @@ proptest! {
         cases: 24, max_shrink_iters: 20, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default()
     })]
 
-    /// The jerk along the path, which is computed from the angle, is bounded on circles and helices of any size and
-    /// feed.
+    /// The jerk along the path is bounded on circles and helices of any size and feed. The distance along the path is
+    /// computed from the angle about the centre.
     #[test]
     fn jerk_is_bounded_on_arcs(
         radius in 1_u32..30, turns in 1_u32..4, depth in prop::sample::select(vec![0_i32, 0, -2, 9]), feed in 300_u32..6000,
@@ -154,7 +156,7 @@ proptest! {
         prop_assert!(!said.contains("error") && !said.contains("ALARM"), "{said}");
         let end = [0.0, 0.0, f64::from(depth)];
         prop_assert_eq!(mill.machine().position().map(|steps| f64::from(steps) / STEPS), end);
-        // mm of path per rad, and the shares of the plane and of Z in the path.
+        // `path`: mm of path per rad. `plane` and `across`: distance in the plane and along Z per mm of path.
         let angle = f64::from(turns) * std::f64::consts::TAU;
         let path = radius.hypot(f64::from(depth) / angle);
         let (plane, across) = (radius / path, (f64::from(depth) / angle / path).abs());
@@ -199,7 +201,7 @@ proptest! {
         prop_assert!(!mill.take_output().contains("error:9"));
         assert_counted(&mill);
         if !mill.trace().kept().is_empty() {
-            // At a corner between two jogs an axis starts and ends at speed, so only jogs along one axis are checked.
+            // Where two jogs meet at a corner, the speed of an axis can jump, so only jogs along one axis are checked.
             let places = places(&mill);
             let (whole, _) = straight(&places);
             if whole {
@@ -246,7 +248,8 @@ const SWITCHES: &str = r#"
 "#;
 const CYCLE: &str = "$22=1\n$24=300\n$25=2400\n$27=3\n";
 
-/// When the switch closes, the step task brakes with a constant deceleration; all other motion has bounded jerk.
+/// When the homing switch closes, the step task brakes with a constant deceleration, so the jerk is not checked there.
+/// In all other motion of the cycle it is bounded.
 #[test]
 fn jerk_is_bounded_in_the_homing_cycle() {
     let mut mill = mill(SWITCHES, CYCLE);
@@ -335,7 +338,8 @@ fn a_hold_with_jerk_limit_begins_within_25_ms() {
         } else {
             2.0 * (speed / JERK).sqrt()
         };
-        // The machine is at rest at least half a step after the last step.
+        // After its last step the machine still moves by at least half a step. This takes the time in which the maximum
+        // jerk leads to rest.
         let rest = end + (6.0 * 0.5 * PITCH / JERK).cbrt();
         let begins = rest - ramp - asked;
         println!("F{feed}: the hold acts after {:.1} ms", begins * 1000.0);

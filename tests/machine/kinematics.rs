@@ -143,7 +143,7 @@ fn a_crooked_gantry_comes_home_square() {
         let crooked = f64::from(second - first) / 80.0 + racked;
         assert!(crooked.abs() <= 1.5 / 80.0, "{racked}: still {crooked} mm off");
         assert_eq!(mill.machine_position(), [-2.0; 3]);
-        // From here on both motors move together.
+        // After homing, the two motors of Y move together.
         run(&mut mill, "G53 G0 Y-20");
         assert_eq!(mill.machine().position()[1] - first, -18 * 80);
         assert_eq!(mill.machine().second_motor() - second, -18 * 80);

@@ -54,7 +54,8 @@ fn range(piece: &Piece, v2: f64, limits: &Limits, bound: Bound) -> (f64, f64) {
     }
     for axis in 0..AXES {
         let bend = piece.curvature[axis];
-        // The limits hold at the beginning of the piece and at its end, where v² is v2 + 2 u length.
+        // The axis must keep its limit at both ends of the piece. At the start the speed² is `v2`. At the end it is
+        // `v2` + 2 u `length`, with the acceleration u along the path.
         for share in [piece.tangent[axis], piece.tangent[axis] + twice * bend] {
             let most = limits.acceleration[axis];
             let (a, b) = ((-most - bend * v2) / share, (most - bend * v2) / share);
@@ -69,7 +70,8 @@ fn range(piece: &Piece, v2: f64, limits: &Limits, bound: Bound) -> (f64, f64) {
     (low, high)
 }
 
-/// Returns speed² at each knot, from rest to rest.
+/// Returns the highest possible speed², (mm/s)², at each knot: the start, the end, and each border of two pieces. The
+/// motion starts and ends at rest.
 pub fn optimum(pieces: &[Piece], limits: &Limits, bound: Bound) -> Vec<f64> {
     let mut reachable = vec![0.0; pieces.len() + 1];
     for (k, piece) in pieces.iter().enumerate().rev() {
@@ -116,7 +118,7 @@ fn steps(points: &[[f64; AXES]], pieces: &[Piece], speeds2: &[f64], limits: &Lim
             let [from, to] = [k, k + 1].map(|n| points[n][axis] * steps_per_mm);
             let back = to < from;
             let (low, high) = (from.min(to), from.max(to));
-            // All half steps in (low, high].
+            // The axis steps at each whole number plus 1/2 in (low, high].
             for step in (low - 0.5).floor() as i64 + 1..=(high - 0.5).floor() as i64 {
                 let share = (step as f64 + 0.5 - from) / (to - from);
                 let at = ((begun + time(share)) * hz) as u64;
@@ -185,8 +187,8 @@ fn parts(length: f64) -> u32 {
     (length / 0.05).ceil().clamp(2.0, 100.0) as u32
 }
 
-/// Returns the steps of a machine that follows a course by the rule for turns, at the maximum speed. `excess`: factor
-/// on the allowed v² in turns.
+/// Returns the steps of a machine that follows a course at the maximum speed that the rule for turns allows (see
+/// `speeds2_of_turns`). `excess`: factor on the v² that the rule allows.
 pub fn by_the_rule(course: &Course, limits: &Limits, excess: f64, hz: f64) -> Vec<Pulse> {
     let (chords, lengths) = chords(course);
     let most = speeds2_of_turns(&chords, &lengths, limits, course.feed);

@@ -234,7 +234,8 @@ mod tests {
             assert_eq!(places.len() as u64, count);
             for (i, place) in places.iter().enumerate() {
                 for a in 0..AXES {
-                    // |place - to × (i + 1) / count| <= 1/2, in whole numbers.
+                    // Each axis is within half a step of its exact position, to × (i + 1) / count. Both sides are
+                    // multiplied by 2 × count, so that all numbers are whole.
                     assert!((2 * (place[a] * count as i64 - to[a] * (i as i64 + 1))).abs() <= count as i64);
                 }
                 assert_eq!(place[axis].unsigned_abs(), i as u64 + 1);
@@ -250,8 +251,8 @@ mod tests {
         let good = pulses(&places, from);
         assert_eq!(follow_line(&mut &good[..], from, to).unwrap().len(), 10);
 
-        // Smoothed: a position at every point of the fine grid where an axis steps. Ten steps of X fill the grid, so X
-        // steps at the first grid point after each half.
+        // The same line with smoothed steps: each axis steps at the first position of the fine grid after it is half
+        // way to its next step. X makes ten steps, so it steps at the grid positions 9, 25, 41 and so on.
         let fine = |tick: i64, steps: i64| (2 * tick * steps + 10 * FINE - 1) / (2 * 10 * FINE);
         let mut before = from;
         let mut smoothed = Vec::new();

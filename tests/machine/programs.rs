@@ -6,7 +6,8 @@ use std::path::Path;
 
 /// Virtual seconds to wait for an answer or the end of motion before the test fails.
 const PATIENCE: f64 = 600.0;
-/// Maximum number of lines with axis words between two checks of the position; lines between O words do not count.
+/// Maximum number of lines with axis words between two checks of the position (`? ` lines). Lines within a block of O
+/// words, such as a loop, do not count.
 const MOST_UNCHECKED: usize = 3;
 /// Maximum position error, mm: a step plus the resolution of the report.
 const TOLERANCE: f64 = 0.0011;

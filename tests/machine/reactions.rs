@@ -12,8 +12,8 @@ const ACCELERATION: f64 = 500.0;
 /// Feed of the job, mm/s.
 const FEED: f64 = 20.0;
 const PARKED_Z: f64 = -5.0;
-/// Distance, mm, that the machine still moves at full feed until the controller sees a fault: the pin's filter delays
-/// it, and the control task does not run all the time.
+/// Distance, mm, that the machine still moves at full feed until the controller notices a fault: a filter delays the
+/// pin, and the control task runs only at intervals.
 const LATE: f64 = 0.1;
 /// Host timeout, ms.
 const SILENCE: u64 = 500;
@@ -60,7 +60,7 @@ impl Fault {
         }
     }
 
-    /// Returns how long the condition must last before it counts as a fault, ms.
+    /// Returns how long the cause of this fault must last until the controller treats it as a fault, ms.
     fn lasts(self) -> u64 {
         match self {
             Fault::Spindle => 51,
@@ -475,14 +475,15 @@ fn each_fault_in_each_state_has_the_reaction_that_is_set() {
     assert_eq!(cases, 19 * (3 + 6) + 17 * 6 + with_job * (6 + 6 + 6) + 2 * 6, "states, reactions and faults");
 }
 
-/// Without a job to interrupt, most conditions are no faults: the machine goes on as if nothing had happened.
+/// While no job runs, a slow spindle or a missing host is no fault, nor is a limit switch during an alarm: the machine
+/// goes on as if nothing had happened.
 #[test]
 fn what_is_no_fault_in_a_state_changes_nothing() {
     let homed = homed();
     let mut cases = 0;
     for fault in Fault::ALL {
-        // Other tests cover two kinds of cases. While the tool returns after a door, the controller checks host and
-        // spindle only when the job continues. In a homing cycle, limit switches are expected to close.
+        // Leave out two kinds of cases that other tests cover. While the tool returns after a door, the controller
+        // checks host and spindle only when the job continues. In a homing cycle, limit switches are expected to close.
         let is_later = |state: State| match fault {
             Fault::Limit => state == State::Home,
             _ => state == State::DoorReturning,
@@ -512,7 +513,8 @@ fn what_is_no_fault_in_a_state_changes_nothing() {
     assert_eq!(cases, 2 * host + spindle + limit, "states, reactions and faults");
 }
 
-/// The spindle must be at speed again before the job continues.
+/// If the spindle is below its speed while a job is being resumed after a door, the job does not continue: it ends with
+/// an alarm.
 #[test]
 fn a_spindle_that_is_slow_on_the_way_back_stops_the_job_there() {
     let homed = homed();
@@ -527,7 +529,7 @@ fn a_spindle_that_is_slow_on_the_way_back_stops_the_job_there() {
     }
 }
 
-/// A job that is resumed after a door stops if its host leaves or falls silent during the return.
+/// A job that is resumed after a door stops if its host disconnects or falls silent while the tool returns to the work.
 #[test]
 fn a_host_that_goes_or_is_silent_on_the_way_back_stops_the_job_there() {
     let homed = homed();

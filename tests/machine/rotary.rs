@@ -134,8 +134,8 @@ proptest! {
             let whole: [f64; 4] = std::array::from_fn(|axis| motors[axis] - from[axis]);
             let dominant = (0..4).max_by(|a, b| whole[*a].abs().total_cmp(&whole[*b].abs())).unwrap_or(0);
             for (_, steps) in course(&mill) {
-                // `part` comes from the dominant axis, which is itself up to half a step ahead or behind. So the
-                // allowance is a whole step.
+                // `part`, the share of the line that has been covered, is read from the dominant axis, which is itself
+                // up to half a step ahead or behind. So each axis may be off by a whole step.
                 let part = (steps[dominant] - from[dominant]) / whole[dominant];
                 for axis in 0..4 {
                     let meant = from[axis] + whole[axis] * part;
@@ -170,7 +170,7 @@ fn three_axes_are_as_without_it() {
     assert!(without.len() > 1000);
     assert_eq!((without.len(), place), (with.len(), other_place));
     for (one, other) in without.iter().zip(&with) {
-        // Motion before this job can leave a fraction of a tick, so times may differ by a tick.
+        // A move made before this job can leave part of a tick that is carried over, so times may differ by a tick.
         assert!(
             one.0.abs_diff(other.0) <= 1 && (one.1, one.2) == (other.1, other.2),
             "{one:?}, with A before: {other:?}"
@@ -197,7 +197,7 @@ fn a_path_tolerance_leaves_moves_with_it_exact() {
 /// A move of a chain: distances in 0.1 um and 0.1 millidegree, and F in mm/min, or in moves per second with G93.
 type Link = ([i32; 4], u32);
 
-/// Returns a program of 1500 moves that repeats `links`, and its nominal duration, s.
+/// Returns a program of 1500 moves, made by repeating `links`, and the time that its F words give it, s.
 fn chain(links: &[Link], inverse_time: bool) -> (String, f64) {
     let (mut text, mut seconds) = (String::from(if inverse_time { "G93\n" } else { "G94\n" }), 0.0);
     for (way, feed) in links.iter().cycle().take(1500) {
@@ -218,9 +218,9 @@ fn links(feed: core::ops::Range<u32>, most_y: i32) -> impl Strategy<Value = Vec<
     prop::collection::vec((way, feed), 2..7)
 }
 
-/// Returns the ratio of a chain's duration to the nominal one, and the length of one step of X as a share of the
-/// chain's length along X. This share is the tolerance for the time before the first step and after the last, which the
-/// trace does not cover.
+/// Returns the ratio of a chain's duration to the time that its F words give it, and the length of one step of X as a
+/// share of the chain's length along X. This share is the tolerance: durations are measured from the first to the last
+/// step, so the time before and after them is missing.
 fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> (f64, f64) {
     let (text, meant) = chain(links, inverse_time);
     let mut mill = mill();
@@ -233,14 +233,14 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 48, rng_seed: RngSeed::Fixed(931), ..ProptestConfig::default() })]
 
     /// Moves too short for a step, together with the next move that makes a step, take the time that F gives them,
-    /// whatever A does, and with equal or different feeds. Y does not move, because lines that go back and forth in Y
-    /// would be joined to a straight one, which is shorter.
+    /// whatever A does, and with equal or different feeds. Y does not move, because the controller would join lines
+    /// that go back and forth in Y to one straight line, which is shorter than they are.
     #[test]
     fn chains_of_moves_shorter_than_a_step_take_their_time(even in links(30..31, 0), odd in links(30..120, 0)) {
         for links in [even, odd] {
             let (ratio, step) = time_in_terms_of_meant(&links, false);
-            // A step is made at the feed of the move that completes it. So a chain can take longer than its nominal
-            // time, but not less.
+            // A step is made at the feed of the move that completes it, even if moves with other feeds have contributed
+            // to it. So a chain can take longer than its F words say, but not less time.
             let slowest = links.iter().map(|(_, feed)| *feed).min().unwrap_or(1);
             let all_slow: Vec<Link> = links.iter().map(|(way, _)| (*way, slowest)).collect();
             let most = chain(&all_slow, false).1 / chain(&links, false).1;

@@ -312,13 +312,13 @@ fn chapter_2_3_4_an_arc_to_a_point_off_the_circle() {
         .unwrap();
 }
 
-/// Figure 6.2 and the example of 7.1, on the step outputs of a machine with one step per millimetre. The steps of an
-/// axis this slow are smoothed: a step of Y comes at the first sixteenth of a step of X after it is due, within the
-/// tick that the figure shows.
+/// Figure 6.2 and the example of 7.1, on the step outputs of a machine with one step per millimetre. The controller
+/// smooths the steps of an axis this slow. So when a step of Y is due, Y waits for the next sixteenth of a step of X,
+/// which lies within the tick (step of X) that the figure shows.
 #[test]
 fn chapters_6_and_7_the_steps_of_the_minor_axis() {
-    // Step m of Y is due when X has made (m - 1/2) × X / Y; a step due exactly at a grid position waits for the next
-    // position.
+    // Step m of Y is due when X has made (m - 1/2) × X / Y steps, where X and Y are the lengths of the line in steps.
+    // If that is exactly a sixteenth of a step of X, Y steps at the next sixteenth.
     for (line, ticks, sixteenths) in
         [("G1 X10 Y3 F600", [2, 6, 9], [27, 81, 134]), ("G1 X9 Y3 F600", [2, 5, 8], [25, 73, 121])]
     {
@@ -329,7 +329,7 @@ fn chapters_6_and_7_the_steps_of_the_minor_axis() {
             stepping.map(|p| p.at as f64).collect()
         };
         let (x, y) = (times(1), times(2));
-        // X steps at the sixteenth after each half.
+        // X itself steps one sixteenth after it is half way to its next step: at 9, 25, 41 sixteenths and so on.
         let step = (x[7] - x[1]) / 6.0;
         let places: Vec<f64> = y.iter().map(|t| (t - x[1]) / step * 16.0 + 25.0).collect();
         for ((place, sixteenth), tick) in places.iter().zip(sixteenths).zip(ticks) {

@@ -12,8 +12,8 @@ use std::fmt::Write;
 
 type Point = [f64; 2];
 
-/// Maximum distance from the curve, mm: `$12` of a new machine, the error of the steps (each axis by 1/2 + 1/14), and
-/// the error of the oracle's polygon.
+/// Maximum distance of the steps from the curve, mm: the arc tolerance `$12` of a new machine, the rounding to steps
+/// (1/2 + 1/14 of a step on each axis), and the error of the polygon by which the test approximates the curve.
 const MOST_OFF: f64 = 0.002 + std::f64::consts::SQRT_2 * 4.0 / 7.0 / CARVER_STEPS + 5e-4;
 
 /// A curve by its words, in thousandths of a millimetre. `leaving` (I and J) is `None` if the curve continues the
@@ -126,7 +126,8 @@ fn follows(places: &[[f64; AXES]], chain: &[[Point; 4]]) -> Result<(), String> {
     let mut piece = 0;
     for place in places {
         let off = |k: usize| from_piece([place[0], place[1]], points[k], points[k + 1]);
-        // Search forward to the next piece that is near, starting 20 pieces back (about a step).
+        // Search forward for the first piece of the polygon that is near enough. Start 20 pieces (about a step) before
+        // the last one found.
         let first = piece - piece.min(20);
         match (first..points.len() - 1).find(|k| off(*k) <= MOST_OFF) {
             Some(found) => piece = piece.max(found),
@@ -176,7 +177,8 @@ proptest! {
         let end = chain.last().map(|curve| curve[3]).unwrap();
         assert_near(rig.place_mm(CARVER_STEPS), [end[0], end[1], 0.0], 0.5 / CARVER_STEPS + 1e-6);
         let steps = places(&rig.trace, start, [CARVER_STEPS; AXES]);
-        // The trace starts at a step, which is at most half a step off.
+        // The steps are counted from `start`, a whole step, which is at most half a step away from the start of the
+        // curve.
         if let Err(why) = follows(&steps, &chain) {
             prop_assert!(false, "{why}\n{text}");
         }
@@ -238,8 +240,8 @@ fn a_circle_of_control_points_is_the_circle() {
             assert!((x.hypot(y) - r).abs() < MOST_OFF, "{x} {y} on a circle of {r}");
         }
         let arc = seconds(&format!("F{feed}\nG3 I-{r}\n"));
-        // A curve is halved until it is fine enough, so its chords are less even than those of an arc, and a small
-        // circle has few of them.
+        // The controller halves a curve until its chords are close enough to it. So the chords are less even than those
+        // of an arc, and a small circle has few of them: up to 6 % more time is allowed.
         assert!((0.99..1.06).contains(&(found / arc)), "{found} s, the arc {arc} s, radius {r} at F{feed}");
     }
 }

@@ -61,7 +61,8 @@ impl Style {
     }
 }
 
-/// Returns a program of straight moves through these points, from the origin, and its course. Feed in mm/s.
+/// Returns a program of straight moves from the origin through the points `meant`, and its course: these points as
+/// intended and as written. Feed in mm/s.
 pub fn program(meant: &[[f64; AXES]], style: Style, feed: f64) -> (String, Course) {
     let mut text =
         format!("G{} G90 G94 G17\nG1 F{:.5}\n", if style.inches { 20 } else { 21 }, feed * 60.0 / style.unit());
@@ -125,7 +126,7 @@ fn fillet(leg: f64, radius: f64, angle: f64, chords: u32) -> Vec<[f64; AXES]> {
     points
 }
 
-/// Returns the points of a line of 100 mm at an odd angle, in `pieces` pieces.
+/// Returns the points of a line of 100 mm at an odd angle, divided into `pieces` equal parts.
 fn line(pieces: u32) -> Vec<[f64; AXES]> {
     (1..=pieces)
         .map(|k| {
@@ -182,7 +183,8 @@ fn a_straight_line_in_coarse_digits_keeps_its_time() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// Rounding noise does not make a circle seem tighter, either: the circle takes no longer with coarse digits.
+/// Rounding noise does not make a circle seem tighter than it is: with coarse digits the circle takes as long as with
+/// six decimals.
 #[test]
 fn a_circle_in_coarse_digits_keeps_its_time() {
     let mut faults = Vec::new();
@@ -251,9 +253,9 @@ const MOST_CHORDS: f64 = 300.0;
 /// Shape of a path. Lengths of lines are shares of the distance in which a machine reaches its feed.
 #[derive(Clone, Debug)]
 enum Shape {
-    /// Lines joined by bends of these angles.
+    /// Lines joined by bends: for each bend its angle and the length of the line after it.
     Fillets(Vec<(f64, f64)>),
-    /// Rows joined by half circles, alternately to both sides.
+    /// Parallel lines of these lengths, joined by half circles that turn left and right in turn.
     Rows(Vec<f64>),
     /// A star: each tip consists of two turns, and all tips are equal.
     Star { tips: u32, side: f64, sharp: f64 },
@@ -281,7 +283,7 @@ struct Job {
 }
 
 impl Job {
-    /// Returns the points of the shape with lines of about `reach` mm.
+    /// Returns the points of the shape. `reach`: length in mm of a line whose length in the shape is 1.
     fn points(&self, reach: f64) -> Vec<[f64; AXES]> {
         let line = |share: f64| Part::Line((share * reach).max(0.01), self.pieces);
         let bend = |angle: f64| Part::Arc { radius: self.radius, angle, chord: self.chord };
@@ -327,7 +329,7 @@ impl Job {
         self.turned(points(&parts))
     }
 
-    /// Rotates the points into the tilted plane and adds the rise.
+    /// Lifts each point above the plane by `rise` times the length of the path up to it, and tilts the plane.
     fn turned(&self, points: Vec<[f64; AXES]>) -> Vec<[f64; AXES]> {
         let [within, about_x, about_z] = self.tilt.map(f64::sin_cos);
         let rotated = |(sin, cos): (f64, f64), a: f64, b: f64| (a * cos - b * sin, a * sin + b * cos);
@@ -398,7 +400,7 @@ fn machines() -> impl Strategy<Value = (Limits, f64, f64)> {
     )
 }
 
-/// Returns the length of lines in which the feed is just about reached, at least 0.5 and at most 12 mm.
+/// Returns the distance, mm, in which the machine accelerates from rest to the feed, but at least 0.5 and at most 12.
 fn reach(limits: &Limits, feed: f64) -> f64 {
     (feed * feed / limits.acceleration[0] / 2.0).clamp(0.5, 12.0)
 }
@@ -469,10 +471,11 @@ fn no_axis_changes_its_speed_by_more_than_a_whole_turn_is_granted() {
     tell("turn", faults);
 }
 
-/// Maximum number of vertices of jobs that are compared with the rule in `f64`, which examines all spans.
+/// Maximum number of vertices of jobs that are compared with the rule for turns. The reference applies the rule to
+/// every span of vertices, which takes long if there are many.
 const MOST_VERTICES: usize = 300;
 
-/// Turns are not slower than the rule for turns allows, either: rounding noise costs no time.
+/// A job takes no longer in its turns than the rule for turns requires ([`by_the_rule`]): rounding noise costs no time.
 #[test]
 fn no_turn_takes_longer_than_the_rule_needs() {
     let mut faults = Vec::new();
@@ -492,14 +495,15 @@ fn no_turn_takes_longer_than_the_rule_needs() {
     tell("slow_turn", faults);
 }
 
-/// Allowed ratio to the time by the rule, because of the controller's limited look-ahead, its choice of spans and the
-/// noise of digits.
+/// Allowed ratio of a job's duration to that of [`by_the_rule`]. The controller looks ahead over a limited number of
+/// moves, applies the rule to a choice of spans only, and sees points that are rounded to digits.
 const SLOWER: f64 = 1.15;
 /// Allowance for the first and the last step, s.
 const UNSEEN: f64 = 0.01;
 
-/// Checks the measurement itself: it must accept motion at the limit of the rule, in any shape. It must detect motion
-/// at 1.5 times this speed on some jobs (those with fine steps and digits), and at 2 times on most.
+/// Checks the measurement itself with motion computed by [`by_the_rule`]: it must accept the maximum speed that the
+/// rule for turns allows, in any shape. It must detect motion at 1.5 times this speed on some jobs (those with fine
+/// steps and digits), and at 2 times on most.
 #[test]
 fn the_measure_accepts_the_rule_and_sees_a_broken_one() {
     let (mut compared, mut seen) = (0, [0, 0]);

@@ -263,9 +263,9 @@ impl Setup {
 /// Host timeout during a job, s. It is not a sum of the times that actions, dwells or delays take, so it never expires
 /// together with one of them.
 pub const JOB_SILENCE: f64 = 1.13;
-/// Host timeout during a jog, s; chosen in the same way.
+/// Host timeout during a jog, s. Like [`JOB_SILENCE`], it never expires together with an action, dwell or delay.
 pub const JOG_SILENCE: f64 = 0.31;
-/// Time for which a spindle may be below its speed, s.
+/// Time for which the spindle may be below its speed before this counts as a fault (`$929`), s.
 pub const SLOW_FOR: f64 = 0.17;
 /// Time that a spindle has to reach a new speed, s.
 pub const SPIN_UP: f64 = 0.27;

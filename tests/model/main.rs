@@ -22,8 +22,8 @@ fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
 }
 
-/// Plays conversations with a machine and with a reference model. The model gets the machine's setup changed by `told`,
-/// which the tests of this search use to make the two disagree. Returns the states that were reported, or the shortest
+/// Plays conversations with a machine and with a reference model. `told` returns the setup of the model; some tests let
+/// it differ from the machine's, so that the two disagree. Returns the states that were reported, or the shortest
 /// conversation in which the two disagree.
 fn search(count: u64, seed: u64, told: impl Fn(Setup) -> Setup) -> Result<States, String> {
     let config = Config {

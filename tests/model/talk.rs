@@ -21,7 +21,8 @@ struct Talk {
     text: String,
 }
 
-/// Visible effects of an action.
+/// What a host can observe of an action: the lines that the machine sends, its status report, and whether it makes
+/// steps.
 struct Seen {
     said: Vec<String>,
     report: String,
@@ -110,7 +111,8 @@ impl Seen {
         self.report.trim_matches(['<', '>']).split('|').find_map(|field| field.strip_prefix(name)?.strip_prefix(':'))
     }
 
-    /// Returns what the model expects where the two first differ; `None` if they agree.
+    /// Compares what the machine did with the model. Returns what the model expects at the first difference; `None` if
+    /// there is none.
     fn differs(&self, model: &Model) -> Option<String> {
         if !is_said(&model.said, &self.said, !model.setup.grbl) {
             return Some(format!("the answers {:?}", model.said));
@@ -145,7 +147,7 @@ impl Seen {
 }
 
 /// Returns whether lines match a list of patterns. `*` stands for any text, and [`MANY`] for any number of lines that
-/// are not answers. `reasons`: an error can be preceded by a message with its reason, which the model does not predict.
+/// are not answers. `reasons`: an error may follow a message that gives its reason and that no pattern matches.
 fn is_said(patterns: &[String], lines: &[String], reasons: bool) -> bool {
     let Some((pattern, rest)) = patterns.split_first() else { return lines.is_empty() };
     if pattern == MANY {
@@ -171,9 +173,9 @@ fn is_line(pattern: &str, line: &str) -> bool {
 /// Number of times that each state has been reported after an action.
 pub type States = BTreeMap<String, u64>;
 
-/// Plays a conversation with a machine of `setup` and with the model of a machine of `told`. `told` differs from
-/// `setup` only where the tests check that a disagreement is found. Returns the states that were reported, or the
-/// disagreement.
+/// Plays a conversation with a machine of `setup` and with a reference model that is built for the setup `told`. The
+/// two setups differ only where a test checks that a disagreement is found. Returns the states that were reported, or
+/// the disagreement.
 pub fn play(setup: Setup, told: Setup, actions: &[Action]) -> Result<States, String> {
     let mut talk = Talk::started(setup);
     let mut models = vec![Model::new(told)];

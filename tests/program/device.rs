@@ -11,10 +11,10 @@ use std::process::Stdio;
 fn a_device_on_standard_input_loses_nothing_silently() {
     let full = || Stdio::from(fs::OpenOptions::new().write(true).open("/dev/full").expect("a device"));
     for pins in [&[][..], &["--pins", "0"]] {
-        // The program's input stays open.
+        // The program's input stays open, so only the failed output can end the program.
         let mut program = oxmill(&[&["serve", "--stdio", "--speed", "max"], pins].concat());
         let mut program = program.stdin(Stdio::piped()).stdout(full()).spawn().expect("it starts");
-        // The greeting is lost, too, so the program can have ended already.
+        // This may fail: writing the greeting has already failed, so the program can have ended.
         let _ = program.stdin.as_mut().expect("a pipe").write_all(b"G1 X1 F1000\n");
         let (code, said) = ended(program);
         assert!(code == Some(2) && said.contains("cannot write the answers"), "{pins:?}: {code:?}, {said}");

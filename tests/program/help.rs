@@ -18,8 +18,8 @@ fn shells_and_man_know_the_commands() {
     }
 }
 
-/// `serve --web` looks for the page beside the program, as in the archive of a release. If the page is missing, the
-/// message names both ways to get it.
+/// `serve --web` looks for the page in the folder of the program, as in the archive of a release. If the page is
+/// missing, the message names a release and `cargo xtask web` as its sources, and the option `--page`.
 #[test]
 fn the_page_is_looked_for_beside_the_program() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("released");
@@ -39,7 +39,8 @@ fn the_page_is_looked_for_beside_the_program() {
     assert!(refused().contains("is not the page of Oxmill"));
 }
 
-/// Each option is in the manual, both on standard output and in the files, which refer to each other.
+/// Each option is in the manual that `man` prints, and in the page of its command that `man --out` writes. The page of
+/// the program, or of the command above it, refers to this page.
 #[test]
 fn the_manual_has_the_options_of_each_command() {
     let plain = |text: &str| text.replace('\\', "");

@@ -137,7 +137,7 @@ fn plot_draws_the_job() {
     let drawn = fs::read_to_string(&svg).expect("a drawing");
     assert!(drawn.starts_with("<svg") && drawn.contains("plot.nc"));
     assert!(fs::read(&png).expect("a drawing").starts_with(b"\x89PNG"));
-    // Must be the same drawing as by `run --plot`.
+    // `run --plot` must write the same drawing as `plot`.
     let other = svg.with_file_name("plot_by_run.svg");
     run(&["run", text(&job), "--plot", text(&other)]);
     assert_eq!(fs::read_to_string(&other).expect("a drawing"), drawn);
@@ -177,12 +177,13 @@ fn an_alarm_has_the_line_that_raised_it() {
     }
 }
 
-/// All lines of a block without an end are accepted, but none of them is carried out.
+/// A block of O words that is never closed is one error, of the line that opened it: the lines in the block are
+/// accepted, but none of them is carried out.
 #[test]
 fn a_block_without_an_end_is_an_error_of_the_line_that_began_it() {
     for (name, program, line) in [
         ("open_if.nc", "%\nG1 X1 F600\n\no1 if [0]\nG1 X2\nM2\n%\n", 4),
-        // The tape mark drops the block, and the next program is run.
+        // The tape mark `%` ends the first program, so its open block is dropped, and the second program is run.
         ("open_sub.nc", "o<pocket> sub\n%\nG1 X2 F600\nM30\n", 2),
         ("open_loop.nc", "G1 X1 F600\no1 repeat [2]\no1 endrepeat\n o2 while [1] (so)\nX5", 4),
         ("open_at_end.nc", "o5 if [1]\nG1 X1 F600\nM2\n", 1),
@@ -245,13 +246,14 @@ fn a_held_program_that_is_too_long_is_measured() {
     let job = file("too_long.nc", &program);
     let output = run(&["check", text(&job), "--json", "--board", "nucleo_f401re"]);
     let error = &json(&output)["errors"][0];
-    // The held text needs 9 bytes for each of the 700 lines (8 without blanks, and 1 for the length), then M98P1, M30,
-    // O1 with its keyword, X3, and 64 bytes that must stay free. The board has 6144 bytes.
+    // The board must hold the text of the program in memory. It needs 9 bytes for each of the 700 lines (8 without
+    // blanks, and 1 for the length), then M98P1, M30, O1 with its keyword, X3, and 64 bytes that must stay free. The
+    // board has 6144 bytes.
     let lacking = 700 * 9 + 6 + 4 + 6 + 3 + 64 - 6144;
     assert_eq!(error["code"], 83);
     let advice = error["advice"].as_str().expect("advice");
     assert!(advice.starts_with(&format!("nucleo_f401re lacks {lacking} bytes")), "{advice}");
-    // Boards with more RAM have room for it.
+    // A board with more RAM has room for the program.
     assert_eq!(
         json(&run(&["check", text(&job), "--json", "--board", "nucleo_f446re"]))["errors"],
         serde_json::json!([])
@@ -287,7 +289,7 @@ fn lines_are_named_that_do_what_may_not_be_meant() {
                 (4, "sent as it is, `!` holds the machine, `~` goes on where the machine is held in dialect grbl"),
             ]
         );
-        // In Grbl's dialect 0.05 mm/min is raised to 1 mm/min.
+        // Grbl's dialect raises the feed of 0.05 mm/min to 1 mm/min, so there the line takes only minutes.
         let long = (dialect == "oxmill").then_some((5, "takes 2 h 0 min 0 s"));
         assert_eq!((told.get(2).copied(), &summary["more_warnings"]), (long, &0.into()));
     }
@@ -313,7 +315,7 @@ fn a_job_of_errors_has_a_summary_of_bounded_size() {
 }
 
 /// `resume` writes a program for the remaining part of a job, to standard output or to a file, and this program is
-/// accepted. After an error, which is reported, there is no file.
+/// accepted. If `resume` reports an error, it writes no file.
 #[test]
 fn the_rest_of_a_job_is_written() {
     let pocket = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/pocket_mm.nc");

@@ -4,7 +4,7 @@ use super::{file, json, oxmill, run, text};
 use std::io::Write;
 use std::process::Stdio;
 
-/// A byte order mark and any line ends are accepted.
+/// A file of settings may begin with a byte order mark, and its lines may end in LF, CR or CR LF.
 #[test]
 fn settings_may_come_from_any_editor() {
     let job = file("edited.nc", "G1 X10 F60000\n");
@@ -20,8 +20,8 @@ fn settings_may_come_from_any_editor() {
     assert!(said.contains("line 3 of ") && said.contains("is not of the form $n=v"), "{said}");
 }
 
-/// The dialect determines which values are accepted, even if it is selected after them. For a rejected value the
-/// controller's answer is shown.
+/// The dialect determines which values are accepted, even if `--dialect` follows them on the command line. For a
+/// rejected value the controller's answer is shown.
 #[test]
 fn settings_are_those_of_the_dialect() {
     let job = file("dialect_of_settings.nc", "G21\n");
@@ -38,13 +38,15 @@ fn settings_are_those_of_the_dialect() {
     let dump = file("dump_of_grbl.txt", "$20=1\n$22=1\n$0=2.5\n");
     let output = run(&["check", text(&job), "--dialect", "grbl", "--settings", text(&dump)]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // A dump of the dialect of grblHAL lists masks before the dialect.
+    // A dump of the dialect of grblHAL lists the masks `$10` and `$22` before `$900=3`, which selects the dialect in
+    // which these values are valid.
     let dump = file("dump_of_grblhal.txt", "$10=511\n$22=207\n$900=3\n$932=1\n");
     let output = run(&["check", text(&job), "--json", "--settings", text(&dump)]);
     assert_eq!(json(&output)["dialect"], "grblhal", "{}", String::from_utf8_lossy(&output.stderr));
     let output = run(&["check", text(&job), "--dialect", "oxmill", "--settings", text(&dump)]);
     assert!(output.status.code() == Some(2) && String::from_utf8_lossy(&output.stderr).contains("error:52"));
-    // A rejected value is normally tried again after all others, but not if a later value for the same setting follows.
+    // The program normally tries a rejected value again after all others, but not if a later value for the same setting
+    // follows.
     let twice = ["check", text(&job), "--dialect", "grbl", "--set", "32=2", "--set", "32=0"];
     let output = run(&twice);
     assert!(output.status.code() == Some(2) && String::from_utf8_lossy(&output.stderr).contains("--set 32=2"));

@@ -33,7 +33,7 @@ const FLUIDNC: &str = "name: Made up\nboard: 6 Pack: v2\narc_tolerance_mm: 0.004
                        direction_pin: i2so.7:low\n        ms3_pin: NO_PIN\nPWM:\n  pwm_hz: 5000\n  spinup_ms: 1500\n  \
                        speed_map: 0=0.000% 24000=100.000%\nmacros:\n  macro0: G0 X0\n";
 
-/// The result as values by number, and reasons by entry.
+/// Result of an import: the imported values by setting, and the entries that were left out, each with the reason.
 struct Imported {
     what: String,
     values: BTreeMap<u64, f64>,
@@ -69,7 +69,8 @@ fn a_dump_of_grbl_is_taken_as_it_is() {
     }
 }
 
-/// A mask becomes the settings that have the meaning of its bits; other bits are named.
+/// A mask of grblHAL becomes the Oxmill settings that have the meaning of its bits. Bits without such a setting are
+/// listed as left out.
 #[test]
 fn masks_of_grblhal_come_apart() {
     let imported = import("import_grblhal.txt", GRBLHAL);
@@ -111,7 +112,8 @@ fn masks_of_grblhal_come_apart() {
         assert!(found.contains(why), "{entry}: {found}");
     }
     assert_eq!(imported.left.len(), 8);
-    // Limit inputs that are all inverted need no mask, and a fourth axis is put in use.
+    // If all limit inputs are inverted, `$5=1` is enough and the mask `$908` stays 0. Values for a fourth axis put this
+    // axis in use (`$930=4`).
     let four = import("import_four.txt", "$5=15\n$22=0\n$7=0\n$47=8\n$341=3\n$100=1\n$101=1\n$102=1\n$103=2\n$104=3\n");
     let expected =
         [(5, 1.0), (22, 0.0), (47, 8.0), (100, 1.0), (101, 1.0), (102, 1.0), (103, 2.0), (908, 0.0), (930, 4.0)];
@@ -245,7 +247,7 @@ fn the_settings_are_written_for_a_board() {
             assert!(output.status.code() != Some(2) && refused.is_empty(), "{name} {dialect}: {refused}");
         }
     }
-    // The input is not overwritten, and without a single setting nothing is written.
+    // The import does not overwrite its input. If it finds no setting that it can use, it writes no file.
     let input = file("import_same.txt", GRBL);
     assert_eq!(run(&["settings", "import", text(&input), "-o", text(&input)]).status.code(), Some(2));
     assert_eq!(fs::read_to_string(&input).expect("the dump"), GRBL);

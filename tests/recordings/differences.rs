@@ -1,6 +1,6 @@
 //! All recorded exchanges that this controller answers differently, with the reasons.
 
-/// A record with a different answer.
+/// A record to which this controller gives another answer than the recorded one.
 pub struct Difference {
     pub group: &'static str,
     pub n: u64,
@@ -76,7 +76,7 @@ const STANDS_WHERE_STOPPED: &[(&str, u64)] = &[
     ("26_pins", 23),
 ];
 
-/// Returns whether the position of a record depends on the time of a stop.
+/// Returns whether the position in a record depends on the moment at which the recording host stopped a move.
 pub fn is_stopped(group: &str, n: u64) -> bool {
     STANDS_WHERE_STOPPED.contains(&(group, n))
 }

@@ -39,7 +39,7 @@ fn power_up(group: &str) -> Simulator {
     mill.send("$900=0\n");
     mill.run_until_idle();
     assert!(mill.take_output().ends_with("ok\r\n"));
-    // After this reset the machine is as after power-up, except for the dialect.
+    // This reset puts the machine into the state after power-up; only the dialect is kept.
     mill.send([0x18]);
     mill.run_until_idle();
     mill

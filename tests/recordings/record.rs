@@ -48,7 +48,7 @@ pub fn answers(text: &str) -> usize {
     lines(text).iter().filter(|line| *line == "ok" || line.starts_with("error:")).count()
 }
 
-/// Numbers of records by kind of answer.
+/// Numbers of records, by how this controller's answers compare with the recorded ones.
 #[derive(Clone)]
 pub struct Tally {
     pub equal: usize,
@@ -63,7 +63,7 @@ impl Tally {
         Tally { equal: 0, by_rule: 0, listed: 0, other: Vec::new(), used: vec![false; differences::DIFFERENCES.len()] }
     }
 
-    /// Compares the answers to a record and counts the result.
+    /// Compares the machine's output `said` with the answers in a record, and counts the result.
     pub fn judge(&mut self, group: &str, record: &Record, said: &str) {
         let got = lines(said);
         let listed = differences::DIFFERENCES.iter().position(|d| d.group == group && d.n == record.n);

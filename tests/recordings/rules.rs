@@ -10,7 +10,8 @@ pub fn equal(stopped: bool, recorded: &[String], answered: &[String]) -> bool {
     recorded.iter().zip(answered).all(|(a, b)| a == b || build(a, b) || report(stopped, a, b) || touch(a, b))
 }
 
-/// Version and sizes differ between the controllers.
+/// Build information (`[VER:..]` and `[OPT:..]`): only the text that the user has stored must be equal; version and
+/// buffer sizes differ between the controllers.
 fn build(recorded: &str, answered: &str) -> bool {
     let user_text =
         |line: &str| line.strip_prefix("[VER:1.1h.").and_then(|l| l.split_once(':')).map(|(_, t)| t.to_string());

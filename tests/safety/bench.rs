@@ -11,7 +11,7 @@ pub const HZ: u64 = boards::DESK.step_clock_hz as u64;
 pub const STEPS: f64 = 250.0;
 /// Virtual seconds to wait for an answer before the test fails.
 const PATIENCE: f64 = 1000.0;
-/// Interval between checks of a condition, s.
+/// Interval at which [`Bench::read_until`] checks the output, s.
 const LOOK: f64 = 0.005;
 
 #[derive(Clone)]

@@ -39,7 +39,7 @@ const PARKS: &str = "$41=1 $56=0.3 $57=900 $58=-3 $59=2000";
 /// The second motor of X starts 0.3 mm ahead of the first, and has its own switch.
 const RACKED: &str = "racked_mm = 0.3\n";
 const SECOND: &str = "[[switch]]\naxis = \"x\"\nat_mm = 2\nside = \"positive\"\nsecond_motor = true\n";
-/// Machines: the TOML text before and after [`SWITCHES`], and the settings.
+/// Machines: two parts of the TOML text before [`SWITCHES`], the TOML text after it, and the settings.
 const MACHINES: [([&str; 2], &str, [&str; 3]); 10] = [
     (["", ""], "", ["", "", ""]),
     ([SLACK, ""], "", [TAKEN_UP, "$43=2", ""]),
@@ -138,7 +138,8 @@ impl Mill {
         (std::array::from_fn(|_| places.next().expect("three places")), status)
     }
 
-    /// Returns the position at which the drives hold the tool, relative to the switches, mm.
+    /// Returns the actual position of the tool, computed from the parts that the motors drive, relative to the
+    /// switches, mm.
     fn tool(&self) -> [f64; 3] {
         let [mut x, mut y, z, ..] = self.bench.mill.fittings().driven_mm();
         if self.belts {
@@ -147,8 +148,9 @@ impl Mill {
         [x - AT[0], y - AT[1], z - AT[2]]
     }
 
-    /// Compares the positions at rest. They can differ by backlash that was not taken up when a motion was stopped, and
-    /// on machines with belts by the half step to which the two motors are homed.
+    /// Compares the reported position with the actual one at rest. They can differ by backlash that was not taken up
+    /// when a motion was stopped. On machines with belts they can also differ by half a step, because a step of one
+    /// motor moves the tool by half a step along two axes.
     fn assert_place(&mut self) {
         let ((reported, status), tool) = (self.reported(), self.tool());
         let off = if self.slack { 0.1701 } else { [0.0021, 0.0101][usize::from(self.belts)] };
@@ -157,8 +159,8 @@ impl Mill {
         }
     }
 
-    /// Checks that the tool is within its travel. A belt that takes up its backlash also moves the other axis, by up to
-    /// half of the backlash.
+    /// Checks that the tool is within its travel. With belts, a motor that takes up its backlash moves the tool along
+    /// both axes, so along the other axis the tool can be outside by up to half of the backlash.
     fn assert_in_travel(&mut self) {
         let drag = if self.belts && self.slack { 0.08 } else { 0.0 } + 0.003;
         let (reported, status) = self.reported();
@@ -186,7 +188,8 @@ impl Mill {
         self.before.2 = false;
     }
 
-    /// Lets time pass, and checks what must hold at any time.
+    /// Lets time pass and returns the state. Checks that a machine at rest has made no step, that the tool is within
+    /// its travel, and that the reported position is the actual one.
     fn pass(&mut self, milliseconds: u64) -> String {
         self.bench.wait(milliseconds as f64 / 1000.0);
         for said in self.bench.read() {
@@ -262,7 +265,8 @@ impl Mill {
         self.bench.settle();
     }
 
-    /// Restores the settings, homes, and checks that the machine reaches a position to the step.
+    /// Restores the machine's own settings, which the session can have changed. Then homes, and checks that the machine
+    /// reaches a position to the step.
     fn assert_sound(&mut self, settings: [&str; 3]) {
         for line in settings.join(" ").split_whitespace().chain("$N0= $N1= $21=0 $923=0 $902=0 $20=0".split(' ')) {
             self.carry_out(line);

@@ -48,7 +48,7 @@ const LONGEST: f64 = 30.0;
 /// path passes, or in a neighbouring cell. The edge is long enough for the braking distance of a probe, which depends
 /// on its speed.
 const CELL: i32 = 10;
-/// The same for paths with rounded corners, which differ by up to 0.1 mm.
+/// Edge of the cells for paths with rounded corners (G64 P), which differ by up to 0.1 mm.
 const ROUNDED_CELL: i32 = 30;
 
 const TOOLS_AND_PLACES: &str =
@@ -93,7 +93,7 @@ fn more_lines(r: &mut Random, a: &str, feed: u64) -> Vec<String> {
     text.split('|').map(str::to_string).collect()
 }
 
-/// Returns lines that belong together. Some of them can fail on this machine; `program` omits these.
+/// Returns lines that belong together. If one of them fails on this machine, [`program`] leaves all of them out.
 fn lines(random: &mut Random, turns: bool) -> Vec<String> {
     let r = random;
     let a = if turns && r.below(2) == 0 { format!(" A{:.2}", mm(r, 40)) } else { String::new() };
@@ -194,7 +194,7 @@ impl Mill {
         }
     }
 
-    /// Sends a line if there is room for it; returns whether there was.
+    /// Sends a line if it fits into the machine's receive buffer; returns whether it did.
     fn line(&mut self, line: &str) -> bool {
         let fits = self.bench.mill.unread() + line.len() < self.bench.mill.board().received_bytes;
         if fits {
@@ -234,7 +234,8 @@ impl Mill {
         }
     }
 
-    /// Lets time pass, and checks what must hold at any time.
+    /// Lets time pass and reads the answers. Checks that a machine at rest in a hold or at a door has made no step,
+    /// that laser and spindle are off where they must be, and that the reported position agrees with the steps.
     fn pass(&mut self, milliseconds: u64) {
         self.bench.wait(milliseconds as f64 / 1000.0);
         self.hear();

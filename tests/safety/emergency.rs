@@ -14,14 +14,16 @@ fn everything_off(bench: &Bench, drivers: bool, what: &str) {
     assert!(!bench.mill.is_stepping(), "{what}");
 }
 
-/// Activates the pin at a time in the job and checks the consequences.
+/// Activates the pin at `moment` (s) in the job. Checks that motion, spindle, power and coolant are off at once and
+/// stay off, whatever a host or an operator does, and that the machine can be unlocked after the pin is released.
 fn press(pin: &str, alarm: u8, error: u8, drivers_off: bool, moment: f64) {
     let mut bench = Bench::new("", SETTINGS);
     assert_eq!(bench.ask(&format!("$913={}", u8::from(drivers_off))), ["ok"]);
     bench.send(JOB);
     bench.wait(moment);
     let what = format!("{pin} at {moment} s, $913={drivers_off}");
-    // At rest, the drivers are already off (`$1`), and an emergency must not switch them on.
+    // If the machine was at rest, the idle delay (`$1`) can already have switched the drivers off. Then the pin must
+    // not switch them on.
     let (moving, drivers) = (bench.mill.is_stepping(), bench.mill.outputs().is_some_and(|o| o.drivers));
     bench.read();
     bench.pin(&format!("{pin} 1"));
@@ -69,7 +71,7 @@ fn an_emergency_at_any_moment() {
     press("estop", 101, 50, true, 0.2);
 }
 
-/// Only an armed input stops the machine, not one that the settings disable.
+/// A limit switch stops the machine only if the settings enable hard limits (`$21`).
 #[test]
 fn a_limit_switch_stops_only_where_hard_limits_are_on() {
     let mut bench = Bench::new("", "$120=200");

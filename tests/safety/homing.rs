@@ -12,7 +12,7 @@ const TRAVEL: f64 = 12.0;
 const SETTINGS: &str = "$22=1 $24=60 $25=480 $26=20 $27=1.5 $120=100 $121=100 $122=100 $130=12 $131=12 $132=12";
 
 /// Returns a machine with switches at [`AT`]. For the axes of the mask `to_negative`, which home in negative direction,
-/// the position is mirrored.
+/// the switch is at the mirrored (negative) position.
 fn machine(to_negative: u8, bounce_us: u32) -> String {
     let mut text = format!("steps_per_mm = [{STEPS}, {STEPS}, {STEPS}]\n");
     for (axis, letter) in ["x", "y", "z"].into_iter().enumerate() {
@@ -53,7 +53,7 @@ fn a_bouncing_switch_is_found_to_the_step() {
             assert_eq!(home(&mut bench), ["ok"]);
             let what = format!("mask {to_negative}, bounce {bounce_us} us");
             assert_homed(&mut bench, to_negative, &what);
-            // Once more from the homed position, and from another one.
+            // Home again, first from the homed position and then from another one.
             assert_eq!(home(&mut bench), ["ok"]);
             assert_homed(&mut bench, to_negative, &what);
             bench.carry_out("G90 G53 G0 X-5 Y-6 Z-7");
@@ -229,7 +229,7 @@ fn unlocked() -> Vec<&'static str> {
     vec!["[MSG:Caution: Unlocked]", "[MSG:The position may be lost: home before using machine coordinates]", "ok"]
 }
 
-/// Holds, cycle starts, overrides, jog cancels, lines and other switches have no effect on homing.
+/// Holds, cycle starts, jog cancels, status requests and lines have no effect on homing.
 #[test]
 fn nothing_else_disturbs_homing() {
     for bytes in ["!", "~", "\u{85}", "G0 X100\n", "$J=G91X1F100\n", "?????", "$X\n"] {
@@ -273,7 +273,8 @@ fn with_zero_at_the_pull_off_nothing_that_goes_to_zero_meets_a_switch() {
         let what = format!("mask {to_negative}");
         assert_eq!(home, std::array::from_fn(|axis| sign[axis] * (AT[axis] - PULL_OFF)), "{what}");
         assert_place(bench.reported(), [0; AXES], &what);
-        // Lines that post-processors write at the beginning and the end, starting from another position.
+        // Post-processors write these lines at the beginning and the end of a program. They lead axes to zero from
+        // another position, and no switch may close on the way.
         for line in ["G28 G91 Z0", "G28 G91 X0 Y0", "G30", "G90 G53 G0 X0 Y0 Z0"] {
             let [x, y, z] = sign.map(|sign| -5 * sign);
             bench.carry_out(&format!("G90 G53 G0 X{x} Y{y} Z{z}"));
@@ -295,7 +296,7 @@ fn with_zero_at_the_pull_off_nothing_that_goes_to_zero_meets_a_switch() {
                 let said = bench.read_until(&what, |said| said.iter().any(|line| line.starts_with("ALARM")));
                 assert!(said.iter().any(|line| line == "ALARM:2"), "{what} {letter}{beyond}: {said:?}");
             }
-            // With `$40` a jog beyond this end stops there, and a jog beyond zero stops at zero.
+            // With `$40` a jog past the far end of the travel stops at that end, and a jog past zero stops at zero.
             let mut bench = bench.clone();
             assert_eq!(bench.ask("$40=1"), ["ok"]);
             for (by, place) in [(-20 * sign[axis], end), (40 * sign[axis], 0.0)] {

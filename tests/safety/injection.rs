@@ -122,7 +122,7 @@ fn assert_true_and_at_rest(bench: &mut Bench, what: &str) {
     assert_eq!(bench.place(), place, "{what}: it moves");
 }
 
-/// Asserts that the machine works as after power-up: a move reaches its target.
+/// Asserts that the machine can be used: a move and a jog reach their targets.
 #[track_caller]
 fn assert_usable(bench: &mut Bench, what: &str) {
     bench.read();

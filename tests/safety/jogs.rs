@@ -23,7 +23,7 @@ const SECOND: &str = "$J=G91 Z-1 F900\n";
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum End {
-    /// A byte in the same packet as the jogs.
+    /// A realtime byte, sent in the same packet as the jogs, after them.
     Byte(u8),
     Pin(&'static str),
     HostGoes,
@@ -50,7 +50,7 @@ fn send_and_end(bench: &mut Bench, text: &str, end: End) {
     }
 }
 
-/// Resumes after a hold or a door until nothing waits.
+/// Sends `~` several times, which ends all holds and door states, and waits until the machine is idle.
 fn go_on(bench: &mut Bench) {
     for _ in 0..4 {
         bench.wait(0.5);

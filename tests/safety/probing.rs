@@ -6,13 +6,13 @@ use oxmill_test_support::numbers;
 const SETTINGS: &str = "$110=2000 $111=2000 $112=2000";
 
 struct Case {
-    /// Target of the probe, mm from 0.
+    /// Target of the probing move, mm from the power-up position.
     way: [f64; AXES],
-    /// Axis of the plate.
+    /// Axis along which the tool meets the plate.
     axis: usize,
     /// Position of the plate, in steps.
     at: i32,
-    /// Whether the contact closes when the axis moves in negative direction.
+    /// Whether the plate's contact closes when the axis moves in negative direction.
     negative: bool,
 }
 
@@ -118,7 +118,7 @@ fn braking_after_a_contact_is_no_harder_than_the_axis_can() {
     let times: Vec<u64> = records[braking..].iter().map(|r| r.at).collect();
     let speeds: Vec<f64> = times.windows(2).map(|w| HZ as f64 / (w[1] - w[0]) as f64 / STEPS).collect();
     assert!(speeds.len() > 100 && speeds.is_sorted_by(|a, b| a >= &(b * 0.999)), "{speeds:?}");
-    // Compared over eight steps, because times are whole ticks.
+    // Compare speeds that are eight steps apart, because the times of single steps are rounded to ticks.
     for (index, ends) in speeds.windows(9).enumerate() {
         let deceleration = (ends[0] * ends[0] - ends[8] * ends[8]) / 16.0 * STEPS;
         assert!(deceleration <= 101.0, "step {index}: {deceleration} mm/s2");

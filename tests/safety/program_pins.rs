@@ -83,8 +83,8 @@ fn held_motion_holds_an_output_off() {
 
 #[test]
 fn a_change_rides_with_its_motion() {
-    // The output must change where the block of its motion starts. This holds at a corner, and on a straight line whose
-    // moves would otherwise be joined.
+    // M62 must switch the output exactly where the next move starts. This holds at a corner, and on a straight line
+    // whose moves the controller would otherwise join.
     for (name, lines, at) in [
         ("corner", vec!["G1 X10 F600", "M62 P0", "G1 Y10"], [2500, 0]),
         ("straight", vec!["G1 X10 F600", "M62 P0", "G1 X20"], [2500, 0]),
@@ -99,7 +99,7 @@ fn a_change_rides_with_its_motion() {
             bench.wait(0.000_2);
         }
         let place = bench.place();
-        // 10 mm/s and 250 steps/mm.
+        // Steps that the machine makes during the maximum delay, at 10 mm/s and 250 steps/mm, plus two.
         let most = (LATE * 10.0 * 250.0) as i32 + 2;
         for axis in 0..2 {
             let off = place[axis] - at[axis];

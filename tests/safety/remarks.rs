@@ -13,7 +13,7 @@ const TEXT: [&str; 22] = [
     "Ä", "Ö", "Ü", "ä", "ö", "ß", "à", "á", "é", "ñ", "Å", "Ł", "Ж", "切", "削", "原", "点", "、", "😀", "𐀄", "e", " ",
 ];
 const WORDS: [&str; 8] = ["G1 X0.5", "G0 Y1", "G21", "", "G90", "N20 G1 Z-0.1", "F600", "S100"];
-/// Reported once for nested parentheses.
+/// Message that the machine sends once for nested parentheses.
 const NESTED: &str = "[MSG:Parentheses within a remark are part of it; Grbl ends it at the first one]";
 /// Realtime commands. They act anywhere, with two exceptions in a comment: `~` is text there, and `!` is text if
 /// another byte follows within 20 ms.
@@ -54,8 +54,8 @@ impl Conversation {
         }
         let stop = (random.below(2) == 0).then(|| STOPS[random.below(STOPS.len() as u64) as usize]);
         let mut at = random.below(text.len() as u64) as usize;
-        // A stop byte beyond ASCII in the middle of a character could form another character with the bytes around it,
-        // so move the stop byte to the character's start.
+        // A stop byte beyond ASCII that splits a character could form another character with that character's bytes. So
+        // move the stop byte to the start of the character.
         while stop.is_some_and(|stop| !stop.is_ascii() || stop == b'~') && !text.is_char_boundary(at) {
             at -= 1;
         }
@@ -70,7 +70,7 @@ impl Conversation {
         Self { bytes, lines, stop, at, is_in_remark, breaks }
     }
 
-    /// Plays the conversation on a machine that is in motion for several more seconds.
+    /// Plays the conversation on a machine that is in the middle of a long move.
     fn play(&self, mut bench: Bench, sending: Sending, what: &str) {
         let what = format!("{what}, {sending:?}: {:?}", self.bytes.escape_ascii().to_string());
         let (first, rest) = self.bytes.split_at(if sending == Sending::Stops { self.at + 1 } else { self.bytes.len() });
@@ -119,7 +119,7 @@ impl Conversation {
 enum Sending {
     InOne,
     Bytes,
-    /// The host pauses after the stop byte.
+    /// The host pauses for 30 ms after the stop byte, long enough for a `!` in a comment to act.
     Stops,
 }
 
@@ -145,7 +145,8 @@ fn characters_of_remarks_are_no_commands_and_no_stop_is_lost() {
     println!("{conversations} conversations");
 }
 
-/// Each byte restarts the 20 ms, and a pause never starts a held machine.
+/// A `!` in a comment acts when no byte has followed for 20 ms; each byte restarts this time. A `~` in a comment never
+/// resumes the machine, even if a pause follows it.
 #[test]
 fn a_pause_is_counted_from_the_last_byte() {
     let mut bench = Bench::new("", "$110=3000 $120=500");

@@ -31,7 +31,7 @@ fn any_value(random: &mut Random, kind: Kind) -> i64 {
     }
 }
 
-/// Returns a set in which every value is random. Most sets are usable.
+/// Returns a set of settings in which every value is random. The machine can run with most such sets.
 fn any_set(random: &mut Random, listed: &Set) -> Set {
     let mut set = listed.clone();
     for entry in SCALARS {
@@ -88,8 +88,8 @@ fn send_all(bench: &mut Bench, lines: &[String]) {
         let locked = bench.set(line);
         let own = locked.as_ref().is_some_and(|name| line.starts_with(&format!("{name}=")));
         assert!(own || locked.is_none() || locked != named, "{line}: {locked:?} again");
-        // A setting that affects the step rate can correct the fault for a while; if the fault comes back later, its
-        // setting is named again.
+        // A setting that affects the step rate can make the set usable for a while. If the set becomes unusable again,
+        // the lock message may name the same setting as before.
         let number = line.trim_start_matches('$').split('=').next().and_then(|n| n.parse::<u32>().ok());
         let mends = matches!(number, Some(0 | 29 | 100..=102 | 110..=112 | 904 | 905));
         named = if mends { locked } else { locked.or(named) };
@@ -146,7 +146,7 @@ fn a_set_is_restored_in_any_order() {
         assert_eq!(listing(&mut machine), wanted, "{lines:?} after {before:?}");
         assert_eq!(locked_by(&mut machine), None, "{lines:?} after {before:?}");
         assert_eq!(machine.state(), "Idle");
-        // The machine also moves, within its travel.
+        // With the restored settings the machine must also move, here within its travel.
         let place = machine.place();
         let sign = if set[&932] != 0 && (set[&23] / 1000) & 1 != 0 { 1 } else { -1 };
         assert_eq!(machine.ask(&format!("$J=G91 G21 X{} F500", 0.9 * f64::from(sign))), ["ok"], "{lines:?}");

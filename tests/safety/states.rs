@@ -81,12 +81,14 @@ const SETS: [(&str, &[&str]); 7] = [
     ("BehindDoor", &[".", "Door:0", "Door:1", "Sleep"]),
     // Alarm (locked) if the machine was moving or is on a limit switch.
     ("Reset", &["Idle", "Alarm"]),
-    // The same, if the door is open; the door can be detected only after the reset.
+    // A reset while the door is open leads to Idle or Alarm, like any reset, or to a door state, if the controller has
+    // already detected the door again.
     ("ResetDoor", &["Idle", "Alarm", "Door:1", "Door:2"]),
-    // The machine has come to rest: after a hold; or after a stop, and then the next line starts.
+    // A braking machine after some time: it still brakes (`.`), is held, or, after a stop, is idle or runs the next
+    // line.
     ("Braked", &[".", "Hold:0", "Idle", "Run"]),
-    // The machine has come to rest at the end of a program's motion, at a pause, after a probe, or before a forbidden
-    // target.
+    // A running machine after some time: it still runs (`.`), or has come to rest at the end of a program's motion, at
+    // a pause, after a probe, or before a forbidden target.
     ("Rests", &[".", "Idle", "Hold:0", "Alarm", "Critical"]),
 ];
 
@@ -187,7 +189,7 @@ const EVENTS: &[Event] = &[
     Event { row: "10_s", act: Act::Pass(10.0) },
 ];
 
-/// Bytes from 0x80 that are not commands.
+/// Bytes from 0x80 on that are no realtime commands.
 const NO_COMMANDS: &[u8] = &{
     let mut bytes = [0; 128];
     let mut n = 0;
@@ -395,7 +397,7 @@ fn sensible(key: &Key, event: &Event) -> bool {
     key.pins[index] != press && !(press && index > 0 && others)
 }
 
-/// Results of a search; transitions by (state, event).
+/// Results of a search. `reached`: for each pair of a state and an event, the states that followed.
 #[derive(Default)]
 struct Found {
     reached: BTreeMap<(String, String), BTreeSet<String>>,

@@ -15,9 +15,10 @@ const WORK: [f64; AXES] = [-30.0, -31.0, -20.0];
 const TOUCHED: f64 = -25.0;
 /// Length of the second tool minus that of the first, mm.
 const LONGER: f64 = 5.0;
-/// Interval between checks, s.
+/// Interval at which [`Mill::look`] checks the machine, s.
 const LOOK: f64 = 0.002;
-/// Position tolerance, mm: ten times the distance covered between two checks of the setter in the slow pass (`$343`).
+/// Position tolerance, mm: ten times the distance that the tool covers between two checks while it probes slowly
+/// (`$343`).
 const EXACT: f64 = 0.02;
 
 #[derive(Clone)]
@@ -58,7 +59,8 @@ impl Mill {
         Mill { bench, zero, closes: TOUCHED, closed: false, said: Vec::new() }
     }
 
-    /// Returns the same machine with the first tool measured, its tip on the work at 0, and spindle and coolant on.
+    /// Returns a homed machine whose first tool has been loaded and measured, with the tool's tip on the work at Z 0,
+    /// and with spindle and coolant on.
     fn new() -> Mill {
         let mut mill = Mill::homed();
         mill.bench.send("T1 M6\n");
@@ -76,8 +78,8 @@ impl Mill {
         std::array::from_fn(|axis| f64::from(place[axis]) / STEPS + self.zero[axis])
     }
 
-    /// Lets a short time pass, opens and closes the setter according to the tool's position, and checks what must hold
-    /// at any time.
+    /// Lets a short time pass, and opens or closes the setter according to the tool's position. Checks that the tool is
+    /// down only at the work and at the setter, and that the spindle is off away from the work.
     fn look(&mut self) {
         self.bench.wait(LOOK);
         let place = self.place();
@@ -164,7 +166,7 @@ impl Mill {
         self.bench.wait(2.0);
         self.said.extend(self.bench.read());
         let place = self.place();
-        // 0x19 does not change the spindle. It was off, unless the tool was already back over the work.
+        // 0x19 leaves the spindle as it was: off, unless the tool was already back over the work.
         let is_back = what.starts_with("soft") && (place[0] - WORK[0]).abs() < EXACT && self.tool_length() > 1.0;
         assert!(is_back || self.spindle() == "0", "{what}: {}", self.bench.status());
         let trusted = self.bench.mill.controller().is_trusted();
@@ -201,8 +203,8 @@ impl Mill {
     }
 }
 
-/// Returns copies of the machine at times throughout a change. At all of them the change is in progress and its line is
-/// unanswered.
+/// Returns copies of the machine, taken at intervals during a tool change. In all of them the line of the tool change
+/// is unanswered.
 fn moments(mill: &Mill) -> Vec<Mill> {
     let mut mill = mill.clone();
     mill.bench.send("T2 M6\n");

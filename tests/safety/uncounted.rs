@@ -4,7 +4,7 @@
 use super::bench::Bench;
 use oxmill_fuzz::session::{MACHINE, SETTINGS};
 
-/// Lines that, sent repeatedly, are more than queue and link hold.
+/// Lines that are sent so often that the machine's line queue and the buffers of the link cannot hold them all.
 const LINES: &str = "G1 X1 F100\nG4 P0.1\nM3 S100\n(a remark that is rather long) $X\n";
 
 /// Ways to a state that only a reset ends: name, settings, and lines that lead there.
@@ -78,7 +78,7 @@ fn a_reset_acts_behind_any_number_of_lines_where_it_is_all_that_helps() {
                 .unwrap_or_else(|| panic!("{name}: {said:?}"));
             let answers: Vec<_> =
                 said[greeting..].iter().filter(|line| *line == "ok" || line.starts_with("error")).collect();
-            // The line `2` is answered by `error:9`.
+            // The first line after the reset, `2`, is answered by `error:9`, because the machine is locked until `$X`.
             assert_eq!(answers, ["error:9", "ok", "ok"], "{name}: {said:?}");
             assert_eq!(bench.state(), "Idle", "{name}");
             assert_eq!(bench.place(), count, "{name}");

@@ -22,7 +22,7 @@ impl Random {
         (self.bits() >> 11) % end
     }
 
-    /// Returns one of the choices.
+    /// Returns one of the choices at random.
     pub fn of<'a>(&mut self, choices: &[&'a str]) -> &'a str {
         choices[self.below(choices.len() as u64) as usize]
     }

@@ -21,15 +21,17 @@ type Cost = (u64, u64);
 enum Figure {
     /// Mean of all calls.
     Mean,
-    /// Maximum of all calls.
+    /// Maximum of all calls, separately for instructions and for cycles.
     Worst,
-    /// The difference between this row and the named one, divided by this number of units.
+    /// Cost of one unit, such as a block: the mean of this row less that of the named row, divided by the number of
+    /// units by which the calls of the two rows differ.
     Per(u64, &'static str),
     /// Not printed, because it is only the base of another row.
     Base,
 }
 
-/// The costs of all calls of each row, and the cost of each instruction of one row, by its address.
+/// The costs of all calls of each row; and, for one row that the caller has chosen, the cost of each instruction, by
+/// its address.
 type Traced = (HashMap<String, Vec<Cost>>, HashMap<u32, Cost>);
 
 /// A row of the table: a unit of work, figures to compare with, and its limit.
@@ -230,7 +232,8 @@ fn measure(bytes: &[u8], log: impl Read, profiled: &str) -> Result<Traced, Failu
                 *known.entry(at).or_insert(((first, second), decode(at, first, second)))
             }
         };
-        // Interrupts are masked from `cpsid i` to `msr primask`, which restores the previous mask.
+        // Counts the row `masked`: from `cpsid i`, which masks interrupts, to `msr primask`, which restores the
+        // previous mask.
         match code {
             (0xB672, _) if masked.is_none() => masked = Some(Meter::default()),
             (0xF380..=0xF38F, 0x8810) if let Some(meter) = masked.take() => {

@@ -91,8 +91,8 @@ fn element(bytes: &[u8]) -> Option<(Stretch, &[u8])> {
     Some((Stretch { address, bytes: bytes.to_vec() }, rest))
 }
 
-/// Checks that a file has exactly these stretches, that there are two of them, and that the one with the vector table,
-/// at `vectors`, is last.
+/// Checks that a `.dfu` file has exactly these stretches of flash, that there are two of them, and that the one with
+/// the vector table, at `vectors`, is last.
 pub fn check(file: &[u8], stretches: &[Stretch], vectors: u32) -> Result<(), Failure> {
     let elements = parse(file)?;
     let mut sorted = elements.clone();

@@ -41,8 +41,8 @@ pub fn memory(section: &ElfSection32<'_, '_, LittleEndian>) -> Option<Range<u32>
     allocated.then(|| start..start + header.sh_size(LittleEndian))
 }
 
-/// Returns where the bytes of a section are stored; `None` if it has none. Data that start-up code copies to RAM
-/// is stored in flash.
+/// Returns the addresses at which the bytes of a section are stored; `None` if the file has no bytes for it. Data that
+/// start-up code copies to RAM is stored in flash.
 pub fn stored(elf: &Elf<'_>, section: &ElfSection32<'_, '_, LittleEndian>) -> Option<Range<u32>> {
     let memory = memory(section)?;
     section.file_range()?;

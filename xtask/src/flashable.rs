@@ -24,7 +24,7 @@ const ERASED: u8 = 0xFF;
 pub struct Stretch {
     /// Start address.
     pub address: u32,
-    /// Contents.
+    /// The bytes from this address on.
     pub bytes: Vec<u8>,
 }
 

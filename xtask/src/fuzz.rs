@@ -43,8 +43,8 @@ enum Amount {
     Seconds(u64),
     /// This many executions for all targets together, without [`COMPARISONS`].
     Executions(u64),
-    /// This many executions, and the seed of their random numbers; starts only from the corpora of the tree, so the run
-    /// is the same on every machine.
+    /// This many executions for all targets together, without [`COMPARISONS`], and the seed of their random numbers.
+    /// Each search starts only from the corpora in `tests/fuzz`, so the run is the same on every machine.
     Repeated(u64, u64),
 }
 
@@ -152,7 +152,7 @@ fn number(text: &str) -> Result<u64, Failure> {
     text.parse().map_err(|_| format!("`{text}` is not a whole number"))
 }
 
-/// Results of a target.
+/// What the search on one target has executed, reached and found.
 struct Row {
     executions: u64,
     /// Number of edges reached, from `cov:` in libFuzzer's output.
@@ -216,7 +216,8 @@ fn kept(target: &str) -> PathBuf {
     root().join("tests/fuzz/corpus").join(format!("{target}.txt"))
 }
 
-/// Builds the program with all targets; returns its path.
+/// Builds the program that has all fuzz targets, and returns its path. `with_comparisons` adds the flags
+/// [`COMPARISONS`].
 fn build(with_comparisons: bool) -> Result<PathBuf, Failure> {
     let folder = root().join(if with_comparisons { "target/fuzz/build" } else { "target/fuzz/fast" });
     let host = host()?;
@@ -240,7 +241,8 @@ fn build(with_comparisons: bool) -> Result<PathBuf, Failure> {
     Ok(folder.join(host).join("release/fuzz"))
 }
 
-/// Returns the compiler's default target. Passing it to cargo explicitly keeps the counters out of build scripts.
+/// Returns the compiler's default target. If cargo gets it as `--target`, it does not apply `RUSTFLAGS`, and with it
+/// the coverage counters, to build scripts.
 fn host() -> Result<String, Failure> {
     let output = Command::new("rustc").arg("-vV").output().map_err(|error| format!("rustc: {error}"))?;
     let text = String::from_utf8_lossy(&output.stdout);

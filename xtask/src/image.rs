@@ -41,14 +41,14 @@ const STEP_CALLS: [Allowed; 6] = [
 
 /// An image that has passed all checks.
 pub struct Image {
-    /// The ELF file.
+    /// Path of the ELF file, `target/boards/BOARD.elf`.
     pub path: PathBuf,
     flash: (u32, u32),
     ram: (u32, u32),
     stack: u32,
     /// Files for flashing tools.
     pub files: Vec<PathBuf>,
-    /// Message about the image's size.
+    /// Message of [`sizes::judge`], such as that the image has grown; `None` if there is nothing to report.
     remark: Option<String>,
     /// Number of functions that the step interrupt can reach.
     reached: usize,

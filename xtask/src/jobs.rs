@@ -90,7 +90,7 @@ pub fn compare_all() -> Result<(), Failure> {
     if failures.is_empty() { Ok(()) } else { Err(format!("jobs failed: {}", failures.join(", "))) }
 }
 
-/// `cargo qemu --job FILE`.
+/// `cargo qemu --job FILE`: runs a job from RAM in QEMU, and prints the firmware's output and the test stand's report.
 pub fn show(file: &Path) -> Result<(), Failure> {
     let image = image::build(QEMU_BOARD)?;
     let (answers, report) = run_preloaded(&image.path, file)?;
@@ -155,7 +155,7 @@ fn refuse_errors(answers: &str) -> Result<(), Failure> {
     }
 }
 
-/// Parses the line of the test stand: `time=... order=... steps=x,y,z busy=n`.
+/// Parses the report that the test stand sends after a run: `time=... order=... steps=x,y,z busy=n`.
 fn parse_report(report: &str) -> Result<Steps, Failure> {
     let field = |name: &str| report.split_whitespace().find_map(|word| word.strip_prefix(name));
     let parse = || {
@@ -167,7 +167,7 @@ fn parse_report(report: &str) -> Result<Steps, Failure> {
     parse().ok_or_else(|| format!("the test stand reports `{report}`"))
 }
 
-/// Runs a job in the simulator with the same board profile.
+/// Runs a job in the simulator with the profile of QEMU's board.
 fn simulate(file: &Path) -> Result<Steps, Failure> {
     let output = cargo()
         .args(["run", "--quiet", "--locked", "--release", "--package", "oxmill", "--", "run"])

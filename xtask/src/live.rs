@@ -138,7 +138,8 @@ impl Lines {
     }
 }
 
-/// Makes the firmware fail during motion, and checks its report afterwards.
+/// Sends `way` to the test stand, which makes the firmware fail during motion. After the restart, the welcome must have
+/// `message`, motion must be locked, and `$RC` must list all parts of `record`.
 fn failure(lines: &mut Lines, way: &[u8], message: &str, record: &[&str]) -> Result<(), Failure> {
     lines.send(b"G21G91G1X50F600\n")?;
     lines.wait_until_beyond(1.0)?;
@@ -186,7 +187,8 @@ fn played(name: &str, log: &str) -> Result<String, Failure> {
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// A failure during a job: the recording leads the simulator to the same line and position.
+/// The firmware fails during a job. The replay of its recording in the simulator must end at the same line and
+/// position.
 fn recorded_failure(lines: &mut Lines) -> Result<(), Failure> {
     lines.send(b"G21G91\nN10G1X4F600\nN20Y3\nN30G2X2Y2I2\nN40G1X4Y-1F900\nN50X30\nN60Y-4\n")?;
     lines.wait_until_beyond(14.0)?;
@@ -216,7 +218,8 @@ fn recorded_failure(lines: &mut Lines) -> Result<(), Failure> {
     played("after_panic.log", &log).map(|_| ())
 }
 
-/// Records a session without a failure: motion is held, overridden, and interrupted by a reset.
+/// A session without a failure, in which motion is held, overridden, and interrupted by a reset. The simulator must be
+/// able to replay its recording.
 fn recorded_stops(lines: &mut Lines) -> Result<(), Failure> {
     hold_and_resume(lines)?;
     lines.send(b"\x91G90G1X0Y0F900\n")?;

@@ -31,7 +31,8 @@ pub fn list() -> Result<(), Failure> {
 /// STM32 image in it.
 pub fn build() -> Result<(), Failure> {
     let folder = root().join("target/packaged");
-    // Earlier build results may stay in the folder; the lock file is copied from the tree.
+    // Only the packages of an earlier run are deleted; its build results stay. The workspace gets a copy of the lock
+    // file.
     let failed = |error: std::io::Error| format!("{}: {error}", folder.display());
     let packages = folder.join("packages");
     if packages.exists() {
@@ -73,7 +74,8 @@ fn packed() -> Result<Vec<(PathBuf, Vec<String>)>, Failure> {
     packages.into_iter().map(|package| names(&package).map(|names| (package, names))).collect()
 }
 
-/// Returns the file names of a package after checking them.
+/// Returns the names of the files in a package. Fails if the package has no manifest or no source, or has one of
+/// [`UNWANTED`].
 fn names(package: &Path) -> Result<Vec<String>, Failure> {
     let failed = |error: std::io::Error| format!("{}: {error}", package.display());
     let mut names = Vec::new();

@@ -15,7 +15,7 @@ use std::process::Command;
 /// as high; with it, images are larger and hardly any path is faster (docs/cost.md, "Small parts").
 const FOR_SPEED: [&str; 2] = ["-Ctarget-cpu=cortex-m4", "-Cllvm-args=-inline-threshold=120"];
 
-/// The inlining limit for images built for size. This limit, too, is below the compiler's default for such builds.
+/// Limits inlining in images built for size. The limit is below the compiler's default for such builds.
 const FOR_SIZE: [&str; 1] = ["-Cllvm-args=-inline-threshold=30"];
 
 /// Returns a cargo command for release files, in the workspace. `RUSTFLAGS` of the environment do not affect it.

@@ -107,8 +107,8 @@ fn connect(port: u16) -> Result<TcpStream, Failure> {
     }
 }
 
-/// Starts the firmware with its two connections. Idle time is skipped, so the machine finishes all its work before the
-/// host's next bytes arrive, and the look-ahead runs empty every time.
+/// Starts the firmware with a connection to its host port and one to its test stand. Idle time is skipped, so the
+/// machine finishes all its work before the host's next bytes arrive, and the look-ahead runs empty every time.
 pub fn streamed(elf: &Path) -> Result<Running, Failure> {
     running(machine(elf, true))
 }
@@ -135,13 +135,13 @@ fn running(mut qemu: Command) -> Result<Running, Failure> {
     Ok((qemu, connect(host)?, connect(stand)?))
 }
 
-/// What RAM contains at power-up. A mark before it tells the firmware which of these it is; boards/qemu_mps2 has the
-/// same marks.
+/// What QEMU loads into RAM before the firmware starts. Four letters in front of it (`JOB!` or `HOST`) tell the
+/// firmware which of the two it is; boards/qemu_mps2 has the same letters.
 #[derive(Clone, Copy)]
 pub enum Preload {
-    /// A job.
+    /// The G-code of a job, which the firmware runs as if a host had sent it.
     Job,
-    /// The script of a host.
+    /// A script for a host inside the machine, made with `script.rs`.
     Script,
 }
 

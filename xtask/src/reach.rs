@@ -12,7 +12,7 @@ use object::read::elf::ElfSymbol32;
 use object::{LittleEndian, Object, ObjectSymbol};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Parts of forbidden names, each with its meaning.
+/// Parts of the names of functions that the step interrupt must not reach, each with what such a function does.
 const FORBIDDEN: [(&str, &str); 18] = [
     ("panic", "a panic"),
     ("unwrap_failed", "a panic"),
@@ -192,7 +192,8 @@ mod tests {
     fn call(from: usize, to: usize) -> [u16; 2] {
         let offset = (to as i32 - from as i32 - 2) * 2;
         let bits = offset as u32;
-        // Near calls: both J bits are set, whatever the sign.
+        // In a BL to a target this near, the two J bits of its second half word are set, whatever the sign of the
+        // offset.
         [0xF000 | (bits >> 31 << 10 | bits >> 12 & 0x3FF) as u16, 0xF800 | (bits >> 1 & 0x7FF) as u16]
     }
 

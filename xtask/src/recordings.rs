@@ -20,13 +20,13 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-/// Time without output after which the recording host assumed that there was no answer, ms.
+/// Time without output after which the host that made the recordings assumed that there was no answer, ms.
 const SILENCE: u32 = 300;
 /// Time after an answer during which further output still belongs to it, ms.
 const LOOK: u32 = 20;
-/// Interval between two `?` while waiting for Idle, ms.
+/// Interval between two `?` while the script waits for Idle, ms.
 const POLL: u32 = 100;
-/// Maximum duration of a group.
+/// Maximum duration of the replay of a group (one recording).
 const LIMIT: Duration = Duration::from_secs(600);
 
 /// Replays the groups that change no input pin. If `only` is not empty, replays only those whose names begin with one
@@ -67,7 +67,8 @@ pub fn replay_all(only: &[&str]) -> Result<(), Failure> {
     if tally.other.is_empty() { Ok(()) } else { Err(tally.other.join("\n")) }
 }
 
-/// Runs a group on a machine that has just been powered up.
+/// Replays the records of a group (the lines of one recording) on a machine that has just been powered up, and adds the
+/// results to `tally`.
 fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Result<(), Failure> {
     let mut script = Script::default();
     // Before the first record: wait for the greeting, set the dialect, and reset. The greeting after the reset belongs
@@ -105,7 +106,8 @@ fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Res
     Ok(())
 }
 
-/// Adds to the script what the recording host did for this record.
+/// Adds to the script what the host did for this record when the recording was made: what it sent, and for what it then
+/// waited.
 fn hold(script: &mut Script, record: &Record, silent: bool) -> Result<(), Failure> {
     match record.kind.as_str() {
         "boot" => {}

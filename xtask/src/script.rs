@@ -1,7 +1,7 @@
 //! Script of what a host does, as byte codes: `boards/qemu_mps2/script.rs` executes them inside the machine in QEMU,
 //! and `tests/virtual_board/soak.py` beside a virtual board.
 
-/// The byte codes of a script.
+/// A script: the commands for a host, each as a letter and its operands.
 #[derive(Default)]
 pub struct Script(Vec<u8>);
 
@@ -11,7 +11,7 @@ impl Script {
         self.0.extend(number.to_le_bytes());
     }
 
-    /// Returns all codes.
+    /// Returns the script in the form in which it is written to a file.
     pub fn codes(&self) -> &[u8] {
         &self.0
     }
@@ -23,7 +23,8 @@ impl Script {
         self.0.extend(bytes);
     }
 
-    /// Waits until this many answers (`ok` or `error:`) have arrived since the previous record ended.
+    /// Waits until this many answers (`ok` or `error:`) have arrived since the previous record (section of the script)
+    /// ended.
     pub fn answers(&mut self, count: u32) {
         self.code(b'A', count);
     }
@@ -38,7 +39,8 @@ impl Script {
         self.code(b'I', pause_ms);
     }
 
-    /// Ends a record: the test stand reports how many bytes the firmware has sent so far.
+    /// Ends a record (a section of the script): the test stand reports how many bytes the firmware has sent since it
+    /// started.
     pub fn end_record(&mut self) {
         self.0.push(b'R');
     }

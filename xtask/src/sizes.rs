@@ -26,7 +26,8 @@ pub fn judge(board: &str, flash: u32, ram: u32) -> Result<Option<String>, Failur
     }
 }
 
-/// Returns the expected flash and RAM of a board.
+/// Returns the flash and RAM bytes that `text`, the contents of `boards/sizes.txt`, has for a board; `None` if it has
+/// no row for the board.
 fn expected(text: &str, board: &str) -> Option<(u32, u32)> {
     let mut words = text.lines().find(|line| line.split_whitespace().next() == Some(board))?.split_whitespace().skip(1);
     Some((words.next()?.parse().ok()?, words.next()?.parse().ok()?))

@@ -23,13 +23,14 @@ const LINES_PER_SECOND: u64 = 25;
 /// Maximum wall time per second of machine time in QEMU, s.
 const SLOWEST: u64 = 10;
 
-/// A part of the job up to a rest or an interruption: the number of events other than lines, and the expected end.
+/// A section of the script, which ends when the machine rests or motion is interrupted: the numbers of its holds,
+/// overrides and closed host ports, and the expected state at its end.
 struct Record {
     sent: Sent,
     end: End,
 }
 
-/// Numbers of events other than lines in one record.
+/// Numbers of holds, overrides and closed host ports in one record.
 #[derive(Clone, Copy, Default)]
 struct Sent {
     holds: u64,
@@ -46,10 +47,11 @@ enum End {
 
 /// Maximum duration of a run, s: a script counts milliseconds in 32 bits.
 const LONGEST: u64 = u32::MAX as u64 / 1_000;
-/// Duration of a run, ms, from which on it must contain holds, overrides, stops and resets in motion.
+/// A run that lasts at least this long, in ms of machine time, must contain holds, overrides, stops and resets in
+/// motion.
 const LONG_MS: u64 = 600_000;
 
-/// Numbers of events in the whole job.
+/// Numbers of lines and of other events that a run has executed.
 #[derive(Default, Debug)]
 struct Counts {
     lines: u64,
@@ -62,7 +64,7 @@ struct Counts {
     hosts: u64,
 }
 
-/// A job as a script, with the expected end of each record.
+/// A generated job: its script, and for each record (section of the script) the expected state at its end.
 struct Job {
     script: Script,
     random: Random,
@@ -104,7 +106,9 @@ impl Job {
         self.records.push(Record { sent, end });
     }
 
-    /// Sends the waiting lines with events between them, up to an interruption. Returns the number of lines sent.
+    /// Adds the waiting lines to the script, with status requests, holds, overrides and jog cancels between some of
+    /// them, and ends the record: at an interruption, or when the machine rests after all lines. Returns the number of
+    /// lines sent.
     fn chunk(&mut self) -> u64 {
         let mut sent = 0;
         while let Some(line) = self.waiting.pop_front() {
@@ -180,7 +184,8 @@ impl Job {
     }
 }
 
-/// Report of the test stand at the end of a record.
+/// What the test stand reports at the end of a record (section of the script): bytes sent by the firmware, machine
+/// time, steps of the motors, and stack use and size.
 #[derive(Clone, Copy)]
 struct Note {
     bytes: usize,
@@ -268,7 +273,7 @@ pub fn run(arguments: &[&str]) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Compares the results with the expectations of the job, record by record.
+/// Compares, for each record, the test stand's note and the firmware's output with the expected state.
 fn account(records: &[Record], notes: &[Note], said: &str) -> Result<Counts, Failure> {
     let mut counts = Counts::default();
     let (mut base, mut from) = ([0; AXES], 0);

@@ -59,18 +59,18 @@ pub enum Kind {
 pub struct Float {
     /// Cycles of the instruction, without waiting for its operands.
     pub cycles: u32,
-    /// Registers read.
+    /// Numbers of the registers that it reads; `None` if it reads fewer than two.
     pub reads: [Option<u8>; 2],
-    /// Register written.
+    /// Number of the register that it writes; `None` if it writes none.
     pub writes: Option<u8>,
 }
 
-/// One instruction.
+/// Size and class of a decoded instruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Instruction {
     /// Size, in bytes: 2 or 4.
     pub size: u32,
-    /// Effect of the instruction.
+    /// Class of the instruction, which decides its cycles and where execution continues.
     pub kind: Kind,
 }
 
@@ -250,14 +250,15 @@ fn coprocessor(a: u32, b: u32) -> Kind {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Meter {
     before: Option<Kind>,
-    /// Instructions so far.
+    /// Number of instructions that have been added.
     pub instructions: u64,
-    /// Estimated cycles so far.
+    /// Estimated cycles of these instructions.
     pub cycles: u64,
 }
 
 impl Meter {
-    /// Adds an instruction; `taken`: a branch was taken, so the next instruction is not the following one in memory.
+    /// Adds an executed instruction to the counts. `taken`: it has branched, so the next instruction is not the
+    /// following one in memory.
     pub fn add(&mut self, kind: Kind, taken: bool) {
         let mut cycles = match kind {
             Kind::Load { base, .. } => match self.before {

@@ -50,7 +50,7 @@ const LEFT_OUT_ON_F446: &[&str] = &[
     "-stream splines.nc",
 ];
 
-/// Cases for the slowest chip. They cover what may still differ: clocks, rates and memory.
+/// Cases for the slowest chip, an F401. They cover what can differ because of its clocks, rates and memory.
 const ON_F401: &[&str] = &[
     "boot",
     "crystals",
@@ -95,8 +95,8 @@ const ON_CONTROL_F446: &[&str] = &[
     "restart on request",
 ];
 
-/// Cases for the image of control boards with an F407. Two ports of `robin_nano_v3` carry direction outputs, but no
-/// step outputs.
+/// Cases for the image of control boards with an F407. On `robin_nano_v3`, two ports have direction outputs but no step
+/// outputs; TIM8 drives such ports.
 const ON_CONTROL_F407: &[&str] = &[
     "boot",
     "crystals",
@@ -115,7 +115,7 @@ const ON_CONTROL_F407: &[&str] = &[
     "restart on request",
 ];
 
-/// Cases for boards that share an image and have other pins.
+/// Cases for boards that share their image with a board that runs more cases. Only the pins are different.
 const ON_OTHER_PINS: &[&str] =
     &["boot", "pulses", "trips", "probe", "inverted outputs", "outputs of programs", "inputs of programs"];
 
@@ -147,8 +147,8 @@ const READINGS: [(&str, &str, &[&str]); 6] = [
     ("flags-by-dma", "blackpill_f411", &["disturbed line"]),
 ];
 
-/// Runs the cases of one board or of all boards, two processes at a time; also some cases under alternative readings,
-/// and the loop-back suite. If `cases` names some, runs only these.
+/// Runs the cases of one board or of all boards, two processes at a time; `cases` selects some of them. Without
+/// `cases`, also runs the loop-back suite. If no board is named either, also runs the cases in [`READINGS`].
 pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
     let is_wanted = |name: &str, own: &[&str]| board.map_or(!own.is_empty(), |board| board == name);
     let boards: Vec<(&str, &[&str])> = BOARDS.into_iter().filter(|(name, own)| is_wanted(name, own)).collect();

@@ -57,7 +57,8 @@ fn module() -> Result<(), Failure> {
     Ok(())
 }
 
-/// Installs the page's tools in the versions of the lock file, unless the installed tools are newer than this file.
+/// Installs the page's npm packages in the versions of `package-lock.json`, unless they have been installed since that
+/// file changed.
 fn tools() -> Result<(), Failure> {
     if !exists(NPM) {
         return Err("Node.js with npm is missing: the page is written in TypeScript".into());
@@ -70,7 +71,7 @@ fn tools() -> Result<(), Failure> {
     run(in_page(NPM).args(["ci", "--silent", "--ignore-scripts"]))
 }
 
-/// Returns the folder of the page.
+/// Returns the folder with the sources of the web page.
 pub fn page() -> PathBuf {
     root().join("src/web/page")
 }

@@ -16,8 +16,8 @@ const TARGET: &str = "thumbv7m-none-eabi";
 /// checks must detect.
 const BOARDS: [(&str, u8, u8); 2] = [("nucleo_f411re", 8, 25), ("blackpill_f411", 25, 8)];
 
-/// Checks every belief on both boards; or, depending on the options, puts faults into the image, each of which must be
-/// detected.
+/// Checks every belief (fact about the hardware on which the firmware relies) on both boards. With the option
+/// `--faults`, puts faults into the image instead, each of which must be detected.
 pub fn witness(options: &[&str]) -> Result<(), Failure> {
     require_target()?;
     let python = environment("witness", "witness")?;

@@ -104,7 +104,7 @@ impl Notice {
             Notice::NoTools => {
                 "No tool is in the table: G43 acts with length 0. G10 L1 P and Z, above the line, enter a tool and its length"
             }
-            // Only the full image knows the words of the other messages.
+            // Only the full image sends the other messages.
             _ if !FULL_IMAGE => "",
             Notice::LookAhead => "Switches of the look-ahead (G5.1 Q, G8 P, G187) do nothing: G64 P sets a tolerance",
             Notice::RigidTapping => "M29 does nothing: there is no rigid tapping",
@@ -127,7 +127,7 @@ impl<const N: usize> Action<N> {
         &self.modal
     }
 
-    /// Whether the line changes outputs, stores a record, or has one of the words M62 to M68.
+    /// Whether the line changes spindle, coolant or S, stores a position or a tool, or has one of the words M62 to M68.
     pub fn changes_outputs(&self) -> bool {
         self.spindle.is_some()
             || self.coolant.is_some()
@@ -295,7 +295,7 @@ impl<const N: usize> Action<N> {
     }
 }
 
-/// Use of an output or input of programs by one line.
+/// What a line does with an output or input of the program (M62 to M68).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ProgramPins {
     /// M62 to M65: switches a digital output.
@@ -501,7 +501,7 @@ pub enum Flow {
 /// What the line does with the states saved by M70 and M73, or with the control points of G5.2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Keeping {
-    /// The line has none of these words.
+    /// The line has none of the words M70 to M73 and G5.2.
     Leave,
     /// M70, M73: saves the state.
     Save {

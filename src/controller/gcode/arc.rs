@@ -99,7 +99,7 @@ pub(super) fn centre_by_radius(
     if square(diameter + tolerance.0.unsigned_abs()) < chord.square() || radius == Coordinate::ZERO {
         return Err(Error::ImpossibleRadius);
     }
-    // 2h / chord = √(4r² - chord²) / √chord²
+    // h is the distance of the centre from the chord: 2h / chord = √(4r² - chord²) / √chord²
     let (across, along) = roots(square(diameter).saturating_sub(chord.square()), chord.square());
     let to_the_right = clockwise == (radius.0 > 0);
     let across = if to_the_right { across } else { -across };
@@ -217,7 +217,7 @@ mod tests {
         let crossing = ray_crossing(mm(-30.0, -40.0), mm(-10.0, -15.0)).unwrap();
         let part = (325.0_f64 / 1025.0).sqrt();
         assert_eq!(crossing, mm(-10.0 - 20.0 * part, -15.0 - 25.0 * part));
-        // `G3 X-10 Y0 I1 J0` from X-2 ends where it began.
+        // `G3 X-10 Y0 I1 J0` from X-2: the centre is X-1, and the ray to X-10 crosses the circle at the start.
         assert_eq!(ray_crossing(mm(-8.0, 0.0), mm(1.0, 0.0)), Ok(mm(0.0, 0.0)));
         assert_eq!(ray_crossing(mm(1.0, 0.0), mm(1.0, 0.0)), Err(Error::InvalidTarget));
         assert_eq!(ray_crossing(mm(1.0, 0.0), mm(0.0, 0.0)), Err(Error::InvalidTarget));

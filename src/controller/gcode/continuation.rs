@@ -35,7 +35,8 @@ impl<const N: usize> Interpreter<N> {
         parts.into_iter().find_map(|(differs, part)| differs.then_some(part))
     }
 
-    /// Whether the program is at `place`, and its only state is the modal state, the stored offsets and the tool table.
+    /// Whether the position of the program is `place`, and the modal state, the stored offsets and the tool table are
+    /// its only state: no G92, open block, saved state, rotation or scaling.
     pub fn is_plain(&self, place: &PerAxis<Coordinate, N>) -> bool {
         let offsets = [&self.offsets.g92, &self.offsets.g92_kept, &self.offsets.tool_length];
         self.position == *place

@@ -21,7 +21,7 @@ pub(super) struct Addition {
     pub order: u8,
 }
 
-/// List of control points.
+/// Memory for the control points of a curve, at most `MOST`.
 pub(super) type PointList = heapless::Vec<WeightedPoint, MOST>;
 
 /// The control points, in X and Y of the machine, with the order of the curve. The first point is the start of the
@@ -55,7 +55,8 @@ impl ControlPoints {
         self.order
     }
 
-    /// Applies a change; points beyond the capacity are dropped.
+    /// Adds the points of a line with G5.2; a start point replaces all earlier points. Points beyond the capacity are
+    /// dropped.
     pub fn add(&mut self, addition: &Addition) {
         if let Some(start) = addition.start {
             self.points.clear();

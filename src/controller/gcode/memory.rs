@@ -1,5 +1,5 @@
 //! Memory of the interpreter's large parts: held text and parameters, tool table, saved states, control points. On
-//! boards it is static, on hosts it is on the heap (see `crate::memory`).
+//! boards it is static, in programs on a PC it is on the heap (see `crate::memory`).
 
 use super::computed::ComputedMemory;
 #[cfg(not(feature = "alloc"))]
@@ -10,7 +10,7 @@ use super::tools::ToolTable;
 use crate::image::FULL_IMAGE;
 use crate::lent::Lent;
 
-/// References to the memory of one interpreter; on hosts, boxes.
+/// Memory of one interpreter: references to static storage on boards, boxes in programs on a PC.
 #[derive(Debug)]
 pub struct ProgramMemory<const N: usize> {
     pub(super) computed: ComputedMemory,

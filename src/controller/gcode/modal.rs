@@ -237,9 +237,9 @@ pub enum PathControl {
 /// limited to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PathTolerance {
-    /// P of G64, greater than 0: the total distance.
+    /// P of G64, greater than 0: the total distance, for merged moves and rounded corners together.
     pub path: u32,
-    /// Q of G64: the part of `path` that the merging of moves may use.
+    /// Q of G64: the part of `path` by which the tool may leave the programmed points where moves are merged into one.
     pub merging: u32,
 }
 

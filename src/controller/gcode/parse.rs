@@ -16,11 +16,11 @@ use crate::units::Decimal;
 
 /// Maximum tool number in Grbl's dialect.
 pub(super) const TOOL_MAX_OF_GRBL: i32 = 255;
-/// Maximum tool number in the other dialects.
+/// Maximum tool number in all dialects except Grbl's.
 pub(super) const TOOL_MAX: i32 = 99_999;
 /// Letters of words other than axis, G and M words, in Grbl's dialect.
 const VALUES_OF_GRBL: Letters = Letters::of(b"FIJKLNPRST");
-/// Letters of words other than axis, G and M words, in the other dialects.
+/// Letters of words other than axis, G and M words, in all dialects except Grbl's.
 const VALUES: Letters = Letters::of(if FULL_IMAGE { b"DEFHIJKLNOPQRST".as_slice() } else { b"EFHIJKLNOPQRST" });
 /// Letters that Mach uses for the centre of a rotation.
 const CENTRE_OF_MACH: Letters = Letters::of(if FULL_IMAGE { b"AB".as_slice() } else { b"" });
@@ -30,7 +30,7 @@ const NOT_NEGATIVE: Letters = Letters::of(b"DEFHNPTS");
 /// The words of a line that Grbl does not have.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Extended {
-    /// Whether the line has any of these words except G50, G51, G68, G69 and M6.
+    /// Whether the line has any of the words in this struct. G50, G51, G68, G69 and M6 do not count.
     pub any: bool,
     pub path: Option<PathControl>,
     /// Whether the path control word is G64, which can have tolerances (P and Q).
@@ -93,7 +93,7 @@ pub(super) struct Parsed<const N: usize> {
     value_words: ValueWords,
 }
 
-/// Words that set modes.
+/// The line's modal words by group; `None` if it has no word of the group.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ModalWords {
     pub motion: Option<MotionMode>,
@@ -126,7 +126,7 @@ impl ModalWords {
 type ValueWords = heapless::Vec<(u8, Decimal), { VALUES.count() + CENTRE_OF_MACH.count() }>;
 
 impl<const N: usize> Parsed<N> {
-    /// No words.
+    /// The result for a line without words, to which [`Parsed::read`] adds words.
     pub fn empty() -> Self {
         Self {
             groups: Groups::default(),

@@ -26,7 +26,7 @@ use crate::image::FULL_IMAGE;
 
 impl<const N: usize> Interpreter<N> {
     /// Whether [`Interpreter::look_behind_end`] has to examine the host's next line, because a program has ended and no
-    /// other program has begun, or because a program is held.
+    /// other program has begun, or because a program is held until its subprogram has been received.
     #[inline]
     pub fn is_behind_end(&self) -> bool {
         self.place != ProgramPlace::Program || self.is_holding()
@@ -37,8 +37,8 @@ impl<const N: usize> Interpreter<N> {
         self.place
     }
 
-    /// Restores an earlier place. Call this after lines that do not belong to the host's program, such as startup
-    /// lines.
+    /// Sets the place relative to the end of a program back to an earlier [`Interpreter::place`]. Call this after lines
+    /// that do not belong to the host's program, such as startup lines.
     pub fn return_to(&mut self, place: ProgramPlace) {
         self.place = place;
     }
@@ -52,9 +52,10 @@ impl<const N: usize> Interpreter<N> {
         self.place = ProgramPlace::Program;
     }
 
-    /// Executes `$X`: the next line begins a program. But if the host is in the middle of a held program or among
-    /// subprograms, their remaining lines are refused, up to another `$X`. `is_locked`: the `$X` ends an alarm, so it
-    /// does not end a refusal. `rested`: the `$X` follows a rest, so no more subprograms are expected.
+    /// Executes `$X`: the next line begins a program. But if the host is still sending a held program or its
+    /// subprograms, the lines that follow are refused, up to another `$X`. `is_locked`: the `$X` ends an alarm, so it
+    /// does not end a refusal. `rested`: the `$X` follows a rest (the machine was idle, and the host sent no line for a
+    /// while), so no more subprograms are expected.
     #[cfg_attr(not(feature = "full"), allow(unused_variables, reason = "there are no subprograms"))]
     pub fn unlock(&mut self, is_locked: bool, rested: bool) {
         self.computed.end_modal_call();
@@ -68,8 +69,8 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Examines a line that follows the end of a program, or that arrives while a program is held. `rested`: the line
-    /// follows a rest, so an O number in it is that of the next program, and no more lines of the held program will
-    /// come.
+    /// follows a rest, in which the machine was idle and the host sent no line. So an O number in it is that of the
+    /// next program, and no more lines of the held program will come.
     ///
     /// # Errors
     /// [`Error::OutOfPlace`] for lines that belong to no program.
@@ -110,7 +111,7 @@ impl<const N: usize> Interpreter<N> {
 
     /// Records that block delete (`/`) has skipped a line. An M2 or M30 in the line ends the program all the same.
     /// After the end of a program, an O number in the line begins a subprogram whose lines are refused, unless the line
-    /// follows a rest (`rested`).
+    /// follows a rest (`rested`): the machine was idle, and the host sent no line for a while.
     pub fn skipped_line(&mut self, line: &[u8], rested: bool) {
         if may_end_program(line) {
             self.note_end();
@@ -119,8 +120,9 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Records that a line of the running text was refused, and with it the line of the host that runs the text. If the
-    /// text is a held program, this program ends, and the lines after it are refused.
+    /// Records that a line of the held text was refused while it ran, and with it the host's line that started the
+    /// text. Among subprograms, the text is the program that waited for them: this program ends, and the lines after it
+    /// are refused.
     #[cfg(feature = "full")]
     #[cold]
     #[inline(never)]
@@ -169,7 +171,8 @@ mod tests {
     use crate::gcode::{Dialect, Direction};
     use crate::image::FULL_IMAGE;
 
-    /// Returns what happens to each line if no line follows a rest: `+` executed, `.` held, `-` refused.
+    /// Returns what happens to each line if the host makes no pause (*rest*) before it: `+` executed, `.` held, `-`
+    /// refused.
     fn taken(lines: &[&str]) -> std::string::String {
         let mut interpreter = Interpreter::<3>::default();
         let take = |line: &&str| {
@@ -270,7 +273,8 @@ mod tests {
             assert_eq!(interpreter.look_behind_end(b"O1", true), Ok(()));
             assert!(!interpreter.is_behind_end());
         }
-        // A rest does not end a refusal: the sender may have paused to ask the operator whether to continue.
+        // A rest (a pause of the host) does not end a refusal: the sender may have paused to ask the operator whether
+        // to continue.
         interpreter.place = ProgramPlace::End;
         assert_eq!(interpreter.look_behind_end(b"O1X5", false), Err(Error::OutOfPlace));
         assert_eq!(interpreter.look_behind_end(b"G0X1", true), Err(Error::OutOfPlace));

@@ -127,7 +127,7 @@ impl RotatedPlane {
         [along(place, self.axes.first), along(place, self.axes.second)]
     }
 
-    /// Replaces the two coordinates of a position that lie in the plane.
+    /// Sets the two coordinates of `place` that lie in the plane.
     pub(super) fn put<const N: usize>(self, place: &mut PerAxis<Coordinate, N>, [first, second]: [Coordinate; 2]) {
         place.set(self.axes.first, first);
         place.set(self.axes.second, second);
@@ -156,7 +156,7 @@ pub(super) struct RotationChange {
 }
 
 impl RotationChange {
-    /// No changes.
+    /// Changes nothing: neither the rotation, the scaling nor the reached position.
     pub(super) const NONE: RotationChange =
         RotationChange { angle: None, rotation: None, reached: None, scaled: ScalingChange::NONE };
 }

@@ -32,7 +32,7 @@ pub(super) struct Saved<const N: usize> {
     pub is_forgotten: bool,
 }
 
-/// List of saved states.
+/// Memory for the saved states, at most `MOST`.
 pub(super) type SavedList<const N: usize> = heapless::Vec<Saved<N>, MOST>;
 
 /// All saved states, at most one per level of subroutine calls.

@@ -25,7 +25,7 @@ pub struct Scaling {
 
 /// Remainder from rounding, for each axis, in units of 10^-7 of 0.1 nm.
 pub(super) type Rest = [i32; AXES];
-/// No remainders.
+/// The remainders of a position that has not been rounded.
 pub(super) const NO_REST: Rest = [0; AXES];
 
 /// A length in units of 10^-7 of 0.1 nm.
@@ -134,7 +134,7 @@ pub(super) struct ScalingChange {
 }
 
 impl ScalingChange {
-    /// No changes.
+    /// Changes nothing: neither the scaling nor the remainders.
     pub(super) const NONE: ScalingChange = ScalingChange { scaling: None, rest: None };
 }
 

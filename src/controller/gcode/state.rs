@@ -263,8 +263,8 @@ impl<const N: usize> Interpreter<N> {
         (self.spindle_tool, self.modal.tool) = (tool, tool);
     }
 
-    /// Sets the machine position when the machine is not where the last line ends: after a reset, a probing move, a
-    /// cancelled jog or homing.
+    /// Sets the machine position when the machine is not at the end of the most recently committed line: after a reset,
+    /// a probing move, a cancelled jog or homing.
     pub fn set_position(&mut self, position: PerAxis<Coordinate, N>) {
         self.position = position;
     }

@@ -35,7 +35,7 @@ impl<const N: usize> Tool<N> {
 pub struct ToolTable<const N: usize>([Tool<N>; TOOLS]);
 
 impl<const N: usize> ToolTable<N> {
-    /// The empty table.
+    /// A table in which all entries are free.
     pub const EMPTY: Self = Self([Tool { number: 0, offset: PerAxis::all(Coordinate::ZERO) }; TOOLS]);
 
     /// All entries, the free ones included.
@@ -101,7 +101,7 @@ pub(super) struct Measured {
 }
 
 impl Measured {
-    /// No measurements.
+    /// Nothing is measured: there is no reference and no offset.
     pub(super) const NOTHING: Self = Self { reference: None, offset: None, assumed: false };
 
     /// Returns the offset of the tool in the spindle, if it has been measured.

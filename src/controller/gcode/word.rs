@@ -31,7 +31,8 @@ pub(super) const ASSIGNMENT: u8 = b'#';
 pub(super) struct Words<'a, const N: usize> {
     rest: &'a [u8],
     digits: Digits,
-    /// Source of computed values and target of assignments; `None` in Grbl's dialect, which has neither.
+    /// The interpreter that computes values and stores the assigned parameters; `None` in Grbl's dialect, which has no
+    /// parameters.
     state: Option<&'a mut Interpreter<N>>,
 }
 
@@ -300,7 +301,7 @@ pub(super) enum ToolLength {
     Add,
 }
 
-/// A G word.
+/// A G word by its meaning: G54.1 and G154 are the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum GWord {
     NonModal(NonModal),
@@ -513,7 +514,7 @@ impl GWord {
     }
 }
 
-/// An M word.
+/// An M word by its meaning: M0 and M60 are the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum MWord {
     /// M0, M60.
@@ -547,7 +548,7 @@ pub(super) enum MWord {
 }
 
 impl MWord {
-    /// Returns the word of a code.
+    /// Returns the M word that a code means in the dialect; an error if there is none.
     pub fn of(code: Code, dialect: Dialect) -> Result<MWord, Error> {
         let more = dialect != Dialect::Grbl;
         match code.hundredths {

@@ -1,6 +1,6 @@
 //! Everything that is sent to the host: `ok` and errors, alarms, messages, the welcome line and the status report.
-//! Replies to checked lines get their number and checksum here. `protocol::reply_texts` and `protocol::status_report`
-//! make the texts; this file supplies the values and queues the result.
+//! While line checksums are on (`$LC=ON`), answers get their line number and checksum here. `protocol::reply_texts` and
+//! `protocol::status_report` make the texts; this file supplies the values and queues the result.
 
 use crate::dispatch::Controller;
 use crate::error::{Alarm, Error};
@@ -42,7 +42,7 @@ impl<const N: usize> Controller<N> {
         self.m.replies.push(text, self.m.lines.hosts_cut());
     }
 
-    /// Sends the answer to a checked line, with its number and checksum.
+    /// Sends the answer to a line while line checksums are on (`$LC=ON`): with line number and checksum.
     // Not inlined, because the text takes 320 bytes of stack, which most answers do not need.
     #[inline(never)]
     fn answer_checked(&mut self, text: &[u8]) {
@@ -51,9 +51,9 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Sends the message of a line that is executed. `remark`: first a mark, the byte that tells whether parameters are
-    /// replaced by their values, then the message. Sends nothing in an alarm, or if the line would exceed the travel.
-    /// When the message is sent, moves queued before the line can still be running.
+    /// Sends the message of a line that is executed. `remark`: first a byte that tells whether parameters in the
+    /// message are replaced by their values, then the message. Sends nothing in an alarm, or if the line would exceed
+    /// the travel. When the message is sent, moves queued before the line can still be running.
     pub(crate) fn tell_remark(&mut self, remark: &[u8]) {
         if let Some((mark, written)) = remark.split_first() {
             self.tell_message(*mark, written);
@@ -76,7 +76,7 @@ impl<const N: usize> Controller<N> {
         self.line.keep_message(text);
     }
 
-    /// Sends a notice, once for each program.
+    /// Sends a notice, a message about a word of the program. Each notice is sent once for each program.
     #[inline(never)]
     pub(crate) fn tell_notice(&mut self, notice: Notice) {
         if self.line.is_new(notice) {
@@ -94,8 +94,8 @@ impl<const N: usize> Controller<N> {
 
     /// Sends the error of a line that is not executed, or not completely.
     pub(crate) fn refuse(&mut self, error: Error) {
-        // A startup line is not a checked line of the host, so its error must not make the host's later checked lines
-        // fail.
+        // With line checksums, an error makes all later lines of the host fail. The error of a startup line must not,
+        // because the host has not sent this line.
         if !self.m.replies.is_echoing() {
             self.m.lines.fail(error);
         }
@@ -141,14 +141,14 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Ends the checking of lines when the dialect changes, and reports that to the host.
+    /// Switches line checksums off if they are on, and reports that to the host. Called after a change of dialect.
     pub(crate) fn end_check(&mut self) {
         if self.m.lines.end_check() {
             self.tell_unchecked();
         }
     }
 
-    /// Ends the checking of lines after a reset or a stop, because a line in transit can have been cut, and reports
+    /// Switches line checksums off after a reset or a stop, because a line in transit can have been cut, and reports
     /// that to the host.
     pub(crate) fn lapse_check(&mut self) {
         if self.m.lines.lapse_check() {

@@ -114,8 +114,7 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Switches the checking of lines on or off. The answer to this command already has the new form: checked after
-    /// `$LC=ON`, plain after `$LC=OFF`.
+    /// Switches line checksums on or off. The answer has a checksum after `$LC=ON`, and none after `$LC=OFF`.
     fn check_lines(&mut self, session: Option<&[u8]>) {
         if let Some(session) = session {
             self.m.lines.begin_check(session);

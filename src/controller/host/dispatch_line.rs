@@ -35,15 +35,16 @@ impl<const N: usize> Controller<N> {
             return !self.m.stops.is_awaited() && !self.m.lines.is_ahead(byte);
         }
         if byte.byte == HOST_CHANGED {
-            // A `HOST_CHANGED` precedes the bytes of the next host. It can be processed early if nothing of the
-            // previous host is in progress.
+            // A `HOST_CHANGED` precedes the bytes of the next host. At an open door, where lines wait, it is processed
+            // at once if nothing of the previous host is in progress.
             let waits = matches!(self.state, State::Door(_)) && !self.m.lines.holds();
             return waits && matches!(self.task, Task::None | Task::Startup(_, None));
         }
         self.m.lines.is_old(byte)
     }
 
-    /// Drops a byte for which [`Controller::is_old`] holds, even while the controller takes no line.
+    /// Drops a byte for which [`Controller::is_old`] returned `true`. This is allowed even while the controller accepts
+    /// no lines, for example at an open door.
     pub fn drop_old(&mut self, byte: LineByte) {
         if self.state.waits_for_reset() {
             self.m.lines.drop_next();
@@ -60,8 +61,8 @@ impl<const N: usize> Controller<N> {
         self.other_byte(byte);
     }
 
-    /// Processes a line that the fast path of the intake has completed: no bytes of it were lost, and lines are not
-    /// checked.
+    /// Processes a line that the fast path of the intake has completed: no bytes of it were lost, and line checksums
+    /// are off.
     fn line_ended(&mut self) {
         self.answer_status();
         let is_of_program = self.m.lines.has_no_remark()
@@ -159,7 +160,8 @@ impl<const N: usize> Controller<N> {
             }
             Pushed::Complete => self.complete(),
         }
-        // A line that waits as a `Task::Job` has not changed any output yet.
+        // A line that has become a `Task::Job` has not changed any output yet. After any other line, outputs may have
+        // changed and must be compared again.
         if !matches!(self.task, Task::Job(_)) {
             self.m.pins.disturb();
         }
@@ -187,8 +189,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Answers a checked line that is not executed: it is damaged, empty, or was already taken. The host sends it again
-    /// if necessary.
+    /// Answers a line with checksum that is not executed: it is damaged, empty, was received before, or follows a line
+    /// that was refused for its content. The host sends it again if necessary.
     fn answer_invalid(&mut self, verdict: Verdict) {
         self.m.lines.clear();
         match self.m.lines.failed() {
@@ -198,8 +200,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Reads the message of the line, with its mark, into `remark`. Without a message, and in Grbl's dialect, `remark`
-    /// stays empty.
+    /// Reads the message of the line into `remark`, after a byte that tells whether parameters in the message are
+    /// replaced by their values. Without a message, and in Grbl's dialect, `remark` stays empty.
     fn read_remark(&self, remark: &mut Remark) {
         if let Some((has_values, text)) = self.m.lines.message()
             && self.dialect() != Dialect::Grbl
@@ -263,8 +265,8 @@ impl<const N: usize> Controller<N> {
             // A sender may send requests such as `$G` all the time, so they do not end the host's pause that
             // `has_rested` measures.
             Some(b'$') => true,
-            // After a rest, a line without words does not end the pause, because the next program can begin with
-            // remarks.
+            // If the host has paused long enough for another program, a line without words does not end the pause,
+            // because the next program can begin with remarks.
             None => rested,
             _ => false,
         };
@@ -303,8 +305,8 @@ impl<const N: usize> Controller<N> {
         self.stop_at_error(asks_for_tool);
     }
 
-    /// Handles a tape mark between two programs: no block may be open. Further words on the line would be lost and are
-    /// an error.
+    /// Handles a line with `%`, the tape mark between two programs. An open subroutine, loop or condition is an error.
+    /// Further words on the line would be lost and are an error, too.
     fn tape_mark(&mut self, line: &[u8], remark: &[u8]) -> Result<(), Error> {
         if line.len() > 1 {
             return Err(Error::ExpectedLetter);

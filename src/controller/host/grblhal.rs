@@ -91,10 +91,10 @@ impl<const N: usize> Controller<N> {
         self.say(|out| reply_texts::message(out, if is_on { on } else { off }));
     }
 
-    /// Takes a value for a setting that is a mask in grblHAL. Returns the value that the setting has here, and the
-    /// value of `$932` if the mask has a bit for it. Bits whose function is always on may be missing in `value`. In the
-    /// mask of homing, the other bits do not count while homing is off. If a host will therefore read back another
-    /// value than it wrote, a message gives that other value.
+    /// Converts a value that a host writes to a setting that is a mask in grblHAL. Returns the value of the setting
+    /// here, and the value of `$932` if the mask has a bit for it. The value may lack bits whose function is always on
+    /// here. In the mask of homing (`$22`), the bits other than the first have no effect while homing is off. If a host
+    /// will therefore read back another value than it wrote, a message gives that other value.
     ///
     /// # Errors
     /// [`Error::SettingOutOfRange`] for a bit that has no function here, after a message that names the bit.

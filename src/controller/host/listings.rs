@@ -184,12 +184,12 @@ impl<const N: usize> Controller<N> {
         rows.find(|row| row.number == number).map(|row| descriptions::narrowed(row, self.limits()))
     }
 
-    /// Sends the description of one setting.
+    /// Sends `[SETTINGDESCR:...]`, the name and the values of one setting.
     pub(crate) fn say_description(&mut self, row: Row) {
         self.say(|out| descriptions::of_setting(out, &row));
     }
 
-    /// Sends the values that a setting accepts, after another value was refused.
+    /// Sends the values that a setting accepts, after a host has tried to set a value that is not allowed.
     #[inline(never)]
     pub(crate) fn tell_values(&mut self, number: u16) {
         if let Some(row) = self.described(number) {

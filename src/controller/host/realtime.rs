@@ -23,8 +23,8 @@ impl<const N: usize> Controller<N> {
                 self.finish_stop();
                 self.release_held();
             }
-            // Grbl ignores this byte, so in its dialect the byte only opens an epoch: the serial task has counted it in
-            // the epochs of later line bytes (see `LineByte`).
+            // Grbl ignores this byte. In its dialect the byte only advances the epoch, because the serial task has
+            // advanced the epoch of later line bytes (see `LineByte`).
             Realtime::Stop if self.dialect() == Dialect::Grbl => {
                 self.m.lines.open_epoch();
                 self.release_held();

@@ -40,8 +40,8 @@ impl<const N: usize> Controller<N> {
             && self.task.is_none()
             && self.m.stops.is_idle();
         let plain = self.m.interpreter.is_plain(&place) && !self.line.is_single_block() && !self.m.lines.is_checking();
-        // An active probe or at-speed input does no harm. Any other active input has caused a reaction that the state
-        // does not contain.
+        // An active probe or at-speed input does no harm. Any other active input has caused a reaction, which
+        // `Standing` cannot express.
         let active = self.m.inputs.pins().word();
         let quiet = active & !(1 << input::PROBE | 1 << input::AT_SPEED) == 0;
         let outputs_off = !self.m.accessories.is_on() && self.m.accessories.digital().levels() == 0;
@@ -59,8 +59,9 @@ impl<const N: usize> Controller<N> {
         })
     }
 
-    /// Puts a machine that is at rest and unlocked into this state, for a replay. The caller then sends the words of
-    /// the state to the machine. Locks the machine if `lock` is set.
+    /// Puts a machine that is at rest and unlocked into this state, for a replay: its position, the tool in the
+    /// spindle, and whether the position is trusted. For the modal state, the caller then sends the G-code line
+    /// `standing.words`. Locks the machine if `lock` is set.
     pub fn stand(&mut self, standing: &Standing, lock: bool) {
         let place =
             PerAxis::from_axis(|axis: Axis| standing.place.get(axis.index()).copied().unwrap_or(Coordinate::ZERO));
@@ -72,7 +73,7 @@ impl<const N: usize> Controller<N> {
         self.m.pins.disturb();
     }
 
-    /// Sends the next piece of the recording while `$REC` lists it.
+    /// Sends an item of the `$REC` listing, which the pump has read from the recorder.
     pub fn recorded(&mut self, piece: &Recorded) {
         let Task::Listing(Listing::Recording(Ask::Asked), line) = self.task else { return };
         let hz = self.m.motion.settings().step_clock_hz;
@@ -94,7 +95,7 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// Returns the modal state as a few words, in mm; `None` if such words cannot express it.
+/// Returns the modal state as a line of G-code, in mm; `None` if a line of these words cannot express it.
 fn words(modal: &Modal) -> Option<heapless::Vec<u8, 64>> {
     let said = Modal {
         motion: modal.motion,

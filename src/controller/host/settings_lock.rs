@@ -10,7 +10,8 @@ use crate::dispatch::Profile;
 use crate::settings::{Key, Settings};
 use crate::step_rates::StepRates;
 
-/// The setting that locks motion.
+/// Tracks which setting locks motion on this board, if any, and whether the host has got its name. Also contains the
+/// properties of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SettingsLock {
     /// Name of the board, and frequency of its oscillator, MHz.
@@ -67,7 +68,7 @@ impl SettingsLock {
         }
     }
 
-    /// Returns the name of the board.
+    /// Returns the name of the board, for the answers to `$I` and `$I+`.
     pub(crate) fn board(&self) -> &'static str {
         self.board
     }
@@ -82,7 +83,7 @@ impl SettingsLock {
         self.has_board_fault
     }
 
-    /// Returns the frequency of the board's oscillator, MHz; 0 if it has none.
+    /// Returns the frequency of the board's oscillator, MHz, for the answer to `$I+`; 0 if it has none.
     pub(crate) fn oscillator_mhz(&self) -> u8 {
         self.oscillator_mhz
     }
@@ -121,7 +122,8 @@ impl SettingsLock {
         })
     }
 
-    /// Returns the setting that locks motion. For a new revision of the settings, `unrunnable` determines this setting.
+    /// Returns the setting that locks motion. Determines it anew by `unrunnable` only if a setting has changed since
+    /// the previous call, that is, if `revision` is another one.
     fn look(&mut self, revision: u32, unrunnable: impl FnOnce() -> Option<u16>) -> Option<u16> {
         if self.revision != Some(revision) {
             let setting = unrunnable();
@@ -132,14 +134,16 @@ impl SettingsLock {
         self.setting
     }
 
-    /// Returns the setting to name after `changed` got a new value; call `Self::setting` first. Names the setting that
-    /// locks motion if it was just changed, or if it did not lock motion at the previous call.
+    /// Returns the setting that locks motion, if the host must get its name after setting `changed` got a new value.
+    /// That is so if `changed` locks motion itself, or if another setting or none locked motion at the previous call.
+    /// Call `Self::setting` first.
     pub(crate) fn name_after_change(&mut self, changed: u16) -> Option<u16> {
         let named = core::mem::replace(&mut self.named, self.setting);
         self.setting.filter(|setting| *setting == changed || named != Some(*setting))
     }
 
-    /// Returns the setting to name before the error of a refused line; only once for each lock.
+    /// Returns the setting that locks motion, if the host must get its name before the error of a refused line. That is
+    /// so only for the first refused line since this setting locked motion, or since a host was greeted.
     pub(crate) fn name_at_line(&mut self) -> Option<u16> {
         let refused = core::mem::replace(&mut self.refused, true);
         self.setting.filter(|_| !refused)
@@ -155,8 +159,8 @@ impl SettingsLock {
 mod tests {
     use super::*;
 
-    /// Returns a lock that was called for several revisions of the settings. `settings` contains, for each revision,
-    /// the setting that locks motion, if any.
+    /// Returns a lock that has examined several revisions of the settings in turn. `settings` contains, for each
+    /// revision, the setting that locks motion, if any.
     fn after(settings: &[Option<u16>]) -> SettingsLock {
         let rates = StepRates { safe_hz: 0, least_pulse_tenths: 5 };
         let (name, step_clock_hz, axes, program_pins) = ("", 0, 3, [0; 2]);

@@ -156,14 +156,14 @@ impl Records {
         self.are_stored() && core::mem::take(&mut self.failed)
     }
 
-    /// Whether all changes have been answered.
+    /// Whether the store has answered all changes, as stored or failed.
     pub(crate) fn are_stored(&self) -> bool {
         self.unstored == 0
     }
 
-    /// Queues a change. There is room, because one command makes at most four changes, and the next command is read
-    /// only after they have been answered. After a reset the next command can be read earlier; if there is no room in
-    /// that case, the change counts as one that could not be stored.
+    /// Queues a change for the store. There is room, because one command makes at most four changes, and the next
+    /// command is read only after the store has answered them. After a reset the next command can be read earlier; if
+    /// there is no room in that case, the change counts as one that could not be stored.
     fn hand_over(&mut self, store: Store) {
         if self.has_store {
             match self.stores.push_back(store) {
@@ -343,7 +343,7 @@ impl Records {
     }
 }
 
-/// Returns the number of the setting with this key.
+/// Returns the number of the setting that is stored in the record with this key.
 const fn setting_of(key: u16) -> u16 {
     if key == KEY_DIALECT { DIALECT } else { key }
 }

@@ -16,15 +16,16 @@ use crate::states::stops::reaction::Reaction;
 /// Levels of the inputs, and pending requests to the inputs task.
 #[derive(Clone, Copy, Debug)]
 pub struct InputLevels {
-    /// Levels of all pins.
+    /// Levels of all input pins, fitted or not, after polarity and filter.
     pins: Signals,
     /// Levels of the fitted inputs; all others are inactive.
     signals: Signals,
-    /// Levels have been received; startup lines wait for this.
+    /// The inputs task has sent levels since power-up; startup lines wait for this.
     known: bool,
     /// Inputs that have caused an alarm and have not been reported yet.
     tripped: Signals,
-    /// Number of times that armed inputs have stopped the step task, as last received (wrapping).
+    /// [`Sensed::trips`] of the latest message: how often armed inputs (see [`armed`]) have stopped the step task
+    /// (wrapping).
     trips: u8,
     /// Polarity and resistors according to the settings.
     wiring: InputWiring,
@@ -37,18 +38,19 @@ pub struct InputLevels {
     last_event: Signals,
 }
 
-/// Changes in a message of the inputs task.
+/// What has changed from one message of the inputs task to the next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InputChange {
-    /// Number of times that armed inputs have stopped the step task since the previous message.
+    /// Number of times that armed inputs, which stop the step task directly (see [`armed`]), have done so since the
+    /// previous message.
     pub stops: u8,
-    /// Inputs that have become active since the previous message, and armed inputs that have stopped the step task
+    /// Inputs that have become active since the previous message, and inputs that have stopped the step task directly
     /// since then, even if they are inactive again.
     pub came: Signals,
 }
 
 impl InputLevels {
-    /// No levels have been received.
+    /// The value at power-up: the inputs task has not sent any levels yet.
     pub const UNKNOWN: InputLevels = InputLevels {
         pins: Signals::NONE,
         signals: Signals::NONE,
@@ -67,7 +69,8 @@ impl InputLevels {
         self.wiring = wiring_by(settings);
     }
 
-    /// Receives new levels. Returns what has changed.
+    /// Stores the levels that the inputs task has sent. Returns which inputs have become active, and how often inputs
+    /// have stopped the step task.
     pub fn take<const N: usize>(&mut self, sensed: &Sensed, settings: &Settings<N>) -> InputChange {
         let stops = sensed.trips.wrapping_sub(self.trips);
         self.trips = sensed.trips;
@@ -97,12 +100,12 @@ impl InputLevels {
         &self.last_event
     }
 
-    /// Returns the levels of all pins.
+    /// Returns the levels of all input pins, even of those that are not fitted according to the settings.
     pub fn pins(&self) -> &Signals {
         &self.pins
     }
 
-    /// Whether levels have been received.
+    /// Whether the inputs task has sent levels since power-up.
     pub fn are_known(&self) -> bool {
         self.known
     }
@@ -134,8 +137,8 @@ impl InputLevels {
         self.tripped = Signals { emergency_stop: stop, driver_fault: fault, ..Signals::NONE };
     }
 
-    /// Records limit switches as the cause of the alarm that follows. If such an alarm is already `awaited`, the
-    /// switches are added to those recorded for it.
+    /// Records limit switches as the cause of the alarm that follows. `awaited`: the machine is already stopping for a
+    /// limit switch, so the switches are added to those recorded for that alarm.
     pub fn trip_limits(&mut self, switches: u8, awaited: bool) {
         let limits = if awaited { self.tripped.limits | switches } else { switches };
         self.tripped = Signals { limits, ..Signals::NONE };

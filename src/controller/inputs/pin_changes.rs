@@ -17,8 +17,8 @@ impl<const N: usize> Controller<N> {
         let mut stopped = Stopped { already: stops != 0, answered: false };
         self.emergency(&came, &mut stopped);
         if came.reset {
-            // The button acts like 0x18, but opens no epoch (see `LineByte`), so bytes received so far are dropped by
-            // their number.
+            // The button acts like 0x18. But 0x18 starts an epoch of line bytes (see `LineByte`), and the button does
+            // not. So the bytes received so far are counted, and that many are dropped.
             self.m.lines.drop_received(self.m.step_supply.observed().received);
             self.lapse_check();
             self.stop_for(StopReason::Reset, &mut stopped);

@@ -77,7 +77,8 @@ impl Accessories {
         digital: DigitalOutputs::OFF,
     };
 
-    /// Sets everything to its state at power-up: off, and no overrides. `mark`: see [`DigitalOutputs::switch_off`].
+    /// Sets everything to its state at power-up: off, and no overrides. `mark`: the mark of the block of motion that
+    /// began last (see [`DigitalOutputs::forget_waiting`]).
     pub fn reset(&mut self, mark: u8) {
         let mut digital = self.digital;
         digital.switch_off(mark);
@@ -89,7 +90,7 @@ impl Accessories {
         &self.digital
     }
 
-    /// The digital outputs of the program, for changes.
+    /// Returns the digital outputs of the program, so that the caller can change them.
     pub fn digital_mut(&mut self) -> &mut DigitalOutputs {
         &mut self.digital
     }
@@ -139,7 +140,7 @@ impl Accessories {
         if self.suspended { SpindleDirection::Off } else { self.direction }
     }
 
-    /// The present state of the coolant.
+    /// Returns which coolant outputs must be on now.
     pub fn coolant(&self) -> Coolant {
         self.coolant
     }
@@ -186,7 +187,7 @@ impl Accessories {
         self.stops_at_rest = true;
     }
 
-    /// Reports that the machine is at rest. Returns whether the spindle is stopped now, as requested by
+    /// Call when the machine has come to rest. Returns whether this stops the spindle, as requested by
     /// [`Accessories::stop_at_rest`].
     pub fn rests(&mut self) -> bool {
         let stops = core::mem::take(&mut self.stops_at_rest);
@@ -233,7 +234,8 @@ impl Accessories {
         if now < until { until } else { until + settings.seconds(Key::AtSpeedWithin) }
     }
 
-    /// Whether the spindle's speed is monitored during a job (`$915`, `$929`). If not, forgets what was observed.
+    /// Whether the spindle's speed is monitored during a job (`$915`, `$929`). If not, clears what the monitor has
+    /// recorded.
     pub fn watches_speed<const N: usize>(&mut self, settings: &Settings<N>) -> bool {
         let watches = self.must_tell_speed(settings) && settings.is_on(Key::SpeedLoss) && !self.suspended;
         if !watches {
@@ -258,7 +260,8 @@ impl Accessories {
         settings: &Settings<N>,
     ) -> bool {
         let given = self.watch.given.filter(|(direction, _)| *direction == self.direction);
-        // The power for the same S can differ by 1 between a block and a line, because they round differently.
+        // For the same S, the power of a move and the power computed from a line can differ by 1, because they are
+        // rounded differently.
         if given.is_none_or(|(_, before)| before.abs_diff(power) > 1) {
             let lost = self.watch.fault_at.filter(|_| given.is_some() && self.watch.settled_at <= now);
             let settled_at = now + settings.seconds(Key::AtSpeedWithin);
@@ -300,7 +303,7 @@ impl Accessories {
             // This power applies only between moves. During a move the segments carry the laser's power.
             self.speed
         } else {
-            // S of that move; without a move, S of the line executed last.
+            // S of the move whose power `running` returns; without a move, S of the line executed last.
             match running() {
                 Some(power) if power != range.output(self.speed, 100).0 => range.speed_of(power),
                 _ => self.speed,

@@ -4,15 +4,15 @@
 //! A group collects the changes that were requested between two motions. Each block of motion carries a mark: the count
 //! of groups that come before it. When a block begins, the groups up to its mark are due.
 
-/// Number of groups that can wait. If a change needs one more group, its line waits until a motion has begun and a
-/// group is done.
+/// Maximum number of groups. A group is the changes that wait for the same motion. If a change needs one more group,
+/// its G-code line waits until a motion has begun and the changes of its group have been made.
 const GROUPS: usize = 8;
-/// Bits of a mark. A mark is a wrapping counter. Its range must be more than twice `GROUPS`, so that the mark of an
-/// earlier block is not taken for that of a later one.
+/// Number of bits of a mark, the number that ties a group of changes to a block of motion. Marks wrap, so their range
+/// must be more than twice `GROUPS`: otherwise the mark of an earlier block could be taken for that of a later one.
 const MARK_BITS: u32 = 5;
 const MARKS: u8 = (1 << MARK_BITS) - 1;
 
-/// Changes that are due together.
+/// Changes of outputs that are made together, when the same motion begins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct DueTogether {
     /// Outputs that change.
@@ -21,13 +21,13 @@ struct DueTogether {
     on: u8,
 }
 
-/// The outputs.
+/// The digital outputs of programs, and the changes that wait for a motion.
 #[derive(Clone, Copy, Debug)]
 pub struct DigitalOutputs {
     levels: u8,
-    /// Mark up to which all groups have been carried out.
+    /// Mark up to which the changes of all groups have been made or dropped.
     done: u8,
-    /// Waiting groups, in order.
+    /// Groups of changes that wait for a motion, in the order of the motions. The first `count` are in use.
     waiting: [DueTogether; GROUPS],
     count: u8,
     /// Whether the last group can still grow, because no motion has been queued since it was started.
@@ -59,11 +59,12 @@ impl DigitalOutputs {
         self.open || idle || usize::from(self.count) < GROUPS
     }
 
-    /// Changes an output with the next motion. Returns the mark that blocks queued from here on must carry. `idle`: no
-    /// motion is queued.
+    /// Changes an output when the next motion begins. Returns the mark that blocks queued from here on must carry: the
+    /// change is made when the first of them begins. `idle`: no motion is queued.
     pub fn set_with_motion(&mut self, number: u32, on: bool, idle: bool) -> u8 {
         let change = DueTogether::of(number, on);
-        // If no motion is queued, all groups wait for the same motion, so the change joins the last group.
+        // If no motion is queued, all waiting groups wait for the next motion, so the change is added to the last
+        // group.
         let joins = self.count > 0 && (self.open || idle);
         if !joins && usize::from(self.count) < GROUPS {
             self.count += 1;
@@ -87,12 +88,12 @@ impl DigitalOutputs {
         (self.done + self.count) & MARKS
     }
 
-    /// Reports that a motion has been queued, so the last group is complete.
+    /// Call when a motion has been queued: later changes wait for the next motion, and so start a new group.
     pub fn motion_follows(&mut self) {
         self.open = false;
     }
 
-    /// Reports that a block with this mark has begun, and makes the changes that are due.
+    /// Makes the changes that wait for this block or an earlier one. Call it when a block with this `mark` has begun.
     pub fn begun(&mut self, mark: u8) {
         let due = mark.wrapping_sub(self.done) & MARKS;
         if due > self.count {
@@ -111,8 +112,8 @@ impl DigitalOutputs {
         self.levels = self.levels & !group.mask | group.on;
     }
 
-    /// Makes the changes that are due up to `mark` and drops the others, because the queued motion was dropped. `mark`
-    /// is the mark of the last block that has begun. Blocks queued from here on carry this mark, too.
+    /// Makes the changes whose motion has begun and drops the others, because the queued motion was dropped. `mark`:
+    /// the mark of the block that began last. Blocks queued from here on carry this mark, too.
     pub fn forget_waiting(&mut self, mark: u8) {
         self.begun(mark);
         self.count = 0;
@@ -120,7 +121,7 @@ impl DigitalOutputs {
         self.done = mark & MARKS;
     }
 
-    /// As [`DigitalOutputs::forget_waiting`], and switches all outputs off.
+    /// Drops the waiting changes as [`DigitalOutputs::forget_waiting`] does, and switches all outputs off.
     pub fn switch_off(&mut self, mark: u8) {
         self.forget_waiting(mark);
         self.levels = 0;

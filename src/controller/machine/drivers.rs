@@ -10,7 +10,7 @@ const ALWAYS_ON: u32 = 255;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Drivers {
     on: bool,
-    /// Time at which the current goes off, after the last motion.
+    /// Time at which the motor current is switched off after the last motion; `None` if that is not due.
     off_at: Option<Instant>,
 }
 
@@ -23,7 +23,8 @@ impl Drivers {
         self.on || idle_delay == ALWAYS_ON
     }
 
-    /// Returns the time at which the current goes off, if nothing moves before.
+    /// Returns the time at which the motor current is switched off, if no motion starts before; `None` if it stays as
+    /// it is.
     pub fn off_at(&self) -> Option<Instant> {
         self.off_at
     }
@@ -35,7 +36,7 @@ impl Drivers {
         changes
     }
 
-    /// Switches the current off, for sleep or an emergency stop.
+    /// Switches the motor current off, for sleep or an emergency stop.
     pub fn switch_off(&mut self) {
         *self = Drivers::OFF;
     }
@@ -52,7 +53,7 @@ impl Drivers {
         }
     }
 
-    /// Switches the current off once the delay is over.
+    /// Switches the motor current off if the delay `$1` after the last motion has passed.
     pub fn look(&mut self, now: Instant) {
         if self.off_at.is_some_and(|at| now >= at) {
             self.switch_off();

@@ -13,7 +13,7 @@ use crate::messages::{InputWiring, Sensed, Signals, Wiring};
 /// Number of samples after which the filter's levels are valid.
 pub const SETTLING: u8 = 8;
 
-/// Polarity, filter and trips of the inputs.
+/// The filtered inputs, and the stops of the step task that armed inputs have caused.
 #[derive(Clone, Debug)]
 pub struct Inputs {
     filter: Filter,
@@ -49,7 +49,7 @@ impl Inputs {
         }
     }
 
-    /// Sets polarity and arming.
+    /// Sets which pin level makes each input active, and which inputs stop the step task when they become active.
     pub fn wire(&mut self, wiring: &Wiring) {
         self.wiring = Some(wiring.inputs);
         self.armed = wiring.armed;

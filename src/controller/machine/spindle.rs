@@ -7,7 +7,7 @@ use crate::settings::{Key, Settings};
 const LEAST_POWER: f32 = 257.0;
 const FULL_POWER: f32 = 65_535.0;
 
-/// `$30` and `$31`.
+/// Speed range of the spindle: `$30` (maximum) and `$31` (minimum).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpindleRange {
     /// Speed at full power, rpm.

@@ -1,6 +1,6 @@
 //! Keeps the step queue filled. Decides when to cut segments (pieces of planned motion) for the queue before planning
-//! more lines, and when the controller has to be called again to refill the queue. Also keeps whether motion has been
-//! started.
+//! more lines, and when the controller has to be called again to refill the queue. Also records whether a motion is
+//! in progress.
 //!
 //! ```text
 //!  step time queued
@@ -19,15 +19,16 @@ const MOVING_WAKEUP: Duration = Duration::from_ticks(2_000);
 /// Minimum time between two such calls. It applies when the queue is full of very short segments, or runs empty at the
 /// end of a motion.
 const LEAST_WAKEUP: Duration = Duration::from_ticks(100);
-/// Queued step time from which the queue counts as well filled, microseconds.
+/// Queued step time from which the queue counts as well filled, so that planning comes before cutting segments,
+/// microseconds.
 const WELL_FILLED_US: u32 = 12_000;
-/// Queued step time below which segments come before planning again, microseconds.
+/// Queued step time below which cutting segments comes before planning again, microseconds.
 const LOW_WATER_US: u32 = 6_000;
 
-/// State of the supply of the step queue.
+/// How well the step queue is filled, and the counters of the step task and of the received bytes.
 #[derive(Clone, Debug)]
 pub(crate) struct StepSupply {
-    /// The step queue has held [`WELL_FILLED_US`] since motion began.
+    /// The step queue has contained [`WELL_FILLED_US`] of step time at least once since motion began.
     well_filled: bool,
     /// Motion has been started and has not ended.
     running: bool,
@@ -45,12 +46,12 @@ impl StepSupply {
         observed: Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16, received: 0, heard: 0 },
     };
 
-    /// Stores the counters that the pump has observed.
+    /// Stores the counters of the step task and of the received bytes.
     pub(crate) fn observe(&mut self, observed: Observed) {
         self.observed = observed;
     }
 
-    /// Returns the last observation of the pump.
+    /// Returns the counters that [`StepSupply::observe`] has stored.
     pub(crate) fn observed(&self) -> &Observed {
         &self.observed
     }
@@ -70,18 +71,18 @@ impl StepSupply {
         self.running
     }
 
-    /// Reports that motion has been started.
+    /// Records that a motion has started. Until [`StepSupply::end`], the step queue must not run empty.
     pub(crate) fn start(&mut self) {
         self.running = true;
     }
 
-    /// Reports that motion has ended, so from here on an empty step queue is not an underrun.
+    /// Records that the motion has ended. From here on the step queue may run empty.
     pub(crate) fn end(&mut self) {
         self.running = false;
     }
 
-    /// Whether segments come before planning. `holds` returns whether the step queue holds at least its argument of
-    /// step time, in microseconds.
+    /// Whether segments must be cut before more lines are planned. `holds` returns whether the step queue contains at
+    /// least the given number of microseconds of step time.
     pub(crate) fn is_short(&mut self, holds: impl Fn(u32) -> bool) -> bool {
         self.well_filled = (self.well_filled || holds(WELL_FILLED_US)) && self.running;
         !self.well_filled || !holds(LOW_WATER_US)

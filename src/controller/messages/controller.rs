@@ -31,7 +31,8 @@ pub enum Event<const N: usize> {
     Disconnected(u16),
 }
 
-/// Queue and task counters, updated by the pump before each round of events and outputs.
+/// Counters of the queues and of the step task. The pump, the loop that drives the controller, updates them before it
+/// passes on events and takes outputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Observed {
     /// Segments started by the step task since power-up (wrapping). Segments that the step task has only computed ahead
@@ -47,7 +48,7 @@ pub struct Observed {
     pub heard: u16,
 }
 
-/// Which queues of the pump have room.
+/// Which of the queues to other tasks have room for an output of the controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Room {
     /// There is room for one [`Output::Step`].
@@ -56,7 +57,7 @@ pub struct Room {
     pub reply: bool,
 }
 
-/// A request of the controller to the pump.
+/// A request of the controller to the pump, the loop that drives it.
 #[derive(Clone, Debug, PartialEq)]
 // A tag of 32 bits makes the compiler copy a message word by word.
 #[repr(u32)]
@@ -76,10 +77,10 @@ pub enum Output {
     Stop,
     /// Reads the inputs; answered by [`Event::Pins`].
     ReadPins {
-        /// Clear the counts of noise instead. In that case there is no answer.
+        /// Whether to clear the noise counters ([`PinView::noise`]) and send no answer, instead of reading the inputs.
         clear_noise: bool,
     },
-    /// Requests the next piece of the recording, to be passed to `Controller::recorded`.
+    /// Requests the next item of the `$REC` listing. The pump passes the item to `Controller::recorded`.
     ReadRecording {
         /// Start with the first piece.
         first: bool,

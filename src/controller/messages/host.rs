@@ -5,7 +5,8 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs, reason = "Grbl's own names; bytes in protocol::realtime")]
 pub enum Realtime {
-    /// 0x18. The serial task has also set the sticky stop of the step task.
+    /// 0x18. Before this command, the serial task has requested a stop of the step task, which does not wait in a
+    /// queue.
     Reset,
     /// 0x19, as in grblHAL: brakes and discards the queue, but keeps position and modal state.
     Stop,
@@ -85,13 +86,13 @@ impl LineBytes {
     /// A message without bytes.
     pub const EMPTY: LineBytes = LineBytes { epoch: 0, damaged: 0, len: 0, bytes: [0; LineBytes::MOST] };
 
-    /// Returns the number of bytes.
+    /// Returns the number of bytes in the message.
     #[inline]
     pub fn len(&self) -> usize {
         self.len.into()
     }
 
-    /// Returns whether there are no bytes.
+    /// Returns whether the message contains no bytes.
     #[inline]
     pub fn is_empty(&self) -> bool {
         self.len == 0
@@ -147,7 +148,7 @@ impl LineBytes {
 pub struct Chunk {
     /// Number of valid bytes, 1..=15.
     pub len: u8,
-    /// The text.
+    /// The text: the first `len` bytes are valid.
     pub bytes: [u8; 15],
 }
 

@@ -5,6 +5,7 @@
 //!  serial ──lines─────▶ control ◀──events──── step
 //!  inputs ──signals───▶ control ──replies───▶ serial      (armed inputs set the mark, too)
 //! ```
+//! A stop of the step task does not wait in a queue: it is requested by a mark that stays set until `step` has stopped.
 //! The comment at each depth says what happens when the queue is full.
 
 mod controller;
@@ -41,11 +42,11 @@ pub const LINE_MESSAGES: usize = LINES_DEPTH.div_ceil(8) + MOST_PARTIAL + 1;
 /// Maximum number of messages that are sent before they are full, counted since the queue was last empty. Messages that
 /// are cut short by a new epoch (see [`LineByte`]) do not count.
 pub const MOST_PARTIAL: usize = 4;
-/// Depth of control -> step. Full: `control` keeps the message for its next turn. Normally the limit is the queued time
-/// (see `QUEUED_TIME_MS` in `motion`) and not this depth.
+/// Depth of control -> step. Full: `control` keeps the message until the step task has made room. Normally the queue is
+/// not full, because `control` limits the queued time (see `QUEUED_TIME_MS` in `motion`).
 pub const SEGMENTS_DEPTH: usize = 64;
-/// Depth of step -> control. One entry for each stop, underrun or probe contact; `control` empties it in each turn.
-/// Full: the step task keeps the event and sends it when it runs next.
+/// Depth of step -> control. A stop, an underrun and a probe contact take one entry each; `control` empties the queue
+/// each time it runs. Full: the step task keeps the event and sends it when it runs next.
 pub const EVENTS_DEPTH: usize = 4;
 /// Depth of control -> serial, in chunks. Full: `control` keeps its text; a slow host delays only its own answers.
 pub const REPLIES_DEPTH: usize = 32;

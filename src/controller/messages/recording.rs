@@ -1,4 +1,5 @@
-//! Entries of a recording, the state from which it can be replayed, and the pieces in which `$REC` lists it.
+//! Contents of a recording: its entries ([`Noted`]), the state of a machine at rest from which a replay can begin
+//! ([`Standing`]), and the items that `$REC` lists ([`Recorded`]).
 
 use super::crash::CrashKind;
 use super::store::Record;
@@ -10,7 +11,7 @@ use crate::units::Coordinate;
 pub struct Standing {
     /// Step counter of each axis: net steps since power-up (wrapping).
     pub counters: heapless::Vec<i32, { Standing::AXES }>,
-    /// Machine position, as programmed.
+    /// Programmed machine position, not rounded to steps.
     pub place: heapless::Vec<Coordinate, { Standing::AXES }>,
     /// Whether the position is trusted.
     pub trusted: bool,
@@ -112,7 +113,7 @@ impl Noted {
     pub const NO_CRASH: u8 = u8::MAX;
 }
 
-/// A piece of a recording, as `$REC` lists it.
+/// An item of the listing that `$REC` sends.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
 pub enum Recorded {

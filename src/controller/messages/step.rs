@@ -32,7 +32,8 @@ pub enum ToStep {
     /// discarded, and the step task brakes on its own. After that the step task takes no message until it has been
     /// stopped and resumed. `None` ends the watch.
     Watch {
-        /// The awaited state of the probe.
+        /// Level of the probe input for which the step task waits: `Some(true)` for active, `Some(false)` for inactive.
+        /// `None` ends the watch.
         probe: Option<bool>,
         /// Deceleration for braking, in units of progress (see [`Segment`]) per square of a step-clock tick.
         braking: f32,
@@ -67,10 +68,10 @@ pub struct AxisSteps(u32);
 impl AxisSteps {
     /// The number of steps of an axis in a block is less than 2 to this power.
     pub const STEP_BITS: u32 = 26;
-    /// Number of parts into which a step is divided to give the ends. Odd, so that there are equally many values on
-    /// both sides of zero.
+    /// Number of parts of a step. [`AxisSteps::start`] and [`AxisSteps::end`] are given in these parts. Odd, so that
+    /// zero is in the middle of the values -3 to 3.
     pub const PARTS: u32 = 7;
-    /// Maximum distance of an end from a whole step, in sevenths of a step.
+    /// Maximum distance of the true start or end of a move from a whole step, in sevenths of a step.
     pub const FARTHEST: i32 = 3;
     const STEPS: u32 = (1 << Self::STEP_BITS) - 1;
 
@@ -87,19 +88,21 @@ impl AxisSteps {
         AxisSteps(steps & Self::STEPS | (start as u32 & 7) << Self::STEP_BITS | (end as u32) << (Self::STEP_BITS + 3))
     }
 
-    /// Returns the number of steps.
+    /// Returns the number of steps of this axis in the block.
     #[inline]
     pub const fn steps(self) -> u32 {
         self.0 & Self::STEPS
     }
 
-    /// Returns true start minus rounded start, in sevenths of a step.
+    /// Returns the distance from the whole step at which this axis starts to the true start of the move, in sevenths of
+    /// a step, positive in the direction of motion.
     #[inline]
     pub const fn start(self) -> i32 {
         (self.0 << 3) as i32 >> (Self::STEP_BITS + 3)
     }
 
-    /// Returns true end minus rounded end, in sevenths of a step.
+    /// Returns the distance from the whole step at which this axis ends to the true end of the move, in sevenths of a
+    /// step, positive in the direction of motion.
     #[inline]
     pub const fn end(self) -> i32 {
         self.0 as i32 >> (Self::STEP_BITS + 3)
@@ -111,7 +114,7 @@ impl AxisSteps {
         self.0
     }
 
-    /// Returns whether both ends are on whole steps.
+    /// Returns whether the move starts and ends on whole steps of this axis.
     #[inline]
     pub const fn is_on_steps(self) -> bool {
         self.0 <= Self::STEPS
@@ -170,12 +173,12 @@ pub enum StepEvent<const N: usize> {
         /// Step counter of each axis: net steps since power-up (wrapping).
         position: PerAxis<i32, N>,
     },
-    /// The probe has reached the awaited state; the step task brakes.
+    /// The probe input has the level for which [`ToStep::Watch`] waits; the step task brakes.
     Probed {
         /// Step counter of each axis at the tick that detected the contact.
         position: PerAxis<i32, N>,
     },
-    /// The queue ran dry at speed. Pulses have stopped; this counts as a stop.
+    /// The step queue ran empty while the machine was moving. Pulses have stopped, and `stops` counts this as a stop.
     Underrun {
         /// As in [`StepEvent::Stopped`].
         stops: u16,

@@ -1,7 +1,7 @@
 //! Messages to the settings store: a record of bytes under a key, and a change of records.
 
-/// Key of the record by which a store reports that the store was damaged and may have lost other records. The record
-/// has no value, and remains until it is removed.
+/// Key of the record by which a damaged store reports that other records may be lost. The record has no value. The
+/// store repeats it at each power-up until the controller removes it, when the operator has confirmed the settings.
 pub const STORE_DAMAGED: u16 = 65_534;
 
 /// A record of the settings store: a key and up to 100 bytes.
@@ -9,7 +9,7 @@ pub const STORE_DAMAGED: u16 = 65_534;
 pub struct Record {
     /// The key; its meaning is defined by the controller.
     pub key: u16,
-    /// The value.
+    /// The value, in the format that the controller uses for this key.
     pub value: heapless::Vec<u8, 100>,
 }
 

@@ -147,10 +147,11 @@ struct Plain {
 #[inline(never)]
 fn sine(angle: f32) -> f32 {
     const QUARTER_BITS: u32 = core::f32::consts::FRAC_PI_2.to_bits();
-    /// Fraction bits of the square and of the factor.
+    /// Fraction bits of x² (`square`) and of sin x / x (`factor`).
     const BITS: u32 = 61;
     const ONE: u64 = 1 << BITS;
-    /// Fraction bits to which the factor is cut before the multiplication.
+    /// Fraction bits that the factor keeps for the last multiplication, so that its product with the mantissa fits an
+    /// `i64`.
     const FACTOR_BITS: u32 = 39;
     let product = |a: u64, b: u64| ((u128::from(a) * u128::from(b)) >> BITS) as u64;
     let bits = angle.abs().to_bits().min(QUARTER_BITS);
@@ -167,7 +168,7 @@ fn sine(angle: f32) -> f32 {
     for n in [14, 12, 10, 8, 6, 4, 2_u64] {
         factor = ONE - product(square, factor) / (n * (n + 1));
     }
-    // 24 bits of the mantissa times 39 of the factor, rounded once, to the 24 bits of the result.
+    // The mantissa has 24 bits, the factor 39. Their exact product is rounded only once, to the 24 bits of the result.
     let exact = mantissa * (factor >> (BITS - FACTOR_BITS));
     let scale = f32::from_bits((127 - FACTOR_BITS).saturating_sub(shift) << 23);
     (wide_to_f32(exact as i64) * scale).copysign(angle)
@@ -333,7 +334,8 @@ impl<const N: usize> Arc<N> {
         self.unit = [x_turned - share(x_turned), y_turned - share(y_turned)];
     }
 
-    /// Returns the point in the present direction from the centre, after this share of the whole arc.
+    /// Returns the point of the arc in the direction `unit` from the centre. `share`: the share of the whole arc before
+    /// it, from which its radius and the other axes follow.
     #[inline(always)]
     fn point(&self, share: f32) -> PerAxis<Coordinate, N> {
         let [x, y] = self.unit;

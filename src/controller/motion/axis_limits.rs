@@ -117,7 +117,8 @@ impl<const N: usize> AxisLimits<N> {
         (acceleration, limit)
     }
 
-    /// Returns the maximum jerk along a straight path with these shares of the axes and this acceleration.
+    /// Returns the maximum jerk along a straight path, mm/s³. `shares`: displacement of each axis per path length;
+    /// `acceleration`: maximum acceleration along the path.
     #[inline]
     pub(super) fn jerk_along(&self, shares: &[f32; N], acceleration: f32) -> f32 {
         let mut jerk = acceleration / LEAST_EASE;

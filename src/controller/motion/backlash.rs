@@ -18,12 +18,12 @@
 use super::trapezoid::{lesser, square_root};
 use crate::axes::PerAxis;
 
-/// Minimum distance that a motor takes up in a move, as a share of the move's length, even if the corner rule allows
-/// less: a smaller share would spread the error over a long distance (with a junction deviation of 0, over an endless
-/// one).
+/// Minimum distance by which a motor turns through its slack during a move, as a share of the move's length, even if
+/// the corner rule allows less. With a smaller share the tool would be off its position for a long distance (with a
+/// junction deviation of 0, for an endless one).
 const LEAST_SHARE: f32 = 0.02;
-/// Maximum distance that a motor takes up in a move, as a share of the move's length. With more, the motor would exceed
-/// twice the tool's speed.
+/// Maximum distance by which a motor turns through its slack during a move, as a share of the move's length. With more,
+/// the motor would exceed twice the tool's speed.
 const GREATEST_SHARE: f32 = 1.0;
 
 /// The slack of each motor's drive, and the state of its compensation at the end of the queue.
@@ -35,7 +35,8 @@ pub(super) struct Backlash<const N: usize> {
     is_on: bool,
     /// Steps by which each motor leads the tool at the end of the queue, 0 to `slack`.
     lead: [i32; N],
-    /// Lead that each motor must reach: after a move, 0 or `slack`, depending on its direction.
+    /// Lead that each motor must reach by extra steps: 0 or `slack`, depending on the direction in which it turned
+    /// last, unless [`Backlash::want`] has set it.
     wanted: [i32; N],
 }
 
@@ -87,7 +88,7 @@ impl<const N: usize> Backlash<N> {
         self.lead
     }
 
-    /// Sets the lead that the compensation must reach.
+    /// Sets the lead that each motor must reach by extra steps. The next move that turns the motor replaces it.
     pub(super) fn want(&mut self, lead: Lead<N>) {
         self.wanted = lead;
     }
@@ -135,10 +136,10 @@ impl<const N: usize> Backlash<N> {
         taken
     }
 
-    /// Takes up all remaining steps at the end of the queue, and returns them, signed. `short`: for each motor, the
-    /// signed steps that the tool still lacks to its programmed position. They are not 0 if a move after a reversal
-    /// ended before the motor had turned through the slack. In that case the returned steps bring the tool to its
-    /// position.
+    /// Returns the signed steps that each motor must still make at the end of the queue, and counts them as made.
+    /// `short`: for each motor, the signed steps that the tool still lacks to its programmed position. They are not 0
+    /// if a move after a reversal ended before the motor had turned through the slack. In that case the returned steps
+    /// bring the tool to its position.
     pub(super) fn finish(&mut self, short: &[i32; N]) -> [i32; N] {
         let mut taken = [0; N];
         let wanted = self.wanted.into_iter().zip(self.slack).zip(short);

@@ -94,8 +94,8 @@ struct Slopes<const N: usize> {
 }
 
 impl<const N: usize> Slopes<N> {
-    /// Returns the unrestricted slopes of a single move. The end of the move is added as a point when another move is
-    /// merged with it.
+    /// Creates the slopes for a single move, without any restriction. When another move is merged with it,
+    /// [`Slopes::pass`] adds the end of the first move as a point.
     fn to(way: &[f32; N]) -> Self {
         let (mut main, mut reach) = (0, 0.0_f32);
         for (axis, part) in way.iter().enumerate() {
@@ -113,7 +113,8 @@ impl<const N: usize> Slopes<N> {
         (along * self.reach > 0.0 && along.abs() >= self.reach.abs()).then_some(along)
     }
 
-    /// Adds a point that the line must pass at a distance of at most `within` in each axis.
+    /// Restricts the slopes so that the line passes the point at the displacement `way` from its start at a distance of
+    /// at most `within` in each axis.
     fn pass(&mut self, way: &[f32; N], within: f32) {
         let Some(along) = self.along(way) else { return };
         self.reach = along;
@@ -126,7 +127,8 @@ impl<const N: usize> Slopes<N> {
         }
     }
 
-    /// Returns whether the straight line to `way` passes all points closely enough.
+    /// Returns whether the straight line from the start to `way` passes all points that were added within their
+    /// distance.
     fn allow(&self, way: &[f32; N]) -> bool {
         let Some(along) = self.along(way) else { return false };
         let share = 1.0 / along;
@@ -134,7 +136,7 @@ impl<const N: usize> Slopes<N> {
     }
 }
 
-/// A move that is held back.
+/// A move that is not queued yet: the next move may be merged with it, or the corner between both cut off.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HeldMove<const N: usize> {
     /// Programmed start.
@@ -155,28 +157,29 @@ pub(super) struct Vertices<const N: usize> {
     pub last: PerAxis<Coordinate, N>,
 }
 
-/// A corner that can be rounded.
+/// A corner that can be cut off. t is the angle by which the path turns there.
 struct Corner {
-    /// q = 2·sin(t/2).
+    /// q = 2·sin(t/2), the length of the difference of the moves' unit vectors.
     turn: f32,
-    /// cos(t/2).
+    /// cos(t/2) for a turn by t.
     cosine: f32,
-    /// 1/t.
+    /// 1/t, the radius of a bend with this turn per unit of the bend's length.
     per_angle: f32,
-    /// J of the unchanged corner, mm/s.
+    /// J, the speed that the rule for turns allows at the unchanged corner, mm/s.
     jump: f32,
-    /// Maximum acceleration across the corner, mm/s².
+    /// Maximum acceleration in the direction of the change of velocity, mm/s².
     across: f32,
-    /// Maximum acceleration for bends in the plane of the corner, mm/s².
+    /// Maximum centripetal acceleration of a bend in the plane of the corner, mm/s².
     bend: f32,
 }
 
-/// The circle that touches both moves, around which the vertices lie.
+/// The circle that touches both moves of a corner and the pieces that cut off the corner. The ends of these pieces are
+/// called vertices.
 struct Fillet {
     radius: f32,
-    /// tan(t/2n) for n vertices.
+    /// tan(t/2n) for a turn by t that is divided among n vertices.
     tangent: f32,
-    /// Whether there are four vertices instead of two.
+    /// Whether four vertices replace the corner, instead of two.
     four: bool,
 }
 
@@ -200,9 +203,9 @@ impl Corner {
         })
     }
 
-    /// Returns the circle for the speed `fast`. The path along its vertices (see [`Fillet`]) stays within `deviation`
-    /// of the moves, and its first vertex is at most `back` before the corner. `None` if the machine can pass the
-    /// unchanged corner at this speed.
+    /// Returns the circle for cutting off the corner at the speed `fast`, mm/s. The new path stays within `deviation`
+    /// (mm) of the moves, and leaves the first move at most `back` (mm) before the corner. `None` if the machine can
+    /// pass the unchanged corner at this speed.
     fn fillet<const N: usize>(&self, fast: f32, deviation: f32, back: f32, rule: &TurnRule<N>) -> Option<Fillet> {
         if self.jump >= fast {
             return None;
@@ -210,7 +213,7 @@ impl Corner {
         let sine = 0.5 * self.turn;
         let fourth = sine / (1.0 + self.cosine);
         let two = self.with(fourth, 1.0, fast, deviation, back, rule);
-        // Four vertices of less than 0.3 rad would count as a bend, for which J is not granted.
+        // Four turns of less than 0.3 rad each would count as a bend, for which the speed J of a corner is not granted.
         if two.1 || self.turn * self.turn < LARGE_FOR_FOUR2 {
             return Some(two.0);
         }
@@ -219,8 +222,9 @@ impl Corner {
         Some(Fillet { four: true, ..self.with(eighth, 3.0, fast, deviation, back, rule).0 })
     }
 
-    /// Returns the circle, and whether the speed is limited by the room (`deviation` and `back`), not by the turns at
-    /// the vertices. `tangent`: tangent of half the turn at a vertex; `pieces`: number of pieces between the vertices.
+    /// Returns the circle, and whether `deviation` and `back` limit its radius, and so the speed, more than the turns
+    /// at the vertices do. `tangent`: tangent of half the turn at a vertex; `pieces`: number of pieces between the
+    /// vertices.
     fn with<const N: usize>(
         &self,
         tangent: f32,
@@ -241,7 +245,7 @@ impl Corner {
         (Fillet { radius: lesser(needed, room), tangent, four: false }, needed >= room)
     }
 
-    /// Returns the vertices around the circle.
+    /// Returns the vertices (ends of the straight pieces around the circle) that replace `corner`.
     fn cut<const N: usize>(
         &self,
         corner: &PerAxis<Coordinate, N>,
@@ -342,7 +346,7 @@ impl<const N: usize> HeldMove<N> {
     }
 }
 
-/// The moves that are held back at the end of the queue.
+/// Up to [`HELD`] moves that are not queued yet ([`HeldMove`]).
 #[derive(Clone, Debug)]
 pub(super) struct Blend<const N: usize> {
     held: [Option<HeldMove<N>>; HELD],
@@ -393,8 +397,9 @@ impl<const N: usize> Blend<N> {
         oldest
     }
 
-    /// Returns the vertices that replace the corner between two moves; `None` if the corner stays. `least_mm`: minimum
-    /// length of a piece; `limit`: returns the axes' maximum speed on a path with a displacement and length.
+    /// Returns the vertices (ends of straight pieces) that replace the corner between two moves; `None` if the corner
+    /// stays. `least_mm`: minimum length of such a piece; `limit`: returns the axes' maximum speed on a path with a
+    /// displacement and length.
     pub(super) fn cut(
         before: &HeldMove<N>,
         after: &HeldMove<N>,

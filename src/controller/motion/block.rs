@@ -13,7 +13,8 @@ pub(super) const NO_OVERRIDE: u8 = 2;
 /// Flag: laser power is scaled with the speed.
 pub(super) const SCALE_POWER: u8 = 4;
 
-/// The flags' bits from this bit upwards hold the block's mark, a number set by [`super::Motion::set_mark`].
+/// Lowest bit of the mark in a block's flags. The mark is the number from [`super::Motion::set_mark`] that ties a
+/// change of outputs to the block.
 pub(super) const MARK_SHIFT: u32 = 3;
 
 /// The dominant axis of a block must have fewer steps than this. At 16 units per step, the block then has less than
@@ -38,7 +39,7 @@ impl OverrideFactors {
 pub struct Block<const N: usize> {
     pub(super) steps_by_axis: [AxisSteps; N],
     pub(super) line_number: u32,
-    /// Path length, including moves before it that were too short for a step.
+    /// Path length, mm, including the preceding moves that were too short for a step.
     pub(super) length: f32,
     /// Maximum acceleration along the path at which no axis exceeds its limit, mm/s².
     pub(super) acceleration: f32,
@@ -57,7 +58,7 @@ pub struct Block<const N: usize> {
     pub(super) jerk: f32,
     /// Ramp from the entry to the next anchor; only with a jerk limit.
     pub(super) ramp: Ramp,
-    /// The bend on which the block lies, with the acceleration that it takes.
+    /// The bend on which the block lies. It takes a part of `acceleration` that grows with the speed.
     pub(super) curve: CurveLoad,
     pub(super) power: u16,
     pub(super) directions: u8,
@@ -73,14 +74,14 @@ fn of_upper(upper: u16) -> f32 {
     f32::from_bits(u32::from(upper) << 16)
 }
 
-/// [`upper`] of infinity.
+/// The upper half of an infinite `f32` ([`upper`]).
 const INFINITY: u16 = 0x7F80;
 
 /// A bend of radius R on which a block lies. At its maximum speed v² = a·R the bend takes all of the acceleration a, at
 /// a lower speed the share r = v²/(a·R). The rest is left for speeding up and braking.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CurveLoad {
-    /// [`INFINITY`] minus the upper half of the bend's speed², so that 0 means no bend.
+    /// [`INFINITY`] minus the upper half (16 bits) of the bend's maximum speed², an `f32`. So 0 means no bend.
     below: u16,
     acceleration: u16,
 }
@@ -93,15 +94,15 @@ const LEAST_SHARE: f32 = 0.25;
 /// the exit speed² rises. That can happen in this block and in each later one.
 const SURELY: f32 = 0.999;
 
-/// A jerk-limited ramp can use the acceleration that a bend leaves at this share of the maximum entry speed²
-/// ([`Block::bounds`]).
+/// Share of the maximum entry speed² at which [`Block::bounds`] computes how much acceleration a bend leaves for a
+/// jerk-limited ramp.
 const RAMP_SHARE: f32 = 0.9;
 
 impl CurveLoad {
     /// No bend: all of the acceleration is available along the path.
     pub(super) const NONE: Self = Self { below: 0, acceleration: 0 };
 
-    /// Creates a bend that takes all of `acceleration` (mm/s²) at `speed2`.
+    /// Creates a bend with the maximum speed² `speed2`, at which it takes all of `acceleration` (mm/s²).
     pub(super) fn new(speed2: f32, acceleration: f32) -> Self {
         Self { below: INFINITY - upper(speed2), acceleration: upper(acceleration) }
     }
@@ -111,7 +112,7 @@ impl CurveLoad {
         self.below == 0
     }
 
-    /// Returns the speed² at which the bend takes all of the acceleration.
+    /// Returns the bend's maximum speed², at which it takes all of the acceleration.
     pub(super) fn speed2(self) -> f32 {
         of_upper(INFINITY - self.below)
     }
@@ -278,9 +279,9 @@ impl<const N: usize> Block<N> {
         SURELY * reach2 >= self.max_entry2
     }
 
-    /// Returns whether a higher exit speed can lower the possible entry speed. A bend leaves less deceleration at a
-    /// higher speed, which can lower the entry speed² by more than the exit speed² rises. The test assumes the maximum
-    /// slope of [`CurveLoad::left`]: the slope at the minimum share.
+    /// Returns whether a higher exit speed can lower the possible entry speed. In a bend, the exit speed determines how
+    /// much deceleration is left; as it rises, the entry speed² can fall by more than the exit speed² rises. The test
+    /// assumes the maximum slope of [`CurveLoad::left`]: the slope at the minimum share.
     #[inline]
     pub(super) fn is_steep(&self) -> bool {
         let acceleration = greater(self.acceleration, self.curve.acceleration());

@@ -12,10 +12,12 @@ use super::trapezoid::{greater, lesser};
 /// prolonged by its own duration at most.
 const MOST_SLOWED_S: f32 = 0.05;
 
-/// The programmed time of a carried length. Meaningless without a carried length.
+/// The programmed time of the length carried over to the next block, that of moves without a step. Meaningless while no
+/// length is carried over.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CarriedTime {
-    /// NaN (unknown) if there are rapids among the moves.
+    /// Duration of these moves, s; negative if the last block was longer than its moves; NaN (unknown) if there are
+    /// rapids among them.
     seconds: f32,
     /// The common feed of the carried length, mm/s; 0: several feeds.
     feed: f32,
@@ -26,8 +28,8 @@ pub(super) struct CarriedTime {
 pub(super) struct BlockWay {
     /// Length of the block's own move, mm.
     pub own: f32,
-    /// Length carried over to the block, mm. If negative: the length by which the last block was made longer than its
-    /// path.
+    /// Length carried over to the block, mm: that of preceding moves without a step. If negative, it is the length that
+    /// the last block had in excess of its moves.
     pub carried: f32,
     /// Length of the block, mm. Greater than `own` + `carried` if this sum would be too short for the block's steps.
     pub length: f32,
@@ -56,8 +58,8 @@ impl CarriedTime {
         }
     }
 
-    /// Returns the speed of a block whose own move has `speed`. The time of the block's excess length is carried over
-    /// as a negative time.
+    /// Returns the speed of a block whose own move has `speed`. If the block is longer than its moves, the time for the
+    /// excess length is carried over to the next block as a negative time.
     #[inline]
     pub(super) fn take(&mut self, speed: Speed, way: BlockWay) -> Speed {
         let BlockWay { own, carried, length } = way;

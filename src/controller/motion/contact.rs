@@ -26,7 +26,7 @@ impl ProbeLatch {
     /// No probe is watched.
     pub(super) const OFF: Self = Self { is_watching: false, watched: false, is_unnoted: false };
 
-    /// Begins to watch for a state of the probe; `None` ends watching.
+    /// Begins to watch for a state of the probe (`true`: active) that counts as contact; `None` ends watching.
     #[inline(always)]
     pub(super) fn watch(&mut self, probe: Option<bool>) {
         self.is_watching = probe.is_some();

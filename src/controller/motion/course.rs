@@ -13,14 +13,15 @@ use core::sync::atomic::{Ordering, compiler_fence};
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(super) struct Course<const N: usize> {
-    /// Offset of each axis' exact start from the nearest full step, in parts of the threshold.
+    /// Offset of each axis' exact start from the nearest full step; a step counts as `threshold`. Negative numbers are
+    /// wrapped.
     pub(super) beyond: [u32; N],
     /// Amount by which each unit reduces an axis' remainder until its next step.
     pub(super) rates: [u32; N],
     pub(super) threshold: u32,
-    /// Units of the whole block.
+    /// Length of the block in units: 16 for each step of the axis with the most steps.
     pub(super) total: u32,
-    /// Units after which the block is entered; 0 = at its start.
+    /// Units after which the block is re-entered, because it was left there for other moves; 0 = at its start.
     pub(super) entered: u32,
     pub(super) directions: u8,
     /// Position at the start of the block.
@@ -71,7 +72,7 @@ impl<const N: usize> Course<N> {
         PerAxis(position)
     }
 
-    /// Returns the course of a machine at rest at a position.
+    /// Returns a block without steps, for a machine at rest at a position.
     pub(super) const fn rest_at(base: [i32; N]) -> Self {
         Self { base, end: base, ..Self::NOWHERE }
     }
@@ -112,8 +113,8 @@ impl<const N: usize> Course<N> {
         }
     }
 
-    /// Restores the axes' remainders as they were when the block was left after `entered` units, and moves the start of
-    /// the block so that the current position is the one after these units.
+    /// Continues a block that was left after `entered` units: sets `left` to the axes' remainders until their next step
+    /// at that point, and moves the start of the block so that the current position is the one after these units.
     #[cold]
     pub(super) fn enter_midst(&mut self, left: &mut [u32; N]) {
         let Course { rates, threshold, entered, directions, .. } = *self;
@@ -128,7 +129,8 @@ impl<const N: usize> Course<N> {
         }
     }
 
-    /// Subtracts net steps that were not output from the position. Call only at rest.
+    /// Corrects the position after a stop: subtracts net steps that were counted, but were not output to the motors.
+    /// Call only at rest.
     pub(super) fn take_back(&mut self, undone: [i32; N]) {
         for ((base, end), undone) in self.base.iter_mut().zip(self.end.iter_mut()).zip(undone) {
             *base = base.wrapping_sub(undone);

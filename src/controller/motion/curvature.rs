@@ -43,7 +43,7 @@ use crate::units::Coordinate;
 /// Number of scales. The lengths of their spans are powers of two from [`SHORTEST`] to 32 mm. On the longest scale, a
 /// span and the [`HISTORY`] spans before it cover more than a radian of a bend of R = 100 mm.
 pub(super) const SCALES: usize = 14;
-/// Length of the spans of the first scale, mm.
+/// Minimum length of a span on the finest scale, mm. It doubles from each scale to the next.
 const SHORTEST: f32 = 1.0 / 256.0;
 /// Returns the minimum length of the spans of a scale, mm.
 #[inline]
@@ -51,22 +51,24 @@ fn scale_length(scale: usize) -> f32 {
     SHORTEST * (1_u32 << scale) as f32
 }
 
-/// Returns the number of scales whose spans are at most as long as a piece of this length. Compares binary exponents.
+/// Returns the number of scales (the finest ones) on which a straight piece of this length, mm, is long enough to be a
+/// span of its own. Compares binary exponents.
 #[inline]
 fn scales_within(length: f32) -> usize {
     let exponent = |length: f32| (length.to_bits() >> 23) as usize;
     (exponent(length) + 1).saturating_sub(exponent(SHORTEST)).min(SCALES)
 }
 
-/// Whether limits that the machine cannot exceed anyway are skipped. The small image has no room for these checks: it
-/// computes all limits, except those that the first check of [`Span::limit_after`] excludes. The steps are the same
-/// (`tests/jobs.rs`).
+/// Whether limits that the machine cannot exceed anyway are skipped, to save time. The small image has no room for the
+/// checks that find them: it computes all limits, except those that the first check of [`Span::limit_after`] excludes.
+/// The steps are the same (`tests/jobs.rs`).
 const LEAVES_OUT: bool = FULL_IMAGE;
 /// Number of previous spans that a new one is compared with.
 const HISTORY: usize = 4;
 const _: () = assert!(HISTORY.is_power_of_two(), "the indices of a ring wrap");
-/// Sideways error of a span's two ends together, as a multiple of the digit. Half a digit on each of two axes shifts a
-/// point by 0.71 digits, on each of three axes by 0.87; 1.5 lies between the sums for two points, 1.41 and 1.73.
+/// Sideways error that rounding of the coordinates can cause at the two ends of a span together, in digits (values of
+/// the last decimal place). Half a digit on each of two axes shifts a point by 0.71 digits, on each of three axes by
+/// 0.87; 1.5 lies between the sums for two points, 1.41 and 1.73.
 pub(super) const DIGITS_ASIDE: f32 = 1.5;
 /// Minimum ratio of a span's chord to its path. Below it the span does not count as the chord of a bend. Half a circle
 /// has 2/π = 0.64.
@@ -74,21 +76,23 @@ const STRAIGHTNESS: f32 = 0.6;
 /// q² of 0.61 rad. A larger turn need not be a bend: it can be a corner between straight pieces, where the machine is
 /// faster than on a bend.
 const LARGE_TURN2: f32 = 0.36;
-/// A large turn counts as spread over its whole length only if the smaller turns at its two ends each have at least
-/// this share of its q².
+/// A large turn over several spans counts as a bend, not as a corner between straight pieces, only if its first and its
+/// last turn from span to span each have at least this share of its q².
 const ENDS2: f32 = 1.0 / 36.0;
-/// Maximum L/t, as a multiple of the junction deviation, for which [`ENDS2`] applies. Beyond it, the J² of the smaller
-/// turns within the large turn is negligible compared with a·L/t.
+/// Maximum radius of a large turn (its path length L divided by its angle t), as a multiple of the junction deviation,
+/// up to which [`ENDS2`] alone decides. Beyond it, the J² of the smaller turns from span to span is negligible compared
+/// with a·L/t.
 const VAGUE: f32 = 72.0;
 /// Of three consecutive turns, the middle one is no corner if its q² is less than this multiple of the lower q² of the
 /// other two.
 const EVEN2: f32 = 9.0;
-/// q² up to which a turn represents the local curvature rather than a mean over a long distance.
+/// Maximum q² (0.25 rad) of a turn between two spans from which a radius of curvature is computed. The radius of a
+/// larger turn would only be a mean over a long distance.
 const GENTLE2: f32 = 0.0625;
-/// q² of a turn of 0.1 rad. The q of up to [`HISTORY`] consecutive turns, each no larger than this, is at most 0.1 ·
-/// [`HISTORY`] in total.
+/// Maximum q² (0.1 rad) of a turn that [`Span::note_turn`] compares with the speed in advance. [`HISTORY`] such turns
+/// in a row have a q of at most 0.1 · [`HISTORY`] in total.
 const LITTLE_TURN2: f32 = 0.01;
-/// Lower bound of s for a turn that consists of [`HISTORY`] such turns.
+/// Lower bound of s = cos(t/2) for a turn t that consists of [`HISTORY`] turns of at most 0.1 rad ([`LITTLE_TURN2`]).
 const LITTLE_TURNS_SINE: f32 = 0.95;
 /// A block counts as steep if its acceleration exceeds [`TurnRule::most`] by more than this factor
 /// ([`Chain::since_steep`]). The margin of [`rise2`] is larger than this factor, so it covers blocks just below it.
@@ -96,8 +100,8 @@ const STEEP: f32 = 1.005;
 /// If a bend's speed² exceeds the maximum speed² by more than this factor, the bend leaves the acceleration along the
 /// path unchanged, within 5 %.
 pub(super) const NOTICEABLE: f32 = 3.2;
-/// Number of points whose finest resolution counts as that of the program. One point is not enough, because a number
-/// without its trailing zeros seems to have a coarser resolution.
+/// Number of points of which [`LastDigit`] keeps the finest resolution. One point is not enough, because a number
+/// without its trailing zeros seems to have a coarser resolution than the program.
 const POINTS: u8 = 32;
 
 /// A limit for the blocks from `nearest` to `farthest`, counted back from the newest one, which is 0.
@@ -105,20 +109,22 @@ const POINTS: u8 = 32;
 pub(super) struct Bend {
     /// Maximum speed² at the blocks' entries.
     pub speed2: f32,
-    /// A range of blocks (nearest, farthest). If one of their entries is already as slow as `speed2`, the limit does
-    /// not apply, because most of the turn can be a corner at that entry. The machine brakes before the corner and
-    /// speeds up after it with the axes' acceleration, so the whole turn takes long enough.
+    /// The range of blocks (nearest, farthest) that is searched for a corner; `None`: the limit always applies. If the
+    /// corner speed² at the entry of one of these blocks is `speed2` or less already, the limit does not apply: most of
+    /// the turn can be that corner. The machine brakes before the corner and speeds up after it with the axes'
+    /// acceleration, so the whole turn takes long enough.
     pub once: Option<(usize, usize)>,
-    /// Acceleration that the bend takes.
+    /// The acceleration that the bend needs at a given speed, to be set in the blocks; `NONE`: the bend only limits the
+    /// speed.
     pub curve: CurveLoad,
     pub nearest: usize,
     pub farthest: usize,
 }
 
-/// A span of the path with the direction from its start to its end.
+/// A part of the path, of one or several straight pieces, with the direction from its start to its end.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Span<const N: usize> {
-    /// Unit vector.
+    /// Unit vector from the start to the end of the span; valid only if `straight`.
     direction: [f32; N],
     /// Maximum angle by which the rounding of its ends can have turned the span, rad.
     noise: f32,
@@ -130,22 +136,24 @@ pub(super) struct Span<const N: usize> {
     attainable2: f32,
     /// Number of moves; 0: there is no span.
     blocks: u16,
-    /// Whether the direction is meaningful.
+    /// Whether the span has a direction: its ends do not coincide, and the path between them is not too long for a
+    /// chord ([`STRAIGHTNESS`]).
     straight: bool,
-    /// q² of the turn from the middle of the previous span to that of this one.
+    /// q² of the turn from the direction of the previous span to that of this one.
     turned2: f32,
-    /// Speed² that this turn surely allows, also as a part of a longer turn; 0: not known.
+    /// Speed² that this turn certainly allows, both by itself and as a part of a longer turn; 0: not known.
     sure2: f32,
-    /// The bend of that turn.
+    /// The bend that this turn indicates; `NONE`: the turn is too gentle to matter, or too large for a radius
+    /// ([`GENTLE2`]).
     curve: CurveLoad,
 }
 
-/// Limit for the turn between two spans.
+/// Maximum speed² in the turn from one span to a later one, and the size of this turn.
 struct Limit {
     speed2: f32,
-    /// q² of the turn, without noise.
+    /// q² of the part of the turn that rounding of the coordinates cannot explain.
     turn2: f32,
-    /// L/t.
+    /// Path length of the turn divided by its angle, mm.
     radius: f32,
 }
 
@@ -163,7 +171,7 @@ impl<const N: usize> Span<N> {
         curve: CurveLoad::NONE,
     };
 
-    /// Creates the span of a single piece.
+    /// Creates a span that consists of one straight piece.
     #[inline]
     pub(super) fn of(piece: &PathPiece<'_, N>) -> Self {
         let straight = piece.length > 0.0;
@@ -180,14 +188,16 @@ impl<const N: usize> Span<N> {
         }
     }
 
-    /// Returns the path length from the point at which the span has its direction to the end of the span: half of the
-    /// path, or 0 for a single piece.
+    /// Returns the path length, mm, that the span contributes to a turn at either of its ends: half of its path,
+    /// because a span of several pieces has its direction in its middle. A span of one piece has its direction up to
+    /// its ends, so it contributes 0.
     #[inline]
     fn half(&self) -> f32 {
         if self.blocks == 1 { 0.0 } else { 0.5 * self.path }
     }
 
-    /// Returns the maximum speed² at the corner with the previous piece. Both spans must be single pieces.
+    /// Returns the maximum speed² at the corner between the span `before` and this one, each of which must consist of
+    /// one straight piece.
     #[inline]
     fn corner2(&self, before: &Self, rule: &TurnRule<N>) -> f32 {
         if !before.straight || !self.straight {
@@ -207,8 +217,9 @@ impl<const N: usize> Span<N> {
         rule.junction2(across, sine, turn2)
     }
 
-    /// Returns the limit for the turn from an earlier span, with the path length `between` the two; `None` if the limit
-    /// is not below the speed² `fast2`.
+    /// Returns the speed limit for the turn from an earlier span `old` to this one; `None` if the limit is not below
+    /// the speed² `fast2`, or if rounding of the coordinates can explain the turn. `between`: path length between the
+    /// two spans, mm.
     #[inline]
     fn limit_after(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
         let all2 = turn2(&old.direction, &self.direction);
@@ -226,7 +237,8 @@ impl<const N: usize> Span<N> {
         let (turn2, sine) = certain(all2, noise)?;
         let radius = length * radius_of(turn2, sine);
         let junction2 = |across| if turn2 > REVERSAL { 0.0 } else { rule.junction2(across, sine, turn2) };
-        // In both forms of the rule, the speed² is at least the sum of these two terms.
+        // In both forms of the rule (see the module documentation), the speed² is at least a·L/t + J², here with the
+        // lowest acceleration limit of the moving axes.
         if LEAVES_OUT && SURELY * (moving.least * rule.curve_share * radius + junction2(moving.least)) > fast2 {
             return None;
         }
@@ -244,8 +256,8 @@ impl<const N: usize> Span<N> {
         (speed2 < fast2).then_some(Limit { speed2, turn2, radius })
     }
 
-    /// Returns a length, mm, for the turn from the previous span. The sum of these lengths over consecutive turns is at
-    /// most the length that [`Span::limit_after`] uses for the whole of these turns.
+    /// Returns the part of the path, mm, that is assigned to the turn from the span `old` to this one. Over consecutive
+    /// turns these parts add up to at most the length that [`Span::limit_after`] uses for all of these turns together.
     #[inline]
     fn share_of_length(&self, old: &Self) -> f32 {
         match (old.blocks, self.blocks) {
@@ -254,8 +266,8 @@ impl<const N: usize> Span<N> {
         }
     }
 
-    /// Sets the turn from the previous span, and the speed² that it surely allows. Sets the bend of this turn only if
-    /// the bend matters at the maximum speed of the faster span.
+    /// Sets `turned2`, `sure2` and `curve` for the turn from the previous span `old` to this one. Sets `curve` only if
+    /// the bend would have a noticeable effect at the maximum speed of the faster span ([`NOTICEABLE`]).
     #[inline]
     fn note_turn(&mut self, old: &Self, rule: &TurnRule<N>) {
         if old.blocks == 0 || !old.straight || !self.straight {
@@ -291,12 +303,12 @@ impl<const N: usize> Span<N> {
     }
 }
 
-/// A straight piece of the path: the newest block.
+/// The straight piece of the path that the newest block covers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathPiece<'a, const N: usize> {
     pub start: &'a PerAxis<Coordinate, N>,
     pub end: &'a PerAxis<Coordinate, N>,
-    /// Unit vector.
+    /// Unit vector from `start` to `end`; if both are the same point, that of the block before.
     pub direction: &'a [f32; N],
     /// Straight distance from start to end, mm.
     pub length: f32,
@@ -308,7 +320,7 @@ pub(super) struct PathPiece<'a, const N: usize> {
     pub digit: f32,
 }
 
-/// Limits of a piece's block that bound the speed attainable in the piece.
+/// The two limits of a block that bound the speed which the machine can reach in it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EntryLimit {
     /// Maximum speed² at the block's entry.
@@ -318,7 +330,7 @@ pub(super) struct EntryLimit {
 }
 
 impl EntryLimit {
-    /// Returns the limits of the newest block, which the piece belongs to.
+    /// Returns the limits of the newest block.
     #[inline]
     pub(super) fn of<const N: usize>(newest: Option<&Block<N>>) -> Self {
         newest.map_or(Self { corner2: UNLIMITED2, acceleration: GREATEST_ACCELERATION }, |block| Self {
@@ -328,23 +340,24 @@ impl EntryLimit {
     }
 }
 
-/// Passes the bends that are found to the caller, and tracks the speed that the machine can attain.
+/// Passes each bend that the newest piece of the path completes to `found`, and tracks the speed that the machine can
+/// reach under all these limits.
 struct Finder<'a, const N: usize> {
     rule: &'a TurnRule<N>,
     /// Called for each bend.
     found: &'a mut dyn FnMut(Bend),
-    /// Maximum speed² that the machine can have at the end of the newest piece, because it speeds up from each limit by
-    /// no more than its acceleration.
+    /// Maximum speed² that the machine can have at the end of the newest piece: after each speed limit it can only
+    /// speed up with the acceleration of its axes.
     attainable2: f32,
-    /// Path length of the newest piece, mm.
+    /// Path length of the straight piece that is being added, mm.
     newest: f32,
     /// Path length since the last steep block ([`Chain::since_steep`]), mm.
     since_steep: f32,
 }
 
 impl<const N: usize> Finder<'_, N> {
-    /// Passes on a bend. `behind`: number of blocks after the span. `length`: upper bound of the path length from the
-    /// bend's nearest entry to the end of the span.
+    /// Passes a bend to `found`. `behind`: number of blocks queued after the span that completes the bend. `length`:
+    /// upper bound of the path length from the bend's nearest entry to the end of that span.
     #[inline]
     fn limit(&mut self, bend: Bend, behind: usize, length: f32) {
         let length = if behind > 0 { length + self.newest } else { length };
@@ -358,7 +371,7 @@ impl<const N: usize> Finder<'_, N> {
     }
 }
 
-/// The previous spans, as a ring.
+/// Ring of the last [`HISTORY`] spans.
 #[derive(Clone, Copy, Debug)]
 struct History<const N: usize> {
     spans: [Span<N>; HISTORY],
@@ -382,8 +395,8 @@ impl<const N: usize> History<N> {
     }
 
     // Not inlined, because this function has several callers.
-    /// Compares a new span with the previous ones, and adds it. `behind`: number of blocks after the span. Skips the
-    /// corner between two single pieces, which [`Chain::corner2`] limits.
+    /// Compares a new span with the previous ones, then adds it to them. `behind`: number of blocks after the span.
+    /// Skips the corner between two spans of one piece each, because [`Chain::corner2`] limits it.
     #[inline(never)]
     fn take_span(&mut self, new: &mut Span<N>, behind: usize, finder: &mut Finder<'_, N>) {
         let (first, second) = (self.back(0), self.back(1));
@@ -409,9 +422,10 @@ impl<const N: usize> History<N> {
         }
     }
 
-    /// Returns whether every turn to a new span surely allows the maximum speed, so that [`History::compare`] is not
-    /// necessary. The turn from an earlier span is at most the sum of the consecutive turns, and its length is at least
-    /// the sum of their lengths. So it allows the speed that each of the consecutive turns allows.
+    /// Returns whether every turn from a previous span to a new one certainly allows the speed that the machine can
+    /// have there, so that [`History::compare`] is not necessary. A turn over several spans is at most the sum of the
+    /// turns from span to span, and at least as long as these together. So it allows any speed that each of them
+    /// allows.
     #[inline(always)]
     fn surely_allows(&self, new: &Span<N>) -> bool {
         if !LEAVES_OUT {
@@ -428,7 +442,7 @@ impl<const N: usize> History<N> {
         true
     }
 
-    /// Compares a new span with the previous ones, and passes on each limit.
+    /// Compares a new span with each previous one, and passes every speed limit below the possible speed to `finder`.
     #[inline(always)]
     fn compare(&self, new: &Span<N>, behind: usize, finder: &mut Finder<'_, N>) {
         let rule = finder.rule;
@@ -445,8 +459,8 @@ impl<const N: usize> History<N> {
                 let ends2 = lesser(new.turned2, turned2);
                 let spread = index > 0 && limit.radius < VAGUE * rule.deviation && ends2 > ENDS2 * limit.turn2;
                 let bent = index == 2 && ends2 > ENDS2 * limit.turn2 && first.turned2 < EVEN2 * ends2;
-                // For neighbouring spans, the limit applies from middle to middle; for others, it applies to the path
-                // between the two spans.
+                // The limit applies to the blocks from the middle of the old span to the middle of the new one if they
+                // are neighbours, otherwise to the blocks between the two spans.
                 let halves = if index == 0 { (own / 2, usize::from(old.blocks) / 2) } else { (own - 1, 0) };
                 let start = behind + own - 1 + blocks;
                 let once = limit.turn2 > LARGE_TURN2 && !spread && !bent;
@@ -466,7 +480,8 @@ impl<const N: usize> History<N> {
     }
 }
 
-/// One scale: its previous spans, and the unfinished one.
+/// The path measured on one scale, which gives the minimum length of a span: the last completed spans, and the
+/// unfinished one, which is still shorter than that.
 #[derive(Clone, Copy, Debug)]
 pub struct Scale<const N: usize> {
     history: History<N>,
@@ -474,7 +489,7 @@ pub struct Scale<const N: usize> {
     start: PerAxis<Coordinate, N>,
     /// Path length of the unfinished span, mm.
     path: f32,
-    /// Maximum speed² in the unfinished span, under any override.
+    /// Maximum speed² of the pieces in the unfinished span, under any override.
     fast2: f32,
     /// Maximum speed² that the machine can have in the unfinished span.
     attainable2: f32,
@@ -536,26 +551,29 @@ impl LastDigit {
     }
 }
 
-/// The straight pieces at the end of the queue, measured on all scales.
+/// The path at the end of the queue, measured in spans on several scales, so that bends are found when a piece is
+/// added.
 #[derive(Debug)]
 #[cfg_attr(feature = "alloc", derive(Clone))]
 pub(super) struct Chain<const N: usize> {
-    /// The last single pieces.
+    /// The last straight pieces, each as a span of its own.
     pieces: History<N>,
     scales: Lent<[Scale<N>]>,
-    /// Number of scales whose spans are at most as long as the last piece. On these scales, each span is a single
-    /// piece. Long moves therefore need no unfinished spans at all.
+    /// Number of scales (the finest ones) on which the last piece is long enough to be a span of its own. They have no
+    /// unfinished span, and `pieces` serves as their history.
     whole: usize,
     digit: LastDigit,
     /// [`Finder::attainable2`] at the end of the last piece.
     attainable2: f32,
-    /// Path length since the last steep block, mm. A block is steep if it may speed up along its path faster than any
-    /// path of moves with steps. This is possible because moves without a step have lengthened its path.
+    /// Path length since the last steep block, mm. A block is steep if its acceleration along its path exceeds
+    /// [`TurnRule::most`], that of a path on which all axes reach their limits. This is possible because moves without
+    /// a step have lengthened the block's path, but not the displacement of its axes.
     since_steep: f32,
 }
 
 impl<const N: usize> Chain<N> {
-    /// Initial scales. (A chain without scales considers only turns between single pieces.)
+    /// Initial contents of all scales. (A chain without scales compares a new piece only with the last [`HISTORY`]
+    /// pieces.)
     pub(super) const SCALES: [Scale<N>; SCALES] = {
         let scale = Scale {
             history: History::NONE,
@@ -584,31 +602,33 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Takes the resolution of one more point into account, and returns the resolution of the program's coordinates,
-    /// mm.
+    /// Records the resolution of the coordinates of one more point, and returns that of the program (the finest one of
+    /// the last points), mm.
     pub(super) fn last_digit(&mut self, digit: f32) -> f32 {
         self.digit.with(digit)
     }
 
-    /// Returns the state from which the program's resolution is determined, to be restored after pieces with computed
-    /// ends.
+    /// Returns the record from which the program's resolution is determined. The caller restores it after it has queued
+    /// pieces whose ends are computed, because those ends say nothing about the program's resolution.
     pub(super) fn program_digit(&self) -> LastDigit {
         self.digit
     }
 
-    /// Restores the state returned by [`Chain::program_digit`].
+    /// Restores the record that [`Chain::program_digit`] has returned.
     pub(super) fn set_program_digit(&mut self, digit: LastDigit) {
         self.digit = digit;
     }
 
-    /// Returns the maximum speed² at the corner before a single piece. Call [`Chain::extend`] afterwards.
+    /// Returns the maximum speed² at the corner between the last piece and a new one, `piece`, given as a span of its
+    /// own. Call [`Chain::extend`] afterwards.
     #[inline]
     pub(super) fn corner2(&self, piece: &Span<N>, rule: &TurnRule<N>) -> f32 {
         let before = self.pieces.back(0);
         if before.blocks == 0 { UNLIMITED2 } else { piece.corner2(before, rule) }
     }
 
-    /// Adds the piece of the newest block, which must be in the queue already. Calls `found` for each bend.
+    /// Adds the straight piece of the newest block, and calls `found` for each bend that it completes. The block must
+    /// be in the queue already, because its limits are lowered, too.
     #[inline(never)]
     pub(super) fn extend(
         &mut self,
@@ -625,8 +645,8 @@ impl<const N: usize> Chain<N> {
         self.attainable2 = finder.attainable2;
     }
 
-    /// Returns the maximum speed² that the machine can reach in the newest piece when it speeds up from an earlier
-    /// limit. Also updates `since_steep`.
+    /// Returns the maximum speed² that the machine can reach in the newest piece: it speeds up from the limit at the
+    /// piece's entry, or from an earlier one, with the acceleration of the block. Also updates `since_steep`.
     #[inline]
     fn attainable2_in(&mut self, piece: &PathPiece<'_, N>, block: EntryLimit, rule: &TurnRule<N>) -> f32 {
         if !LEAVES_OUT {
@@ -667,8 +687,9 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Call for a piece that is at least as long as the spans of the scales before index `whole`. Ends the unfinished
-    /// span of each of these scales where the piece begins, and compares the piece with their previous spans.
+    /// Call for a piece that is long enough to be a span of its own on more scales than the last piece (`self.whole` to
+    /// `whole`). On each of these scales, ends the unfinished span where the piece begins, and compares the piece with
+    /// the previous spans.
     #[inline(never)]
     fn end_before(&mut self, piece: &PathPiece<'_, N>, new: &Span<N>, whole: usize, finder: &mut Finder<'_, N>) {
         let (mut path, mut fast2, mut attainable2, mut blocks) = (0.0, 0.0, 0.0, 0);
@@ -678,8 +699,8 @@ impl<const N: usize> Chain<N> {
             scale.attainable2 = greater(scale.attainable2, attainable2);
             scale.blocks = scale.blocks.saturating_add(blocks);
             if index >= whole {
-                // This scale is the first one whose spans are longer than the piece. The path of the span that the
-                // scale before it ended has been added to it above. The caller adds the piece itself later.
+                // On this scale, the first one on which the piece is too short for a span, the path of the span that
+                // was just ended on the next finer scale has been added above. The caller adds the piece itself later.
                 return;
             }
             if scale.blocks > 0 {

@@ -29,8 +29,9 @@ pub(super) fn step_axes<const N: usize>(left: &mut [u32; N], increments: &[u32; 
         // `left` and `increment` lie between 0 and the threshold (at most 2^30), or a few parts of a step outside this
         // range. So the sign of `rest` shows whether the axis steps. `stepping` is all ones or all zeros, which avoids
         // a branch. No axis steps twice in a tick: a tick advances the dominant axis by one step at most, and begins at
-        // a multiple of its own size. Within one tick, an axis with as many steps as the dominant one makes at most one
-        // step, wherever between two steps it begins and ends; an axis with fewer steps travels less.
+        // a multiple of the units that it advances. In such a tick, an axis with as many steps as the dominant one
+        // makes at most one step, even if its exact start and end lie between two steps; an axis with fewer steps
+        // travels less.
         let rest = left.wrapping_sub(*increment) as i32;
         let stepping = rest >> 31;
         *left = rest.wrapping_add(threshold & stepping) as u32;
@@ -45,7 +46,7 @@ pub(super) fn step_axes<const N: usize>(left: &mut [u32; N], increments: &[u32; 
 /// Returns whether any axis steps at the next tick.
 #[inline(always)]
 pub(super) fn steps_next<const N: usize>(left: &[u32; N], increments: &[u32; N]) -> bool {
-    // As in `step_axes`.
+    // The sign of the difference shows whether the axis steps, as in `step_axes`.
     left.iter().zip(increments).any(|(left, increment)| (left.wrapping_sub(*increment) as i32) < 0)
 }
 
@@ -62,7 +63,8 @@ pub(super) fn steps_into<const N: usize, const WORDS: usize>(
 ) {
     const { assert!(N <= MOST_AXES && WORDS == 1 << N, "a word for each combination of axes") };
     let mut always = 0_usize;
-    // Axes are shifted in, the last one first, rather than written to a computed index, so that they stay in registers.
+    // Each axis is put in front of the others in the array, the last axis first, rather than written to a computed
+    // index, so that the array stays in registers.
     let mut counting = [Countdown::NONE; MOST_AXES];
     let mut count = 0_usize;
     for (axis, (left, increment)) in left.iter().zip(increments).enumerate().rev() {
@@ -85,7 +87,7 @@ pub(super) fn steps_into<const N: usize, const WORDS: usize>(
     }
 }
 
-/// The countdown of an axis: its remainder until the next step, and its increment.
+/// The countdown of one axis to its next step: each tick reduces `left` by `increment`.
 #[derive(Clone, Copy)]
 struct Countdown {
     axis: usize,

@@ -61,7 +61,8 @@ struct Path<const N: usize> {
     straight: f32,
     /// Length of the move alone, mm.
     own: f32,
-    /// `own`, plus the length of the moves without a step before it, minus the excess length of the last block, mm.
+    /// `own`, plus the length of the preceding moves without a step, minus the length by which the last block was too
+    /// long, mm.
     length: f32,
 }
 
@@ -86,7 +87,7 @@ struct MotorSteps<const N: usize> {
 struct StepSizes {
     /// Number of steps of the dominant motor.
     dominant: u32,
-    /// Minimum length of the path: the distance of the steps, less half a step, mm.
+    /// Minimum length of the block, mm: for the motor that needs most, the distance of its steps, less half a step.
     least_mm: f32,
     /// Size of a step of the coarsest motor that moves, mm.
     coarsest_mm: f32,
@@ -225,7 +226,7 @@ impl<const N: usize> MoveQueue<N> {
         let unit = if path.straight > 0.0 { path.way.0.map(|part| part / path.straight) } else { self.end.direction };
         let line_number = self.number_of(m);
         let mut block = Block::<N> { length, line_number, power: m.power, ..Block::EMPTY };
-        // In a block that counts as longer, the displacement of the axes is that of its steps.
+        // A block that is longer than its move, because of its steps (see above), has the displacement of these steps.
         if path.length < length {
             path.way = self.way_of_steps(&motors, length, &path.way);
         }
@@ -260,8 +261,8 @@ impl<const N: usize> MoveQueue<N> {
         self.push(block, &piece, span);
     }
 
-    /// Returns the speed of a block whose `length` differs from that of its move. Carries over the excess length, up to
-    /// `most`.
+    /// Returns the speed of a block whose `length` differs from that of its move. Carries the excess length, as a
+    /// negative one of at most `most` mm, over to the next block.
     #[cold]
     #[inline(never)]
     fn carry_over(&mut self, m: &Move<N>, path: &Path<N>, length: f32, most: f32) -> Speed {
@@ -309,8 +310,8 @@ impl<const N: usize> MoveQueue<N> {
     }
 
     /// Returns the maximum speed² at the corner before a piece of the path. `coarsest_mm`: step size of the coarsest
-    /// motor. If a block takes the time of moves that led away and back ([`Path::leads_nowhere`]), the corners before
-    /// and after it count as square.
+    /// motor. If a block includes the time of moves without a step that went to and fro ([`Path::leads_nowhere`]), the
+    /// corners before and after it count as square.
     #[inline]
     fn entry_corner2(&mut self, piece: &PathPiece<'_, N>, span: &Span<N>, path: &Path<N>, coarsest_mm: f32) -> f32 {
         if self.end.motors_only {
@@ -326,7 +327,7 @@ impl<const N: usize> MoveQueue<N> {
         if core::mem::take(&mut self.end.motors_only) { 0.0 } else { corner2 }
     }
 
-    /// Queues a block, looks for bends that end with the block's piece of the path, and plans.
+    /// Queues a block, limits the blocks on any bend that its piece of the path completes, and plans.
     #[inline]
     fn push(&mut self, block: Block<N>, piece: &PathPiece<'_, N>, span: Span<N>) {
         self.planner.push(block, self.overrides);
@@ -351,7 +352,8 @@ impl<const N: usize> MoveQueue<N> {
         Path { way, straight, own, length: own + self.end.length_carry }
     }
 
-    /// Returns the steps from the end of the last block to `target_steps`, and their sizes.
+    /// Returns the motors' steps from the end of the last block to `target_steps`, and how many and how large these
+    /// steps are.
     #[inline]
     fn steps_to(&self, target_steps: &PerAxis<i32, N>) -> (MotorSteps<N>, StepSizes) {
         let mut motors = MotorSteps { steps: [0; N], directions: 0 };
@@ -372,8 +374,8 @@ impl<const N: usize> MoveQueue<N> {
         (motors, sizes)
     }
 
-    /// Returns the displacement of each axis for the motors' steps, scaled to a total of `length`. An axis whose `way`
-    /// is longer gets its `way` instead.
+    /// Returns the displacement of each axis, mm, computed from the motors' steps and scaled so that the path has the
+    /// length `length`. An axis whose programmed displacement (`way`) is larger keeps the programmed one.
     #[cold]
     fn way_of_steps(&self, motors: &MotorSteps<N>, length: f32, way: &PerAxis<f32, N>) -> PerAxis<f32, N> {
         let stepped = self.kinematics.way_of_axes(&signed_steps(&motors.steps, motors.directions));
@@ -384,8 +386,8 @@ impl<const N: usize> MoveQueue<N> {
         )
     }
 
-    /// Returns the offsets of a chord's exact start and end from the steps nearest to them, in sevenths of a step;
-    /// `None` for other moves.
+    /// Returns how far the exact start and end of a chord are from the steps nearest to them, in sevenths of a step;
+    /// `None` for other moves, which begin and end on full steps.
     #[inline]
     fn true_ends(
         &mut self,
@@ -440,8 +442,8 @@ impl<const N: usize> MoveQueue<N> {
         }
     }
 
-    /// Returns how many steps of backlash each motor can take up in a move: as many as the corner rule allows for the
-    /// axes that this motor moves.
+    /// Returns how many steps of backlash compensation each motor can make in addition to a move: as many as the corner
+    /// rule ([`backlash::share`]) allows for the axes that this motor moves.
     fn rooms_for_slack(&self, length: f32, acceleration: f32, speed: f32) -> [f32; N] {
         let mut rooms = self.kinematics.least_mm;
         for (motor, room) in rooms.iter_mut().enumerate() {
@@ -483,9 +485,9 @@ impl<const N: usize> MoveQueue<N> {
         Some(way.zip(&PerAxis(extra), |way, extra| way + extra))
     }
 
-    /// Completes the backlash compensation at the end of the queue, with the motors at `motors`. If the last moves were
-    /// too short to complete it, queues a separate block from rest to rest. If the tool has not reached its programmed
-    /// position yet, this block moves it there. Otherwise the tool does not move.
+    /// Completes the backlash compensation at the end of the queue. `motors`: their position there. If the last moves
+    /// were too short to make all the extra steps, queues these as a separate block from rest to rest. If the tool has
+    /// not reached its programmed position yet, this block moves it there. Otherwise the tool does not move.
     #[inline(never)]
     pub(super) fn finish_taking_up(&mut self, motors: &Motors<N>, line_number: u32) {
         let taken = self.backlash.finish(&self.end.planned_steps.zip(&motors.tool(), i32::wrapping_sub).0);
@@ -496,8 +498,8 @@ impl<const N: usize> MoveQueue<N> {
     /// during a plunge, it would drag the drill sideways.
     #[inline(never)]
     fn take_up_before_plunge(&mut self, m: &Move<N>) {
-        // Only after a move mainly in X and Y, because the machine is slow at such a corner anyway. A profile of moves
-        // in Z must not be interrupted.
+        // Only after a move mainly in X and Y: at the corner to Z the machine is slow anyway, so the additional stop
+        // costs little. Consecutive moves in Z must not be interrupted.
         let across2 = self.end.direction.iter().take(2).fold(0.0, |sum, part| sum + part * part);
         if self.planner.capacity() < MOST_BLOCKS_OF_A_MOVE || across2 < 0.5 {
             return;

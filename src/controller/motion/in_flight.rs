@@ -24,7 +24,7 @@ pub struct InFlightSegment<const N: usize> {
     pub clocks: u32,
     pub line_number: u32,
     pub power: u16,
-    /// Mark of the segment's block (`Motion::set_mark`).
+    /// Number that `Motion::set_mark` has set for the segment's block.
     pub mark: u8,
 }
 
@@ -146,8 +146,8 @@ impl<const N: usize> SegmentsInFlight<N> {
             self.moves = true;
         }
         if self.len == 0 {
-            // Nothing is in flight, so take over the step task's count. The count does not change any more: even after
-            // a stop, the step task begins no segment until its gate is opened.
+            // Nothing is in flight, so adopt the step task's count of begun segments as it is. The count does not
+            // change any more: even after a stop, the step task begins no segment until its gate is opened.
             self.begun = begun;
             if !idle {
                 return;

@@ -124,7 +124,8 @@ impl PathState {
         (self.speed + 0.5 * gain, time * (self.speed + gain * (1.0 / 3.0)))
     }
 
-    /// Returns the speed that remains after the deceleration has been eased off, and the distance to that point.
+    /// Returns the speed that a braking machine still has when it has reduced its deceleration to 0, and the distance
+    /// that it travels until then.
     #[inline]
     pub(super) fn valley(self, jerk: f32) -> (f32, f32) {
         let time = -self.acceleration / jerk;
@@ -154,7 +155,8 @@ impl PathState {
         self.falls(target, distance, bounds)
     }
 
-    /// Returns whether the ramp from this state's [`PathState::summit`] to `target` ends within `distance` from here.
+    /// Returns whether a ramp to `target` from the maximum speed of this state's ramp ([`PathState::summit`]) ends
+    /// within `distance` from here.
     #[inline]
     fn falls(self, target: f32, distance: f32, bounds: Bounds) -> bool {
         let (summit, ahead) = self.summit(bounds.jerk);
@@ -266,8 +268,8 @@ mod tests {
         }
     }
 
-    /// If `lands` holds for a target above the `valley` speed, easing off the deceleration at once reaches the target
-    /// in time.
+    /// If `lands` is true, a braking machine that reduces its deceleration at once gets down to the target speed within
+    /// the distance, unless it would stay faster anyway.
     #[test]
     fn easing_off_at_once_comes_down_in_time() {
         let jerk = BOUNDS.jerk;

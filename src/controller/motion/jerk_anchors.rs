@@ -6,8 +6,9 @@ use super::block::{Block, CurveLoad};
 use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};
 use super::trapezoid::{lesser, square_root};
 
-/// Ratio above which two bounds count as the same. On a curve, bounds change slightly from block to block; an anchor at
-/// each change would cost more machine time than applying the tightest bounds to all of these blocks.
+/// Ratio above which two bounds count as the same. On a curve, bounds change slightly from block to block. An anchor
+/// (end of a ramp) at each change would cost more machine time than applying the tightest bounds to all of these
+/// blocks.
 const ALIKE: f32 = 0.8;
 
 /// The path to the next anchor, from the block that the reverse pass has reached.
@@ -28,7 +29,7 @@ impl Way {
         Self { speed, distance: 0.0, ceiling2: f32::INFINITY, bounds: Bounds::NONE }
     }
 
-    /// Returns whether a block's bounds differ noticeably from those on the path.
+    /// Returns whether a block's bounds differ noticeably from the tightest bounds on the way to the anchor.
     #[inline]
     pub(super) fn differs(&self, own: Bounds) -> bool {
         let apart = |a: f32, b: f32| a < ALIKE * b || b < ALIKE * a;
@@ -48,7 +49,7 @@ impl Way {
     }
 }
 
-/// Summary of consecutive blocks: what matters to a machine that eases off its acceleration on them.
+/// Summary of consecutive blocks: the limits for a machine that reduces its acceleration or deceleration to 0 on them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Stretch {
     /// Path length, mm.
@@ -111,9 +112,9 @@ impl Target {
         self.beyond(speed, f32::NEG_INFINITY)
     }
 
-    /// Like [`Target::nearest`], for a segment of length `way`. If the machine reaches the ceiling within the segment,
-    /// returns the anchor, so that the ramp from the ceiling to the anchor begins with this segment. If the ceiling
-    /// were returned, the ramp would begin one segment late, with too little distance left.
+    /// Like [`Target::nearest`], for a segment of length `way`, mm. If the machine reaches the ceiling within the
+    /// segment, returns the anchor instead, so that the ramp from the ceiling down to the anchor begins with this
+    /// segment. With the next segment it would begin too late.
     pub(super) fn beyond(&self, speed: f32, way: f32) -> (f32, f32) {
         if speed > self.ceiling {
             let distance = self.distance - ramp_distance(self.ceiling, self.speed, self.bounds);
@@ -124,7 +125,8 @@ impl Target {
         (self.speed, self.distance)
     }
 
-    /// Returns whether a machine in this state, which must not be accelerating, can slow down in time.
+    /// Returns whether a machine in this state can slow down to the ceiling or the anchor in time. The machine must not
+    /// be accelerating.
     pub(super) fn is_met(&self, state: PathState) -> bool {
         let (speed, distance) = self.nearest(state.speed);
         state.lands(speed, distance, self.bounds)

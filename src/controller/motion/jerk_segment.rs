@@ -68,7 +68,7 @@ pub(super) fn next_cut<const N: usize>(
     Some(cut)
 }
 
-/// State and limits at the start of the next segment.
+/// Speed, acceleration and limits at the start of the next segment.
 struct SegmentStart<'a, const N: usize> {
     state: PathState,
     /// Length of the segment, mm.
@@ -79,7 +79,7 @@ struct SegmentStart<'a, const N: usize> {
     bounds: Bounds,
     /// Estimated duration of the segment, s.
     guess: f32,
-    /// Maximum change of the acceleration within `guess`, mm/s².
+    /// Maximum change of the acceleration during the segment, mm/s²: what the jerk bound allows within `guess`.
     change: f32,
     planner: &'a Planner<N>,
 }
@@ -92,8 +92,8 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Self { state, way, left, nominal, bounds, guess, change: bounds.jerk * guess, planner }
     }
 
-    /// Returns a segment for a machine at rest: `free`, which has constant jerk, or a slower one if `free` would be too
-    /// fast for the next anchors.
+    /// Returns a segment for a machine at rest: `free`, which has constant jerk, or a slower one if the machine could
+    /// not slow down for the next anchors after `free`.
     fn leave_rest(&self, free: Travelled, ease_off_limit: &mut f32) -> Travelled {
         let Self { way, nominal, bounds, .. } = *self;
         let rest = self.left - way;
@@ -162,9 +162,9 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Travelled { seconds: 2.0 * self.way / (self.state.speed + speed), end: PathState { speed, acceleration } }
     }
 
-    /// Tries to end the segment with the acceleration that leads to the nominal speed soonest (`best`). If it is
-    /// allowed, returns the lowest acceleration bound of the blocks on which it can be eased off, and the segment's
-    /// time and end state.
+    /// Tries to end the segment with `best`, the acceleration that leads to the nominal speed soonest. If
+    /// [`Planner::allows`] the state at its end, returns the lowest acceleration bound of the blocks on which the
+    /// machine can then reduce this acceleration to 0, and the segment's time and end state.
     #[inline]
     fn to_nominal(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
         let travelled = self.to(best);
@@ -179,8 +179,8 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Some((ahead, if arrives { self.at_speed(self.nominal, 0.0) } else { travelled }))
     }
 
-    /// Tries to keep the present acceleration, like [`SegmentStart::to_nominal`]. Returns `None` if it is negative, not
-    /// less than `best`, or not allowed.
+    /// Tries to keep the present acceleration, like [`SegmentStart::to_nominal`]. Returns `None` if it is negative or
+    /// not less than `best`, or if [`Planner::allows`] forbids the state at the end of the segment.
     #[inline]
     fn as_before(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
         let acceleration = self.state.acceleration;
@@ -216,16 +216,16 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
             wanted = greater(wanted, land);
         }
         let travelled = self.to(lesser(self.within_jerk(wanted), best));
-        // If the last piece of the ramp is coarse (a tick that loses most of the speed), end at the planned speed
-        // anyway.
+        // If the ramp ends in this segment, and more than half of the speed must be lost in it (the ticks are too
+        // coarse for a gradual change), end at the planned speed regardless of the jerk.
         let even = (speed * speed - aim * aim) / (2.0 * way);
         let coarse = distance <= way && aim < 0.5 * speed && travelled.end.speed > aim && even <= all;
         if coarse { self.at_speed(aim, 0.0) } else { travelled }
     }
 
-    /// Returns the time and end state of a segment on which braking would bring the machine to rest before the end. The
-    /// speed stays as it is instead; if the block ends with the segment, the machine leaves the block no faster than
-    /// planned.
+    /// Returns the time and end state of a segment in which braking would bring the machine to rest before its end. The
+    /// machine keeps its speed instead. But if the block ends with this segment, the speed at its end is at most the
+    /// planned one.
     #[inline(never)]
     fn come_to_rest(planner: &Planner<N>, speed: f32, way: f32, left: f32, bounds: Bounds) -> Travelled {
         let exit = if left > way { speed } else { lesser(speed, planner.target(0, left, bounds).speed) };

@@ -30,25 +30,25 @@ const LEAST_DIGIT: f32 = 1.0e-4;
 /// Data of the last block of the queue, for joining moves to it.
 #[derive(Clone, Debug)]
 pub(super) struct Join<const N: usize> {
-    /// Whether the block can be taken back for a longer one.
+    /// Whether the last block can still be replaced by a longer one that covers the next move, too.
     pub open: bool,
-    /// Whether the block's piece is still withheld from the chain.
+    /// Whether the block's piece of the path has not been added to the chain yet, because the block could be replaced.
     pub kept: bool,
-    /// Whether no point of the line has been added yet.
+    /// Whether no point that the line must pass has been added yet.
     pub fresh: bool,
     /// The motor with the longest displacement.
     main: usize,
     /// Displacement of the main motor at the farthest point, mm.
     reach: f32,
-    /// Range of each motor's slope relative to the main motor that all points allow.
+    /// Range of each motor's slope, relative to the main motor, in which the line passes all added points.
     slopes: [(f32, f32); N],
     /// Displacement of each motor's belt or screw for half a step, mm.
     half_mm: [f32; N],
-    /// Length of the path through the points, mm.
+    /// Length of the programmed path through the ends of all joined moves, mm.
     pub path: f32,
     /// Number of moves that were joined or merged after the queue was last empty. They have no block of their own.
     pub moves: usize,
-    /// [`PathPiece::length`] of the block's piece, for the chain.
+    /// [`PathPiece::length`] of the block's piece of the path, which is added to the chain when joining ends.
     pub length: f32,
     /// [`PathPiece::path`] of the block's piece.
     pub block_path: f32,
@@ -62,8 +62,7 @@ pub(super) struct Join<const N: usize> {
     power: u16,
     scale_power: bool,
     line_number: u32,
-    /// The end of the queue before the last block: the state that [`super::queue::MoveQueue::line`] changes, without
-    /// planner and chain.
+    /// The end of the queue before the last block, to be restored when that block is replaced by a longer one.
     pub before: PathEnd<N>,
 }
 
@@ -95,7 +94,7 @@ impl<const N: usize> Join<N> {
         self.half_mm = kinematics.half_mm();
     }
 
-    /// Ends joining: the block that is being made will not be taken back.
+    /// Ends joining: the block that is being made will not be replaced by a longer one.
     #[inline]
     pub(super) fn close(&mut self) {
         self.open = false;
@@ -107,8 +106,8 @@ impl<const N: usize> Join<N> {
         self.kept = false;
     }
 
-    /// If the block can still be taken back, stores its piece and returns `true`: the piece must be withheld from the
-    /// chain.
+    /// Call for each new block. If it can still be replaced by a longer one, saves the data of its piece of the path
+    /// and returns `true`: the caller must not add the piece to the chain yet.
     #[inline]
     pub(super) fn keeps(&mut self, piece: &PathPiece<'_, N>) -> bool {
         self.digit = piece.digit;
@@ -127,14 +126,15 @@ impl<const N: usize> Join<N> {
             && self.line_number == m.line_number
     }
 
-    /// Returns the main motor's displacement at `way` (displacements of the motors); `None` if the main motor has moved
-    /// back from its farthest point.
+    /// Returns the main motor's displacement in `way`, the displacements of all motors from the start of the line;
+    /// `None` if the main motor has moved back from its farthest point.
     pub(super) fn along(&self, way: &[f32; N]) -> Option<f32> {
         let along = way.get(self.main).copied()?;
         (along * self.reach > 0.0 && along.abs() >= self.reach.abs()).then_some(along)
     }
 
-    /// Adds a point of the line. Returns `false` if the line leads back at this point, so that no move can continue it.
+    /// Adds a point that the line must pass, given as displacements of the motors from the start of the line. Returns
+    /// `false` if the main motor moves back to this point, so that no move can continue the line.
     pub(super) fn pass(&mut self, way: &[f32; N]) -> bool {
         if core::mem::take(&mut self.fresh) {
             self.slopes = [(f32::NEG_INFINITY, f32::INFINITY); N];
@@ -160,7 +160,8 @@ impl<const N: usize> Join<N> {
         true
     }
 
-    /// Returns whether the straight line to `way` passes all points closely enough.
+    /// Returns whether the straight line from the start to `way` (displacements of the motors) passes all added points
+    /// within their distance.
     pub(super) fn allows(&self, way: &[f32; N]) -> bool {
         let Some(along) = self.along(way) else { return false };
         let share = 1.0 / along;
@@ -187,7 +188,8 @@ mod tests {
     use crate::axes::{Arrangement, PerAxis};
     use crate::units::StepsPerMm;
 
-    /// Returns the state after a first point at 1 mm of the main motor, with half steps of 0.5 mm.
+    /// Returns the data of a block that ends at its first point, 1 mm from the start along X, on a machine with steps
+    /// of 1 mm. `digit`: resolution of the coordinates, mm.
     fn joined(digit: f32) -> Join<2> {
         let mut join = Join::NONE;
         join.configure(&Kinematics::new(Arrangement::Cartesian, PerAxis::all(StepsPerMm::ONE)));

@@ -19,8 +19,9 @@ pub(super) const REVERSAL: f32 = 4.0 - 2.0e-6;
 /// q² from which a turn is so near to a reversal that its tangent is undefined.
 const NO_TANGENT: f32 = 3.9;
 
-/// Factor that covers rounding errors of a bend's speed². If unit vectors are off by their last bit, the normal and the
-/// tangent of a turn of q² = [`STRAIGHT`] are perpendicular only within 0.0007.
+/// Factor by which a bend's computed speed² is reduced, so that rounding cannot make it too high. If unit vectors are
+/// off by their last bit, the normal and the tangent of a turn of q² = [`STRAIGHT`] are perpendicular only within
+/// 0.0007.
 pub(super) const SURELY: f32 = 0.99;
 
 /// Settings of the machine for the rule for turns.
@@ -38,16 +39,16 @@ pub(super) struct TurnRule<const N: usize> {
     pub curve_share: f32,
 }
 
-/// The axes that move before or after a turn.
+/// The axes that move on at least one side of a turn.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MovingAxes {
-    /// Minimum acceleration limit of these axes, mm/s².
+    /// Lowest acceleration limit of the moving axes, mm/s².
     pub least: f32,
     /// Whether at most two axes move.
     pub are_two: bool,
 }
 
-/// Returns q² of two unit vectors.
+/// Returns q² of the turn between two directions: the square of the length of the difference of the unit vectors.
 #[inline]
 pub(super) fn turn2<const N: usize>(before: &[f32; N], after: &[f32; N]) -> f32 {
     let mut square = 0.0;
@@ -63,8 +64,8 @@ pub(super) fn is_noise(turn2: f32, noise: f32) -> bool {
     turn2 <= noise * noise || turn2 < STRAIGHT
 }
 
-/// Returns q² and s of the part of a turn that noise cannot explain, from q² of the whole turn; `None` if noise
-/// explains all of it. `noise`: maximum angle of the noise, rad.
+/// Returns q² and s of a turn after subtraction of the angle that noise (rounding of coordinates) can explain; `None`
+/// if noise explains all of it. `turn2`: q² of the whole turn; `noise`: maximum angle of the noise, rad.
 #[inline]
 pub(super) fn certain(turn2: f32, noise: f32) -> Option<(f32, f32)> {
     if is_noise(turn2, noise) {
@@ -74,7 +75,7 @@ pub(super) fn certain(turn2: f32, noise: f32) -> Option<(f32, f32)> {
     if noise * noise <= CERTAIN * CERTAIN * turn2 {
         return Some((turn2, sine));
     }
-    // q and s of an angle that is smaller by the noise.
+    // q and s of the turn less the angle `noise`, by the formulas for the sine and cosine of a difference.
     let half = 0.5 * noise * (1.0 - noise * noise * (1.0 / 24.0));
     let cosine = 1.0 - 0.125 * noise * noise;
     let turn = square_root(turn2);
@@ -84,7 +85,7 @@ pub(super) fn certain(turn2: f32, noise: f32) -> Option<(f32, f32)> {
 }
 
 impl<const N: usize> TurnRule<N> {
-    /// The rule before settings are applied.
+    /// Placeholder until the settings are applied.
     pub(super) const ONE: Self =
         Self { acceleration: [1.0; N], least: 1.0, most: N as f32, deviation: 0.0, curve_share: 1.0 };
 
@@ -95,10 +96,12 @@ impl<const N: usize> TurnRule<N> {
         Self { acceleration, least, most, deviation, curve_share }
     }
 
-    /// Returns the maximum acceleration along the change of direction at which no axis exceeds its limit. `turn`: q.
+    /// Returns the maximum acceleration in the direction of the change of velocity at which no axis exceeds its limit.
+    /// `turn`: q, the length of the difference of the two unit vectors.
     #[inline(never)]
     pub(super) fn across(&self, before: &[f32; N], after: &[f32; N], turn: f32) -> f32 {
-        // Finds the axis with the lowest ratio of limit to part. Divides only once, at the end.
+        // Finds the axis with the lowest ratio of its limit to its part of the difference. Divides only once, at the
+        // end.
         let (mut least, mut least_part) = (UNLIMITED2, turn);
         for ((before, after), limit) in before.iter().zip(after).zip(&self.acceleration) {
             let part = (after - before).abs();
@@ -122,8 +125,8 @@ impl<const N: usize> TurnRule<N> {
     #[inline(never)]
     fn in_any_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32) -> f32 {
         let normal = 1.0 / turn2;
-        // A reversal defines the normal but not the tangent. The limits of shorter spans, which turn less, take the
-        // tangent into account.
+        // On a reversal, the sum of the two directions is too short to define the tangent, so only the normal is used.
+        // The turns between shorter spans are smaller, and their limits include the tangent.
         let tangent = if turn2 < NO_TANGENT { 1.0 / (4.0 - turn2) } else { 0.0 };
         // Finds the axis with the lowest ratio of limit to share, as in `across`.
         let (mut least2, mut least_share2) = (UNLIMITED2, 1.0);
@@ -137,7 +140,7 @@ impl<const N: usize> TurnRule<N> {
         square_root(least2 / least_share2)
     }
 
-    /// Returns the axes that move before or after a turn.
+    /// Returns the axes that move on at least one side of a turn, in the direction `before` or `after`.
     #[inline]
     pub(super) fn moving(&self, before: &[f32; N], after: &[f32; N]) -> MovingAxes {
         let (mut least, mut count) = (UNLIMITED2, 0);
@@ -151,9 +154,9 @@ impl<const N: usize> TurnRule<N> {
         MovingAxes { least, are_two: count <= 2 }
     }
 
-    /// Returns whether a bend with this turn within `length` surely allows more than the speed² `fast2`. Compares
-    /// squares, without division or square root. `least`: lower bound of [`TurnRule::in_plane`]; `sine`: lower bound of
-    /// s.
+    /// Returns whether a bend that makes this turn within `length`, mm, certainly allows more than the speed² `fast2`.
+    /// Compares squares, without division or square root. `least`: lower bound of [`TurnRule::in_plane`]; `sine`: lower
+    /// bound of s.
     #[inline]
     pub(super) fn is_surely_faster(&self, least: f32, length: f32, turn2: f32, sine: f32, fast2: f32) -> bool {
         let bend = SURELY * least * self.curve_share * length * (2.0 + sine);

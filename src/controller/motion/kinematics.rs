@@ -125,8 +125,8 @@ impl<const N: usize> Kinematics<N> {
         let place = self.steps_per_mm.zip(steps, |scale, count| scale.coordinate(count));
         match (self.arrangement, place.0.as_slice()) {
             (Arrangement::CoreXy, [a, b, ..]) => {
-                // An odd sum loses half a unit of 0.1 nm, far less than half a step, so `steps` gives the same steps
-                // back.
+                // If the sum is odd, halving it loses half a unit of 0.1 nm. That is far less than half a step, so
+                // `steps` gives the same steps back.
                 with_first_two(&place, Coordinate((a.0 + b.0).div_euclid(2)), Coordinate((a.0 - b.0).div_euclid(2)))
             }
             _ => place,

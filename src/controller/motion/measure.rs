@@ -14,14 +14,15 @@
 
 use crate::messages::{AxisSteps, UNITS_PER_STEP};
 
-/// Units and threshold of a block.
+/// How the steps of a block are counted: its length in units, and the value of one step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Measure {
     /// Units of the whole block: 16 for each step of the dominant axis.
     pub total: u32,
-    /// Value of one step in the countdown of an axis.
+    /// Amount that each step adds to an axis' countdown (`dda`).
     pub threshold: u32,
-    /// Threshold / total: number of parts into which a step is divided (1 or 7).
+    /// `threshold` / `total`: 7 if steps are counted in sevenths, because an axis begins or ends between two steps;
+    /// otherwise 1.
     scale: u32,
 }
 
@@ -50,9 +51,9 @@ impl Measure {
             .wrapping_add_signed(axis_steps.end().wrapping_sub(axis_steps.start()))
     }
 
-    /// Returns the share of an axis' first step that is complete at the start of the block: half a step, plus the
-    /// offset of the exact start. The result is in parts of the threshold. 1 is subtracted, so that exactly half way
-    /// between two steps the lower one counts.
+    /// Returns the sum with which [`steps_taken`] begins at the start of the block: half a step, plus the offset of the
+    /// axis' exact start; a step counts as the threshold. 1 is subtracted, so that exactly half way between two steps
+    /// the lower one counts.
     #[inline(always)]
     pub(super) fn credit(&self, axis_steps: AxisSteps) -> u32 {
         (self.threshold / 2).wrapping_add(parts_beyond(self.total, axis_steps)).wrapping_sub(1)
@@ -73,8 +74,8 @@ pub(super) fn steps_taken(rate: u32, credit: u32, threshold: u32, units: u32) ->
     }
 }
 
-/// Returns the offset of an axis' exact start from the step nearest to it, in parts of the threshold; negative numbers
-/// are wrapped.
+/// Returns the offset of an axis' exact start from the step nearest to it; a step counts as the threshold. Negative
+/// numbers are wrapped.
 #[inline(always)]
 pub(super) fn parts_beyond(total: u32, axis_steps: AxisSteps) -> u32 {
     (axis_steps.start() as u32).wrapping_mul(total)
@@ -134,7 +135,7 @@ pub(super) mod tests {
         let (n, f, g) = (i128::from(axis_steps.steps()), i128::from(axis_steps.start()), i128::from(axis_steps.end()));
         let (u, m) = (i128::from(units), i128::from(total));
         let Ratio(above, below) = Ratio(f * m + (7 * n + g - f) * u, 7 * m);
-        // The position minus a half, rounded up to a whole number.
+        // Steps taken: the exact position, less half a step, rounded up.
         -(below - 2 * above).div_euclid(2 * below)
     }
 
@@ -182,7 +183,8 @@ pub(super) mod tests {
             }
         }
 
-        /// On a line the threshold is the number of units, so that small quotients need only a 32-bit division.
+        /// For a line, which begins and ends on full steps, the threshold is the number of units of the block, so that
+        /// small quotients need only a 32-bit division.
         #[test]
         fn a_line_has_the_threshold_of_its_steps(x in 1_u32..1 << 26, y in 0_u32..1 << 26, way in 0.0..=1.0_f64) {
             let steps_by_axis = [x, y].map(AxisSteps::on_steps);

@@ -335,8 +335,8 @@ impl<const N: usize> Motion<N> {
         self.prepared().lead
     }
 
-    /// Makes the motors lead the tool by `lead` steps after the last queued move; with an empty queue, starts to do so
-    /// at once.
+    /// Makes the motors lead the tool by `lead` steps (backlash compensation) when all queued moves are complete. If no
+    /// block is queued, starts to turn the motors at once.
     pub fn end_with_lead(&mut self, lead: [i32; N]) {
         self.queue.backlash.want(lead);
         if self.queue.planner.len() == 0 {
@@ -430,8 +430,8 @@ impl<const N: usize> Motion<N> {
     /// Ends a hold and continues, even if the machine has not come to a stop yet.
     pub fn resume(&mut self) {
         if self.queue.planner.raised {
-            // The planned entry speeds of some blocks exceed the override, because the machine was too fast for the
-            // override when it was set. The hold has slowed the machine down, so these entry speeds must be lowered.
+            // When the override was lowered, the machine was too fast for it, so some entry speeds were planned higher
+            // than the override allows. The hold has slowed the machine down, so these speeds must be lowered.
             self.replan();
         }
         self.source.resume(!self.queue.is_empty());
@@ -603,8 +603,8 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.current().power
     }
 
-    /// Returns whether the mark of the next blocks ([`Motion::set_mark`]) can be changed. It cannot while a long move
-    /// is still being divided into blocks.
+    /// Returns whether [`Motion::set_mark`] may be called: not while a long move is still being divided into blocks,
+    /// because the rest of them would get the new mark.
     pub fn takes_mark(&self) -> bool {
         self.queue.long.is_none()
     }
@@ -621,14 +621,14 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// Returns the mark of the block begun last.
+    /// Returns the mark of the block begun last ([`Motion::set_mark`]).
     pub fn begun_mark(&self) -> u8 {
         self.source.in_flight.current().mark
     }
 
-    /// Returns the power of the move being handed over, or of the next one. `None` without a move, and for a move that
-    /// overrides have no effect on (jog, homing, probing). The step task executes this move only after the motion that
-    /// is already queued there.
+    /// Returns the power of the move whose segments are being handed over to the step task, or of the next one. `None`
+    /// without a move, and for a move that overrides have no effect on (jog, homing, probing). The step task first
+    /// executes the segments that it has got already.
     pub fn running_power(&self) -> Option<u16> {
         match self.queue.planner.first() {
             Some(block) => (block.flags & NO_OVERRIDE == 0).then_some(block.power),

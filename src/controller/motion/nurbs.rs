@@ -38,7 +38,8 @@ const SHORTEST: i64 = UNIT >> 20;
 const MOST_PIECES: u32 = 1000;
 /// Maximum size, as a share of a span, of a piece whose length is measured as a whole.
 const LONGEST_MEASURED: i64 = UNIT / 8;
-/// A piece is measured as a whole only if its chord is shorter than its polygon by at most this share.
+/// A piece is halved before its length is measured if its chord is shorter than the polygon of its control points by
+/// more than this share.
 const BENT: f32 = 0.03;
 /// Difference between chord and polygon that rounding alone can cause, mm.
 const LEAST_BENT: f32 = 1.0e-5;
@@ -47,7 +48,7 @@ const STRAIGHT: f32 = 1.0e-6;
 
 /// A position in X and Y relative to the first control point, in units of 0.1 nm.
 type Place = [i64; 2];
-/// Control points of a piece; the order gives their number.
+/// The first places, as many as the order of the curve, are the control points of a piece.
 type Piece = [Place; ORDER_MAX];
 
 /// A curve with its control points.
@@ -70,7 +71,8 @@ pub struct Nurbs<const N: usize> {
     span: usize,
     /// End of the previous chord, as a share of the span.
     at: i64,
-    /// Length of the next piece before halving, as a share of the span.
+    /// Length with which the next piece is tried, as a share of the span; halved until the piece is within the
+    /// tolerance.
     step: i64,
     curve_radius: f32,
 }
@@ -121,8 +123,9 @@ impl<const N: usize> NurbsGeometry<'_, N> {
         piece
     }
 
-    /// Divides the sides of the polygon, then those of the resulting polygon, and so on, once for each degree. `share`
-    /// gives the share of the span at which each level divides.
+    /// Computes a control point of a piece: divides the sides of the polygon `local`, then those of the resulting
+    /// polygon, and so on, as many times as the degree. `share`: returns the share of the span at which a level
+    /// divides.
     fn divided(
         &self,
         mut local: [(Place, f32); ORDER_MAX],

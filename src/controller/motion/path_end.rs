@@ -13,7 +13,8 @@ pub(super) fn way_mm(to: Coordinate, from: Coordinate) -> f32 {
     if way == 0 { 0.0 } else { Coordinate(way).to_mm() }
 }
 
-/// The end of the queue. After moves without a step, it lies beyond the end of the last block.
+/// The end of the queue. If moves too short for a step have followed the last block, it lies beyond the end of this
+/// block.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathEnd<const N: usize> {
     /// Programmed end of the last move.
@@ -22,14 +23,15 @@ pub(super) struct PathEnd<const N: usize> {
     pub block_end: PerAxis<Coordinate, N>,
     /// End of the last block in motor steps.
     pub planned_steps: PerAxis<i32, N>,
-    /// Length of moves without a step since `block_end`, mm; negative: length by which the last block counts as longer
-    /// than its path.
+    /// Length of the moves without a step since `block_end`, mm. If negative, it is the length that the last block has
+    /// in excess of its moves.
     pub length_carry: f32,
     /// Unit vector of the last block.
     pub direction: [f32; N],
-    /// Whether moves without a step have followed `block_end`.
+    /// Whether moves without a step have been queued since the last block.
     pub is_past_block: bool,
-    /// Whether the last block takes the time of moves without a step that led away and back.
+    /// Whether the last block includes the time of moves without a step that went to and fro, so that its corners count
+    /// as square.
     pub had_stepless_moves: bool,
     /// Whether the last block moves motors but not the tool; the next block then begins at rest.
     pub motors_only: bool,
@@ -58,7 +60,7 @@ impl<const N: usize> PathEnd<N> {
         self.had_stepless_moves = false;
     }
 
-    /// Returns the distance from the programmed end to a target, mm.
+    /// Returns the distance from the programmed end of the last move to a target, mm.
     pub(super) fn distance(&self, target: &PerAxis<Coordinate, N>) -> f32 {
         let mut square = 0.0;
         for (to, from) in target.iter().zip(self.planned.iter()) {

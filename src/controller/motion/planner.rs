@@ -51,17 +51,17 @@ use core::ops::Range;
 #[derive(Clone, Copy, Debug)]
 struct Fall {
     speed2: f32,
-    /// Distance before the braking begins, mm.
+    /// Distance that the machine still travels before it begins to brake, mm.
     delay: f32,
-    /// Speed² at which the braking begins.
+    /// Speed² at which it begins to brake.
     top2: f32,
 }
 
 impl Fall {
     const NONE: Self = Self { speed2: 0.0, delay: 0.0, top2: 0.0 };
 
-    /// Returns the prediction from the machine's state in `block`. With a jerk limit, the machine first reduces its
-    /// acceleration to 0 and then builds up the deceleration; `delay` covers both.
+    /// Creates the prediction for a machine in this state of motion, in `block`. With a jerk limit, the machine first
+    /// reduces its acceleration to 0 and then builds up the deceleration; `delay` is the distance of both together.
     fn from<const N: usize>(state: PathState, block: &Block<N>) -> Self {
         let (top, ahead) = state.summit(block.jerk);
         let top = greater(top, state.speed);
@@ -69,9 +69,9 @@ impl Fall {
         Self { speed2: top * top, delay, top2: top * top }
     }
 
-    /// Brakes over the distance `way` in a block. With a jerk limit the deceleration remains the one that the bend
-    /// leaves at `top2`, because the jerk limit can make the deceleration grow more slowly than the falling speed would
-    /// allow.
+    /// Brakes over the distance `way` in a block. In a bend, more deceleration becomes available as the speed falls,
+    /// but with a jerk limit the machine may not build it up as fast. So in that case only what the bend leaves at
+    /// `top2` is used.
     fn over<const N: usize>(&mut self, block: &Block<N>, way: f32, jerk_limited: bool) {
         let braked = greater(way - self.delay, 0.0);
         self.delay = greater(self.delay - way, 0.0);
@@ -100,19 +100,19 @@ pub(super) struct Planner<const N: usize> {
     entered: bool,
     /// Place of the first block whose limits have changed since the last reverse pass; `usize::MAX`: none.
     changed: usize,
-    /// Entries up to this place are final, whatever is appended; 0: no entry is known to be final. Only without a jerk
-    /// limit.
+    /// Place of the last settled entry: this entry and those before it are final, whatever is appended; 0: no entry is
+    /// known to be final. Only without a jerk limit.
     settled: usize,
-    /// Blocks whose limits were lowered by bends since the last reverse pass, if settled entries depend on the entries
-    /// of these blocks.
+    /// Blocks whose limits were lowered by bends since the last reverse pass. Recorded only while [`Planner::settle`]
+    /// skips that pass, to check whether the settled entries are still final.
     lowered: Lowered,
     /// Whether ramps have bounded jerk.
     pub jerk_limited: bool,
-    /// Whether some entries exceed the speed that the overrides allow, because the machine has to slow down first
-    /// ([`Fall`]).
+    /// Whether the planned speed at some entries exceeds the overrides: they were lowered while the machine was faster,
+    /// and it has to slow down first ([`Fall`]).
     pub raised: bool,
     blocks: Lent<[Block<N>]>,
-    /// Summaries of the groups whose blocks are all in the queue. Only with a jerk limit.
+    /// One summary for each group of neighbouring slots whose blocks are all in the queue. Only with a jerk limit.
     groups: Lent<[Stretch]>,
 }
 
@@ -139,7 +139,7 @@ impl<const N: usize> Planner<N> {
         self.blocks.len()
     }
 
-    /// Returns the number of slots in a group; the last group may have fewer.
+    /// Returns the number of slots in a group of the ring ([`GROUPS`]); the last group may have fewer.
     #[inline]
     fn group(&self) -> usize {
         self.blocks.len().div_ceil(GROUPS)
@@ -180,8 +180,8 @@ impl<const N: usize> Planner<N> {
         let Some(next) = self.block(1) else { return 0.0 };
         if next.ramp.distance > 0.0 {
             // The entry lies within a ramp to an anchor, so its speed must allow that ramp. With a jerk limit the
-            // caller needs this only if the machine can stop within one step. Even then it matters if the next block
-            // moves an axis with a much lower jerk limit.
+            // caller uses the exit speed only if the machine can stop within one step. But even such a machine can be
+            // too fast for the next block, if that block moves an axis with a much lower jerk limit.
             let reach = ramp_speed(square_root(next.entry2), next.ramp.distance, next.ramp.bounds());
             return lesser(reach * reach, next.ramp.ceiling2);
         }
@@ -232,7 +232,7 @@ impl<const N: usize> Planner<N> {
     /// Removes the last block, which must not be running. The caller must append another one.
     pub(super) fn take_back(&mut self) {
         self.len = self.len.saturating_sub(1);
-        // An `entry2` of 0 means that no pass has processed the block, so no settled entry depends on it.
+        // If `entry2` is 0, no reverse pass has reached this block yet, so no settled entry depends on it.
         if self.blocks.get(self.slot(self.len)).is_some_and(|block| block.entry2 > 0.0) {
             self.settled = 0;
         }
@@ -281,9 +281,8 @@ impl<const N: usize> Planner<N> {
             }
         }
         if lowered.first != usize::MAX {
-            // The range of lowered blocks is needed only if there are settled entries and all changes come after them,
-            // because [`Planner::settle`] then skips the pass over the changed blocks. With a jerk limit no entry is
-            // settled.
+            // `lowered` is needed only if there are settled entries and all changes come after them: then
+            // [`Planner::settle`] skips the pass over the changed blocks. With a jerk limit no entry is settled.
             if self.settled < self.changed && self.settled > 0 {
                 self.lowered = self.lowered.and(lowered);
             }
@@ -291,10 +290,10 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Recomputes the entries from place `end` back to the last settled one, as far as they change, after bends have
-    /// lowered blocks (places `first` to `end`) since the last pass. Settled entries are final only because the entries
-    /// after them cannot fall. So if the last settled entry falls below its cap, or a block has become steep
-    /// ([`Block::is_steep`]), no entry counts as settled any more.
+    /// Checks the settled entries after bends have lowered blocks (places `first` to `end`) since the last pass:
+    /// recomputes the entry speeds from place `end` back to the last settled one, as far as they change. Settled
+    /// entries are final only as long as no entry after them falls. So if the last settled one falls below its cap
+    /// (maximum entry speed), or a block has become steep ([`Block::is_steep`]), no entry counts as settled any more.
     #[inline(never)]
     fn lower_settled(&mut self, first: usize, end: usize) {
         let mut exit2 = self.block(end).map_or(0.0, |next| next.entry2);
@@ -310,8 +309,8 @@ impl<const N: usize> Planner<N> {
                     return;
                 }
                 exit2 = lesser(block.max_entry2, reach2);
-                // Stop at an unchanged entry, but only before the lowered blocks: within them, an earlier entry can
-                // still change.
+                // Stop at an unchanged entry, but only before place `first`: limits were lowered from there to `end`,
+                // so an earlier entry in that range can still change.
                 if place < first && block.entry2 == exit2 {
                     return;
                 }
@@ -427,13 +426,13 @@ impl<const N: usize> Planner<N> {
             }
             block.entry2 = entry2;
         }
-        // The end of the running block can be a better anchor, too.
+        // An additional anchor at the end of the running block can shorten the ramp, too.
         self.end_at_border(place.saturating_sub(1), &mut way);
         place
     }
 
-    /// Makes the end of the block at `place` an anchor, if the block's bounds differ from those of `way` and an anchor
-    /// there shortens the ramp.
+    /// Makes the end of the block at `place` an anchor, if the block's bounds differ from the tightest ones on the way
+    /// to the next anchor (`way`), and if the additional anchor shortens the ramp.
     #[inline]
     fn end_at_border(&mut self, place: usize, way: &mut Way) {
         let Some(block) = self.block(place) else { return };
@@ -450,7 +449,7 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Updates the group summaries for the blocks from a place on.
+    /// Updates the summary of each group of slots that has blocks at place `from` or later.
     fn sum_up(&mut self, from: usize) {
         let group_len = self.group();
         let within = self.slot(from) % group_len;
@@ -477,14 +476,14 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Returns the size of the group that begins at a slot.
+    /// Returns the number of slots in the group of the ring that begins at a slot.
     #[inline]
     fn group_size(&self, slot: usize) -> usize {
         self.group().min(self.blocks.len() - slot)
     }
 
-    /// Returns the summary of the blocks at a place, and the count of these blocks. They are a whole group if the group
-    /// begins there and is shorter than `distance`, otherwise they are one block.
+    /// Returns a summary of the blocks from a place on, and how many blocks it covers: a whole group of the ring if the
+    /// group begins there and is shorter than `distance`, otherwise one block.
     #[inline]
     fn stretch(&self, place: usize, distance: f32) -> Option<(Stretch, usize)> {
         let slot = self.slot(place);
@@ -541,7 +540,8 @@ impl<const N: usize> Planner<N> {
         self.target(place, end - ahead, own).is_met(stands).then_some(acceleration)
     }
 
-    /// Returns the next anchor as seen by a ramp that begins `left` mm before the end of the block at a place.
+    /// Returns the next anchor for a ramp that begins `left` mm before the end of the block at a place. `own`: bounds
+    /// up to the end of that block.
     #[inline]
     pub(super) fn target(&self, place: usize, left: f32, own: Bounds) -> Target {
         let Some(next) = self.block(place + 1) else {
@@ -555,8 +555,8 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Returns the tightest bounds within a distance, for a machine at a speed² that does not rise. The first `left` mm
-    /// of the distance are in the first block.
+    /// Returns the tightest bounds of the blocks within a distance, for a machine whose speed² does not exceed `speed2`
+    /// there. The first `left` mm of the distance are in the first block.
     pub(super) fn bounds_within(&self, distance: f32, left: f32, speed2: f32) -> Bounds {
         let Some(first) = self.first() else { return Bounds::NONE };
         let (mut straight_acceleration, mut curve, mut jerk) = (first.acceleration, first.curve, first.jerk);

@@ -1,6 +1,6 @@
 //! The input side of motion ([`MoveQueue`]): the planner's blocks and the state at the end of the path.
-//! [`super::enqueue`] turns moves into blocks; [`super::short_moves`] joins and [`super::rounding`] blends moves before
-//! that.
+//! [`super::enqueue`] turns moves into blocks. Before that, [`super::rounding`] merges moves and rounds corners, and
+//! [`super::short_moves`] joins short moves.
 
 use super::axis_limits::AxisLimits;
 use super::backlash::{Backlash, Motors};
@@ -35,7 +35,7 @@ pub(super) struct LongMove<const N: usize> {
     pub next: u32,
 }
 
-/// Source of the line numbers of blocks.
+/// Which line numbers the blocks get for reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Numbering {
     /// The N word of the program line that the block comes from.
@@ -54,21 +54,21 @@ pub(super) struct MoveQueue<const N: usize> {
     pub limits: AxisLimits<N>,
     pub overrides: OverrideFactors,
     pub end: PathEnd<N>,
-    /// Time of the length carried over to the next block. Not restored when a block is taken back: only moves of the
-    /// same feed are joined, and with a single feed this time has no effect.
+    /// Programmed time of the moves without a step whose length is carried over to the next block. Not restored when a
+    /// block is taken back: only moves of the same feed are joined, and with a single feed this time has no effect.
     pub carried_time: CarriedTime,
-    /// Offset of the queue's exact end from the steps nearest to it, in substeps (sevenths of a step); only known after
-    /// a chord of a curve.
+    /// Offset of the exact end of the last move from the steps nearest to it, in sevenths of a step; `None` if that
+    /// move was no chord of a curve.
     pub substep_offset: Option<[i32; N]>,
     pub long: Option<LongMove<N>>,
     pub numbering: Numbering,
-    /// The mark of the blocks queued from now on, as bits of their flags.
+    /// The mark for the blocks queued from now on ([`super::Motion::set_mark`]), shifted to its bits in their flags.
     pub marked: u8,
     /// The straight moves at the end of the queue, from which the curvature of the path is determined.
     pub chain: Chain<N>,
-    /// The last block, while short moves can be joined to it.
+    /// Data of the last block, for joining short moves to it.
     pub join: Join<N>,
-    /// Moves held back because their corners can still be rounded.
+    /// Moves with a tolerance that are not queued yet: moves can still be merged with them, and their corners rounded.
     pub blend: Blend<N>,
     pub planner: Planner<N>,
 }
@@ -156,8 +156,8 @@ impl<const N: usize> MoveQueue<N> {
             // The next move makes a corner. The held move, up to three pieces that cut off the corner, and the next
             // move are five blocks, of which the next move's own block is not counted here.
             1 => 4,
-            // The next move causes the first move and its corner to be queued (four blocks), and makes a second corner
-            // (five blocks, without the next move's own block).
+            // When the next move arrives, the older held move is queued with the pieces of its corner (four blocks).
+            // The newer one then makes a corner with the next move (four blocks, as above).
             _ => 8,
         };
         if self.backlash.is_on() { pieces * MOST_BLOCKS_OF_A_MOVE } else { pieces }

@@ -5,13 +5,13 @@
 use super::block::Block;
 use super::curvature::Bend;
 
-/// State of a reverse pass.
+/// Progress of a reverse pass, passed on from one part of the ring to the other.
 pub(super) struct Walk {
     /// Exit speed² of the next block to process.
     pub exit2: f32,
-    /// Whether the last settled entry has not been found yet.
+    /// Whether the pass has not yet found a settled entry: one that is final, whatever is appended.
     pub searching: bool,
-    /// Place of the last settled entry; 0: none.
+    /// Place of the last settled entry, the one nearest to the end of the queue; 0: none.
     pub settled: usize,
 }
 
@@ -34,7 +34,8 @@ impl Walk {
             }
             block.entry2 = exit2;
             if searching {
-                // Entries before a steep block may get slower when blocks are appended, so they are not settled.
+                // Before a steep block (in a bend where a faster exit requires a slower entry), entries can get slower
+                // when blocks are appended, so they are not settled.
                 let is_steep = block.is_steep();
                 if is_steep || is_capped && block.is_surely_capped(reach2) {
                     searching = false;
@@ -52,7 +53,7 @@ impl Walk {
 pub(super) struct Lowered {
     /// Place of the first lowered block; `usize::MAX`: none.
     pub first: usize,
-    /// Place after the last lowered block that a reverse pass has processed; 0: none.
+    /// Place after the last lowered block whose entry speed a reverse pass had already set; 0: none.
     pub planned_end: usize,
 }
 
@@ -65,7 +66,7 @@ impl Lowered {
         Self { first: self.first.min(other.first), planned_end: self.planned_end.max(other.planned_end) }
     }
 
-    /// Adjusts the places after the first block was removed from the queue.
+    /// Moves the places forward by one, because the first block was removed from the queue.
     #[inline]
     pub(super) fn pop(&mut self) {
         if self.first != usize::MAX {
@@ -77,7 +78,7 @@ impl Lowered {
     /// Lowers consecutive blocks to the limits of `bend`. `from`: place of the first of them.
     #[inline(never)]
     pub(super) fn lower<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, bend: &Bend) {
-        // Positive numbers are ordered like their bits.
+        // Speeds² are compared by their bits, because positive numbers have the same order as their bits.
         let speed2 = bend.speed2.to_bits();
         for (index, block) in blocks.iter_mut().enumerate() {
             // In a long bend, earlier calls have already lowered most blocks enough; these are skipped. `max_entry2`
@@ -95,7 +96,7 @@ impl Lowered {
             }
             block.curve = block.curve.tighter(bend.curve);
             self.first = self.first.min(from + index);
-            // An `entry2` above 0 means that a pass has processed the block.
+            // If `entry2` is above 0, a reverse pass has already set the entry speed of the block.
             if block.entry2 > 0.0 {
                 self.planned_end = from + index + 1;
             }

@@ -28,7 +28,8 @@ const MOST_ENTRIES: usize = 64;
 const FULL: f32 = 0.999;
 
 impl<const N: usize> MoveQueue<N> {
-    /// Queues a move or holds it back. Returns `false`, with nothing done, if there is no room.
+    /// Queues a move, or holds it back so that moves can be merged with it or its corner rounded. Returns `false`, with
+    /// nothing done, if there is no room.
     #[inline]
     pub(super) fn take(&mut self, m: &Move<N>) -> bool {
         if FULL_IMAGE && (m.tolerance.path > 0.0 || self.blend.is_holding()) {
@@ -152,8 +153,9 @@ impl<const N: usize> MoveQueue<N> {
             return;
         }
         let numbering = core::mem::replace(&mut self.numbering, Numbering::Given(held.number));
-        // The steps follow the exact ends of pieces that were cut. A whole move is queued as if it had no tolerance, so
-        // its ends are full steps. With backlash compensation, all ends are full steps.
+        // Pieces of a move whose corner is cut off can end between two steps; their steps follow these exact ends. A
+        // whole move is queued as if it had no tolerance, with full steps as its ends. With backlash compensation, all
+        // ends are full steps.
         let true_ends = !held.is_whole(&self.end.planned, &piece.target) && !self.backlash.is_on();
         self.put(piece, UNLIMITED2, true_ends);
         self.numbering = numbering;

@@ -9,18 +9,18 @@ use super::trapezoid::{OFF_CURVE, Pace, Trapezoid, lesser};
 use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{AxisSteps, ToStep};
 
-/// Time for two units, s. In a hold, a machine that takes longer for two units, and can stop within one unit, stops at
-/// once.
+/// In a hold, a machine stops at once if it takes longer than this time, s, for two units, and can stop within one
+/// unit.
 const CRAWL_S: f32 = 0.001;
 
 /// The next message about a block to the step task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum BlockStage {
-    /// There is no block.
+    /// No message, because no block is running.
     Nothing,
-    /// Steps of the axes beyond the first three.
+    /// The steps of the axes beyond the first three.
     UpperAxes,
-    /// Steps of the first three axes, and directions.
+    /// The steps of the first three axes, and directions.
     Block,
     /// Re-entry into the block, because the step task left it part-way to execute other moves.
     Reenter,
@@ -62,13 +62,13 @@ pub(super) struct Running<const N: usize> {
     flags: u8,
     power: u16,
     pub line_number: u32,
-    /// See [`Measure`].
+    /// Computed from the block's steps, like `rates` and `credits`; see [`Measure`].
     threshold: u32,
     rates: [u32; N],
     credits: [u32; N],
-    /// Units of the whole block.
+    /// Length of the block in units.
     pub total: u32,
-    /// Units cut into segments so far.
+    /// Number of units that have been cut into segments so far.
     pub done: u32,
     /// Units per millimetre.
     pub scale: f32,
@@ -76,7 +76,8 @@ pub(super) struct Running<const N: usize> {
     pub acceleration: f32,
     /// Nominal speed², units²/s².
     pub nominal2: f32,
-    /// Speed at which power is not reduced, before overrides, mm/s: the programmed feed, or the limit of a rapid.
+    /// Speed at which a laser with scaled power has the programmed power, mm/s: the programmed feed before overrides,
+    /// or the limit of a rapid.
     programmed: f32,
 }
 
@@ -124,7 +125,7 @@ impl<const N: usize> Running<N> {
         }
     }
 
-    /// Returns the stage with which the announcement of a block begins.
+    /// Returns the first message with which a block is announced to the step task.
     #[inline]
     fn announcement(steps_by_axis: &[AxisSteps; N]) -> BlockStage {
         let rest = steps_by_axis.iter().skip(LINEAR);
@@ -177,7 +178,7 @@ impl<const N: usize> Running<N> {
         }
     }
 
-    /// Returns the units not yet cut into segments.
+    /// Returns how many units of the block have not been cut into segments yet.
     #[inline]
     pub(super) fn left(&self) -> u32 {
         self.total - self.done
@@ -200,7 +201,7 @@ impl<const N: usize> Running<N> {
         self.flags & SCALE_POWER != 0
     }
 
-    /// Returns the mark of the block (`Motion::set_mark`).
+    /// Returns the number that `Motion::set_mark` has set for the block.
     #[inline]
     pub(super) fn mark(&self) -> u8 {
         self.flags >> MARK_SHIFT
@@ -249,7 +250,8 @@ impl<const N: usize> Running<N> {
         Some((Trapezoid { acceleration, nominal2: self.nominal2, exit2 }, left))
     }
 
-    /// Like [`Running::trapezoid`], in a feed hold: brakes to a stop as soon as possible.
+    /// Returns the speed curve for a feed hold, in which the machine brakes to a stop as soon as possible, and its
+    /// length in units; `None` for an immediate stop.
     #[inline]
     fn braking(&self, pace: Pace, acceleration: f32) -> Option<(Trapezoid, u32)> {
         let left = self.left();

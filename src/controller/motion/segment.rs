@@ -11,23 +11,23 @@ use super::stepper::MAX_LEVEL;
 use super::trapezoid::{Pace, Trapezoid, lesser};
 use crate::messages::{INTERVAL_FRACTION_BITS, UNITS_PER_STEP};
 
-/// Maximum duration of a segment of several ticks while the speed changes, s. Limits how far the linear intervals
-/// deviate from the curve, and how coarsely dynamic laser power follows the speed.
+/// Maximum duration of a segment of several ticks while the speed changes, s. Limits how far the ticks, whose intervals
+/// change linearly, deviate from the speed curve, and how coarsely dynamic laser power follows the speed.
 const SEGMENT_TIME: f32 = 0.001;
 /// Maximum duration of a segment while speed and power are constant or nearly so, s. Limits the delay of a hold or an
 /// override, and how far ahead the reported position can be.
 const STEADY_TIME: f32 = 0.002;
 /// Ratio of acceleration to speed, 1/s, up to which the speed counts as nearly constant: it changes by 1 % within
-/// [`STEADY_TIME`]. With linear intervals the acceleration is proportional to the cube of the speed, so it is 1.5 % off
-/// at either end.
+/// [`STEADY_TIME`]. If the intervals of the ticks change linearly, the acceleration is proportional to the cube of the
+/// speed, so it is 1.5 % off at either end of the segment.
 const STEADY: f32 = 5.0;
 /// Ticks per second below which smoothing makes ticks finer, so that the steps of a slow axis jitter by at most 125 us.
 const SMOOTH_RATE: f32 = 8000.0;
-/// [`SMOOTH_RATE`] as a speed in units/s, for ticks of a whole step.
+/// Speed in units/s at which ticks of a whole step have the rate [`SMOOTH_RATE`].
 const COARSEST: f32 = SMOOTH_RATE * UNITS_PER_STEP as f32;
 /// Maximum length of a segment as a share of speed²/acceleration. Over this length the speed changes by a tenth, and
-/// linear intervals follow the curve within 0.3 %. In a longer segment, linear intervals would deviate more from the
-/// curve.
+/// ticks whose intervals change linearly follow the speed curve within 0.3 %. In a longer segment they would deviate
+/// more.
 const EVEN: f32 = 0.1;
 /// Phases shorter than this many units end on the next tick, longer ones on the next whole step.
 const WHOLE_STEPS: u32 = 4 * UNITS_PER_STEP;
@@ -35,7 +35,7 @@ const WHOLE_STEPS: u32 = 4 * UNITS_PER_STEP;
 /// A speed in units/s far beyond any machine's.
 const ENDLESS: f32 = 1.0e18;
 
-/// A piece cut out of a block, with the data for its segment.
+/// A piece of a block that becomes one segment: length in units, AMASS level, ticks, duration, and state at the end.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Cut {
     pub units: u32,
@@ -85,7 +85,7 @@ fn grain(level: u8, done: u32, left: u32) -> (u32, u32) {
     (grain, limit)
 }
 
-/// Size of a piece of about a millisecond: units per tick, and number of ticks.
+/// Size of a segment of about a millisecond: `grain` units per tick, and number of ticks.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SegmentSize {
     pub grain: u32,
@@ -93,7 +93,8 @@ pub(super) struct SegmentSize {
 }
 
 impl SegmentSize {
-    /// Returns the size of the next piece for a machine of this pace and acceleration (units, seconds).
+    /// Returns the size of the next segment for a machine with this pace (units/s) and acceleration (units/s²), `done`
+    /// units after the start of the block and `left` units before its end.
     #[inline]
     pub(super) fn next(pace: Pace, acceleration: f32, done: u32, left: u32) -> Self {
         let level = amass_level_for(pace.speed);
@@ -117,7 +118,7 @@ impl SegmentSize {
         Self { grain, ticks: (units / grain).clamp(1, most) }
     }
 
-    /// Returns the piece for a change from `speed` to `end` (units/s) within `seconds`.
+    /// Returns a segment of this size in which the speed changes from `speed` to `end` (units/s) within `seconds`.
     #[inline]
     pub(super) fn cut(self, speed: f32, end: Pace, seconds: f32) -> Cut {
         let Self { grain, ticks } = self;
@@ -130,8 +131,8 @@ impl SegmentSize {
     }
 }
 
-/// Returns the next piece. It begins `left` (> 0) units before the end of the curve and `done` units after the start of
-/// the block.
+/// Returns the next segment of the block. It begins `left` (> 0) units before the end of the speed curve and `done`
+/// units after the start of the block.
 #[inline(always)]
 pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace, scales_power: bool) -> Cut {
     let Pace { speed, speed2 } = pace;
@@ -143,7 +144,7 @@ pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace, scales_po
     // If the machine would come to rest within the time, reach far enough to include all of the braking.
     let mut reach = if speed + change > 0.0 { (speed + 0.5 * change) * time } else { speed * time };
     if phase.sign != 0.0 {
-        // The speed at which the level ends. The change of speed² is twice the acceleration times the distance.
+        // Speed at which the AMASS level changes. The change of speed² is twice the acceleration times the distance.
         let edge = if phase.sign > 0.0 {
             if level > 0 { amass_level_speed(level - 1) } else { ENDLESS }
         } else if level < MAX_LEVEL {

@@ -32,7 +32,7 @@ const SHORT_MS: u32 = 8;
 /// Duration of the segment that puts the step task to rest when there is nothing to brake, in microseconds.
 const REST_US: u32 = 20;
 
-/// State of handing segments over.
+/// Whether segments are handed over to the step task, and whether a hold is in force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum FeedState {
     /// Nothing is handed over: not started, or the queue has run empty.
@@ -68,9 +68,9 @@ pub(super) struct SegmentSource<const N: usize> {
     /// State of motion at the end of the segment handed over last.
     pub(super) motion: PathMotion,
     pub(super) running: Running<N>,
-    /// The motors at the start of the running block.
+    /// Position and lead of the motors at the start of the running block.
     block_start: Motors<N>,
-    /// The motors where the machine was last at rest.
+    /// Position and lead of the motors where the machine was last at rest.
     last_rest: Motors<N>,
     long_tick: Option<LongTick>,
     step_clock_hz: u32,
@@ -137,7 +137,7 @@ impl<const N: usize> SegmentSource<N> {
         self.last_rest = motors;
     }
 
-    /// Starts to hand over the queue, unless a hold is in force.
+    /// Starts to hand segments over to the step task, unless a hold is in force.
     #[inline]
     pub(super) fn start(&mut self) {
         if self.state == FeedState::Idle {
@@ -152,18 +152,19 @@ impl<const N: usize> SegmentSource<N> {
         }
     }
 
-    /// Ends a hold. `any`: whether there are moves to hand over; without any, handing over ends until the next start.
+    /// Ends a hold. `any`: whether there are moves left. If so, segments are handed over again at once, otherwise only
+    /// after the next start.
     pub(super) fn resume(&mut self, any: bool) {
         self.state = if any { FeedState::Running } else { FeedState::Idle };
     }
 
-    /// Ends handing over until the next start. Also ends a hold.
+    /// Hands over no more segments until the next start. Also ends a hold.
     #[inline]
     pub(super) fn stop(&mut self) {
         self.state = FeedState::Idle;
     }
 
-    /// Call when the queue has run empty: ends handing over until the next start. A hold stays in force.
+    /// Call when the queue has run empty: no more segments are handed over until the next start. A hold stays in force.
     #[inline]
     pub(super) fn run_out(&mut self) {
         if self.state == FeedState::Running {
@@ -188,7 +189,8 @@ impl<const N: usize> SegmentSource<N> {
         self.rest
     }
 
-    /// Returns whether another message should be handed over: handing over is on, and the segment buffer is not full.
+    /// Returns whether another message should be handed over to the step task: motion is started, the machine is not
+    /// stopped by a hold, and the segment buffer is not full.
     #[inline]
     pub(super) fn wants_more(&self) -> bool {
         self.is_on() && !self.in_flight.is_full() && self.in_flight.queued() < self.clocks_per_ms * QUEUED_TIME_MS
@@ -212,7 +214,8 @@ impl<const N: usize> SegmentSource<N> {
             && !self.ends_at_rest()
     }
 
-    /// Returns the state of motion on the path, and the rest of the first block, mm.
+    /// Returns speed and acceleration along the path at the end of the segment handed over last, and the distance from
+    /// there to the end of the first block, mm.
     pub(super) fn path_state(&self, first: Option<&Block<N>>) -> (PathState, f32) {
         let millimetre = if self.running.is_active() { 1.0 / self.running.scale } else { 1.0 };
         let left = match first {
@@ -262,7 +265,8 @@ impl<const N: usize> SegmentSource<N> {
         Motors { steps, lead: self.block_start.lead }
     }
 
-    /// Returns the position and lead of the motors where the last block ended.
+    /// Returns the position and lead of the motors at the start of the running block; without one, at the end of the
+    /// last block.
     pub(super) fn block_start(&self) -> &Motors<N> {
         &self.block_start
     }
@@ -379,7 +383,8 @@ impl<const N: usize> SegmentSource<N> {
         let ends = self.running.is_done();
         let mut flags = 0;
         if ends && planner.len() < 2 {
-            // At the end of the queue the speed must allow a stop within one step; otherwise the plan was violated.
+            // At the end of the queue the machine must be able to stop within one step; otherwise it is faster than
+            // planned.
             debug_assert!(
                 cut.end.speed2 <= 2.0 * self.running.acceleration * UNITS_PER_STEP as f32,
                 "at the end of the queue at {} mm/s",

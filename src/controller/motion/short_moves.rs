@@ -16,8 +16,8 @@ use crate::units::{Coordinate, DECIMAL_ONE};
 const MOST_PIECE: i64 = DECIMAL_ONE / 1000 * 45;
 /// Maximum length of a block of joined moves, mm.
 const MOST_JOINED: f32 = 0.5;
-/// Maximum ratio of the path through the points to the straight line. Rounding of the coordinates makes the path a
-/// staircase, at most √3 times as long as the line. A longer path winds on purpose.
+/// Maximum ratio of the programmed path through the ends of all joined moves to the straight line. Rounding of the
+/// coordinates makes the path a staircase, at most √3 times as long as the line. A longer path winds on purpose.
 const MOST_WINDING: f32 = 1.75;
 
 impl<const N: usize> MoveQueue<N> {
@@ -55,7 +55,7 @@ impl<const N: usize> MoveQueue<N> {
         self.join.open &= self.join.is_like(m);
         self.join.digit = lesser(self.join.digit, m.digit);
         if *target_steps == self.end.planned_steps {
-            // The move makes no block, but the joined line must pass its end.
+            // The move has no step, so it makes no block, but the line of the joined moves must pass its end, too.
             self.join.open = self.join.open && self.pass_by(m);
             return 0.0;
         }
@@ -71,7 +71,8 @@ impl<const N: usize> MoveQueue<N> {
         0.0
     }
 
-    /// Stops joining moves to the last block. If the block's piece has been withheld from the chain, adds it.
+    /// Stops joining moves to the last block. If the block's piece of the path has not been added to the chain (the
+    /// path in which bends are found) yet, adds it.
     #[inline(never)]
     pub(super) fn end_join(&mut self) {
         let join = &mut self.join;
@@ -97,15 +98,16 @@ impl<const N: usize> MoveQueue<N> {
         self.kinematics.way_of_motors(&place.zip(&self.join.before.block_end, |to, from| (to - from).to_mm()).0)
     }
 
-    /// Adds the end of a move without a step as a point. Returns `false` if no move can continue the line.
+    /// Adds the end of a move without a step to the points that the line of the joined moves must pass. Returns `false`
+    /// if the line leads back to this point, so that no move can continue it.
     fn pass_by(&mut self, m: &Move<N>) -> bool {
         self.join.path += self.end.distance(&m.target);
         let way = self.way_to(&m.target);
         self.pass_end() && self.join.pass(&way)
     }
 
-    /// Adds the end of the block's first move as the first point, unless it has been added already. Returns `false` if
-    /// no move can continue the line.
+    /// Adds the end of the block's first move to the points that the line of the joined moves must pass, unless that
+    /// was done already. Returns `false` if no move can continue the line.
     fn pass_end(&mut self) -> bool {
         if !self.join.fresh {
             return true;
@@ -114,8 +116,9 @@ impl<const N: usize> MoveQueue<N> {
         self.join.pass(&end)
     }
 
-    /// Checks whether a move continues the last block within its limits. If so, adds the end of the move to the points
-    /// of the line, and returns the entry speed² that the plan of earlier blocks relies on.
+    /// Checks whether a move continues the last block's line within the limits of the block. If so, adds the end of the
+    /// move to the points of the line, and returns the entry speed² that the longer block must allow, because earlier
+    /// blocks may be planned for it.
     fn continues(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>) -> Option<f32> {
         // A block that is alone in the queue can be running already, or its entry speed can be fixed already.
         if self.planner.len() < 2 && self.planner.is_entered() {
@@ -149,8 +152,8 @@ impl<const N: usize> MoveQueue<N> {
                 return None;
             }
         }
-        // If the machine could brake to a stop within the old block from some speed, it must be able to brake from this
-        // speed within the new block.
+        // From any speed from which the machine could brake to a stop within the last block, it must also be able to do
+        // so within the longer block that replaces it.
         let last = self.planner.last()?;
         let shares = shares(&way, length);
         let (acceleration, _) = self.limits.along_shares(&shares);

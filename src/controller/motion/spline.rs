@@ -44,7 +44,7 @@ pub struct SplineGeometry<const N: usize> {
     pub arriving: [Coordinate; 2],
 }
 
-/// The chords of a curve, in order.
+/// The chords of a Bezier curve, computed one after the other.
 #[derive(Clone, Debug)]
 pub struct Spline<const N: usize> {
     start: PerAxis<Coordinate, N>,

@@ -22,7 +22,7 @@ use crate::messages::{AxisSteps, INTERVAL_FRACTION_BITS, Segment, StepEvent, ToS
 
 /// Finest AMASS smoothing level: a tick advances one unit (1/16 step of the axis with the most steps).
 pub const MAX_LEVEL: u8 = 4;
-/// Shift from the fixed point of an interval to the fraction of [`Stepper::moment`].
+/// Shift from the fraction bits of an interval to the 32 fraction bits of [`Stepper::moment`].
 const FRACTION_SHIFT: u32 = 32 - INTERVAL_FRACTION_BITS;
 
 /// What to do at a tick.
@@ -52,9 +52,9 @@ struct Piece<const N: usize> {
     /// Ticks left after the plain ones. They may do more than step: the last tick of the segment, or all of its ticks
     /// while a probe is watched. With no tick left the machine is at rest.
     rare_ticks: u32,
-    /// Interval to the next tick, in fixed point.
+    /// Interval to the next tick: step-clock ticks with [`INTERVAL_FRACTION_BITS`] fraction bits.
     interval: u32,
-    /// Change of the interval from tick to tick, in fixed point.
+    /// Change of the interval from tick to tick, in the same fixed point.
     ramp: i32,
     /// Units that a tick advances.
     units_per_tick: u32,
@@ -69,7 +69,7 @@ struct Piece<const N: usize> {
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub struct Stepper<const N: usize> {
-    /// Remainder until the next step of each axis: 0 to `threshold` - 1.
+    /// Countdown of each axis to its next step (`dda`): 0 to `threshold` - 1.
     left: [u32; N],
     piece: Piece<N>,
     /// Threshold of the current block.
@@ -97,7 +97,7 @@ pub struct Stepper<const N: usize> {
     braking: f32,
     /// Whether the machine is braking after a contact.
     brakes: bool,
-    /// State at the probe's contact.
+    /// Block and progress at the probe's contact, from which the position there is computed.
     touched: Contact<N>,
 }
 
@@ -205,7 +205,7 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// Returns the course of the current block, or of the next one if `next`.
+    /// Returns the current block, or the next one if `next`.
     #[inline(always)]
     fn course(&self, next: bool) -> &Course<N> {
         self.courses.get(usize::from(self.odd != next)).unwrap_or(&Course::NOWHERE)
@@ -330,8 +330,8 @@ impl<const N: usize> Stepper<N> {
         (least >> INTERVAL_FRACTION_BITS, greatest >> INTERVAL_FRACTION_BITS)
     }
 
-    /// Returns the minimum time between two steps of the dominant axis in the segment, in step-clock ticks. At low
-    /// rates (AMASS levels above 0) it spans several ticks of the stepper.
+    /// Returns the minimum time between two steps of the dominant axis in the segment, in step-clock ticks. (At AMASS
+    /// levels above 0, one step takes several [`Tick`]s.)
     #[inline]
     pub fn step_interval(&self) -> u32 {
         let (least, _) = self.intervals();
@@ -441,7 +441,8 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// Makes all remaining ticks of the segment rare ones, because the probe must be checked after each.
+    /// Makes all remaining ticks of the segment rare ones, which are executed one by one, because the probe must be
+    /// checked after each.
     #[inline]
     fn look_at_all(&mut self) {
         self.piece.rare_ticks = self.piece.ticks();
@@ -482,13 +483,13 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// Returns the units of the block advanced so far.
+    /// Returns how many units of the current block have been executed.
     fn units(&self) -> u32 {
         self.piece.end_units.wrapping_sub(self.piece.ticks().wrapping_mul(self.piece.units_per_tick))
     }
 
-    /// Stops immediately, discards everything, and shuts the gate until a [`ToStep::Resume`] arrives that has the same
-    /// count of stops as the returned event.
+    /// Stops immediately and discards everything. Further messages are discarded, too, until a [`ToStep::Resume`]
+    /// arrives that has the same count of stops as the returned event.
     ///
     /// `undone`: net steps of ticks that were generated ahead of time and will not be output. They are subtracted from
     /// the position.
@@ -504,7 +505,8 @@ impl<const N: usize> Stepper<N> {
         self.begun = self.begun.wrapping_sub(undone);
     }
 
-    /// Subtracts net steps that were not output from the position. Call after a stop or underrun.
+    /// Corrects the position after a stop or underrun: subtracts net steps that were counted, but were not output to
+    /// the motors.
     pub fn take_back(&mut self, undone: [i32; N]) {
         if let Some(course) = self.course_mut(false) {
             course.take_back(undone);
@@ -592,7 +594,8 @@ impl<const N: usize> Stepper<N> {
         self.stops = self.stops.wrapping_add(1);
     }
 
-    /// Returns whether the gate is shut: after a stop, an underrun or a contact, until the matching [`ToStep::Resume`].
+    /// Returns whether messages are discarded: after a stop, an underrun or a contact, until the matching
+    /// [`ToStep::Resume`].
     #[inline]
     pub fn is_shut(&self) -> bool {
         self.gate_shut || self.latch.is_unnoted

@@ -35,8 +35,8 @@ pub(super) fn quotient(a: f32, b: f32) -> f32 {
 
 /// Relative difference below which two speeds² count as the same: about 30 rounding errors of an `f32`.
 const SAME: f32 = 4.0e-6;
-/// If a speed² exceeds the falling edge by more than this factor, rounding is not the cause: the edge has been lowered
-/// meanwhile.
+/// If a speed² exceeds the falling edge (the speeds² from which the machine brakes to the exit speed) by more than this
+/// factor, rounding is not the cause: the exit speed or the acceleration has been lowered meanwhile.
 pub(super) const OFF_CURVE: f32 = 1.001;
 /// Maximum number of phases in a piece. There are at most three (brake to nominal or accelerate, cruise, brake); the
 /// others are a margin for rounding.
@@ -71,7 +71,7 @@ impl Pace {
 pub(super) struct TrapezoidPhase {
     /// Sign of the acceleration: +1, 0 or -1.
     pub sign: f32,
-    /// Distance to the end of the phase.
+    /// Distance from the current position to the end of the phase, units.
     pub length: f32,
     /// Speed² at the end of the phase.
     end2: f32,
@@ -84,8 +84,8 @@ impl Trapezoid {
         let slope = 2.0 * self.acceleration;
         let brake2 = self.exit2 + slope * left;
         if speed2 >= brake2 * (1.0 - SAME) {
-            // The speed² lies on the falling edge or above it. If the speed² is above the edge, the block ends with the
-            // speed that remains.
+            // The speed² lies on the falling edge, where the machine brakes to the exit speed, or above it. If it is
+            // above the edge, the block ends with the speed that remains.
             let end2 = if speed2 > brake2 * OFF_CURVE { speed2 - slope * left } else { self.exit2 };
             return TrapezoidPhase { sign: -1.0, length: left, end2: greater(end2, self.exit2) };
         }
@@ -106,8 +106,9 @@ impl Trapezoid {
         }
     }
 
-    /// Advances by `distance` of the `left` units, beginning in `phase`. Returns the time in seconds and the pace
-    /// afterwards. Both are exact from rest and to rest, too.
+    /// Advances by `distance` units. `from`: pace at the start; `phase`: phase of the curve there; `left`: units from
+    /// there to the end of the block. Returns the time in seconds and the pace at the end. Both are exact, even from
+    /// rest or to rest.
     #[inline(always)]
     pub(super) fn advance(&self, from: Pace, phase: TrapezoidPhase, left: f32, distance: f32) -> (f32, Pace) {
         let whole = phase.length <= distance;

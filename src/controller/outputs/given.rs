@@ -6,13 +6,14 @@ use crate::inputs::levels;
 use crate::messages::{GangedMotors, InputWiring, SlowOutputs, SpindleDirection, Wiring};
 use crate::settings::{Key, Settings};
 
-/// Levels and wiring as they were last sent.
+/// The slow outputs (spindle, coolant, drivers, digital outputs) and the wiring (polarities, pulse length) that the
+/// controller has last sent to the pump.
 #[derive(Clone, Debug)]
 pub(crate) struct Pins {
     /// Which motors of the ganged axis (the axis with two motors) receive its steps; only one of them while the axis is
     /// squared.
     ganged_motors: GangedMotors,
-    /// No event since the last comparison could have changed the outputs.
+    /// No event since the last comparison of the outputs with those sent could have changed them.
     calm: bool,
     levels: Option<SlowOutputs>,
     wiring: Option<Wiring>,
@@ -30,11 +31,11 @@ struct WiringSource {
 }
 
 impl Pins {
-    /// Nothing has been sent.
+    /// The value at power-up: neither outputs nor wiring have been sent.
     pub(crate) const UNKNOWN: Pins =
         Pins { ganged_motors: GangedMotors::Both, calm: false, levels: None, wiring: None, source: None };
 
-    /// Whether no event since the last comparison could have changed the outputs.
+    /// Whether no event since the last comparison of the outputs with those sent could have changed them.
     pub(crate) fn are_calm(&self) -> bool {
         self.calm
     }
@@ -44,7 +45,8 @@ impl Pins {
         self.calm = true;
     }
 
-    /// Requires a new comparison after an event, such as a message, a part of a line, or a driver that was switched on.
+    /// Makes the controller compare the outputs with those sent again. Called after an event that could have changed
+    /// them, such as a message, a part of a line, or a driver that was switched on.
     pub(crate) fn disturb(&mut self) {
         self.calm = false;
     }
@@ -67,7 +69,8 @@ impl Pins {
         })
     }
 
-    /// Returns the wiring if it differs from that last sent.
+    /// Returns the wiring (polarities, pulse length, armed inputs and so on) if it differs from the one last sent, and
+    /// records it as sent; otherwise `None`.
     pub(crate) fn changed_wiring<const N: usize>(
         &mut self,
         settings: &Settings<N>,

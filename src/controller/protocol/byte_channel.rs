@@ -14,15 +14,15 @@
 
 use crate::messages::{LineByte, LineBytes, MOST_PARTIAL};
 
-/// The sending side.
+/// Sending side of the channel, in the serial task: packs line bytes into messages.
 #[derive(Clone, Copy, Debug)]
 pub struct LineSender {
     gathered: LineBytes,
-    /// Number of messages sent before they were full, counted since the queue was last empty.
+    /// Number of messages sent although they had room for more bytes, counted since the queue was last empty.
     partial: usize,
 }
 
-/// Nothing gathered.
+/// No bytes to send.
 impl Default for LineSender {
     #[inline]
     fn default() -> Self {
@@ -86,7 +86,7 @@ impl LineSender {
     }
 }
 
-/// The receiving side.
+/// Receiving side of the channel, in the control task: takes line bytes out of messages.
 #[derive(Clone, Copy, Debug)]
 pub struct LineReader {
     message: LineBytes,
@@ -142,7 +142,7 @@ mod tests {
     use proptest::prelude::*;
     use std::collections::VecDeque;
 
-    /// Both sides and the queue between them.
+    /// A sender, a reader, and the queue between them.
     #[derive(Default)]
     struct Crossing {
         line_sender: LineSender,

@@ -1,22 +1,22 @@
-//! Holds replies back briefly, so that several go to the serial task in one message. Each message costs a run of that
-//! task and a packet on the link.
+//! Holds replies back briefly, so that several go to the serial task in one message. Each message makes that task run
+//! once more and takes a packet on the link.
 //!
 //! Guarantees:
 //! * An answer is held only while bytes of another line wait to be read. So a host that waits for the answer before it
 //!   sends more is never delayed.
-//! * An answer is held for at most `LONGEST` plus one round of the pump.
+//! * An answer is held for at most `LONGEST` plus one round of the control loop (`pump::round`).
 
 use crate::units::{Duration, Instant};
 
 /// Maximum time for which an answer is held: 1 ms.
 const LONGEST: Duration = Duration::from_ticks(1_000);
 
-/// Decides whether answers are held back.
+/// Decides in each round of the control loop whether answers are held back, so that one message carries several.
 #[derive(Clone, Copy, Debug)]
 pub struct Coalescing {
-    /// Answers are held back only in rounds that begin before this time.
+    /// Answers are held back only in rounds of the control loop that begin before this time.
     until: Instant,
-    /// The current round began before `until`.
+    /// The current round of the control loop began before `until`.
     is_within: bool,
 }
 
@@ -33,20 +33,21 @@ impl Coalescing {
         self.is_within = now < self.until;
     }
 
-    /// Records that answers were sent in the round that began at `now`. During the next `LONGEST`, answers can be held
-    /// back.
+    /// Records that answers were sent in the round of the control loop that began at `now`. In rounds that begin less
+    /// than `LONGEST` later, answers can be held back.
     #[inline(always)]
     pub fn sent(&mut self, now: Instant) {
         self.until = now + LONGEST;
     }
 
-    /// Returns whether answers are held back in this round. `lines_wait`: bytes of lines wait to be read.
+    /// Returns whether answers are held back in the current round of the control loop. `lines_wait`: bytes of lines
+    /// wait to be read.
     #[inline(always)]
     pub fn holds(&self, lines_wait: bool) -> bool {
         lines_wait && self.is_within
     }
 
-    /// Stops holding answers back: a round that begins at `now` or later holds no answers.
+    /// Stops holding answers back, in rounds of the control loop that begin at `now` or later.
     pub fn release(&mut self, now: Instant) {
         self.until = now;
     }
@@ -66,7 +67,7 @@ mod tests {
         // The first answer of a burst is sent at once.
         answers.begin(at(5_000));
         assert!(!answers.holds(true));
-        // If a round sends nothing, the next round holds nothing either.
+        // If no answer is sent in a round of the control loop, the next round holds nothing back either.
         answers.begin(at(5_000));
         assert!(!answers.holds(true));
         answers.sent(at(5_000));
@@ -89,7 +90,7 @@ mod tests {
         answers.begin(at(5_100));
         assert!(answers.holds(true));
         answers.release(at(5_100));
-        // Nothing is held after the release, not even in the same microsecond.
+        // After the release no answer is held back, even in a round that begins in the same microsecond.
         answers.begin(at(5_100));
         assert!(!answers.holds(true));
     }

@@ -274,7 +274,8 @@ pub struct Limits {
     pub grblhal: bool,
 }
 
-/// Returns the row of a setting with its range on a board and in a dialect.
+/// Returns the description of a setting with the range that the setting has on this board and in this dialect
+/// (`limits`).
 pub fn narrowed(mut row: Row, limits: Limits) -> Row {
     if limits.grblhal
         && let Some(mask) = GrblHalMask::of(row.number)
@@ -435,8 +436,8 @@ mod tests {
         );
     }
 
-    /// Checks what a program that reads the lines relies on: whole lines, no separators inside texts, existing groups,
-    /// and a bit or a choice for each label.
+    /// Checks what a program that parses these lines relies on. Each line must be complete and contain separators only
+    /// between its fields, the group of each setting must exist, and each label must belong to a bit or a choice.
     #[test]
     fn every_line_can_be_read_back() {
         for what in [Described::Groups, Described::Errors, Described::Alarms] {

@@ -85,7 +85,7 @@ mod tests {
     fn a_question_keeps_nobody_out() {
         let mut floor = Floor::new();
         assert!(floor.claim(1, false, true));
-        // A realtime command of the active host does not make it weak.
+        // A realtime command of the active host does not let the other host in.
         assert!(floor.claim(1, false, false) && !floor.claim(0, false, false));
         floor.leave(1);
         assert!(floor.claim(0, false, false));

@@ -39,7 +39,8 @@ impl Heartbeat {
         self.bytes = bytes;
     }
 
-    /// Records a realtime command as a sign of life.
+    /// Records that the host is not silent: it has sent a realtime command, or the queue is so full that its bytes may
+    /// be waiting elsewhere.
     #[inline]
     pub fn hear(&mut self) {
         self.heard = true;
@@ -67,19 +68,19 @@ impl Heartbeat {
         self.left_jog = left_jog;
     }
 
-    /// Returns the record of [`Heartbeat::set_left_jog`], and clears it.
+    /// Returns what [`Heartbeat::set_left_jog`] has recorded, and clears it.
     pub fn take_left_jog(&mut self) -> bool {
         core::mem::take(&mut self.left_jog)
     }
 
-    /// Records whether the host disconnected while a job was about to be resumed. `false` also clears the record of
-    /// [`Heartbeat::set_left_jog`].
+    /// Records whether the host disconnected while a job was about to be resumed. `false` also clears what
+    /// [`Heartbeat::set_left_jog`] has recorded.
     pub fn set_gone(&mut self, gone: bool) {
         self.gone = gone;
         self.left_jog &= gone;
     }
 
-    /// Returns the record of [`Heartbeat::set_gone`], and clears it.
+    /// Returns what [`Heartbeat::set_gone`] has recorded, and clears it.
     pub fn take_gone(&mut self) -> bool {
         core::mem::take(&mut self.gone)
     }

@@ -6,7 +6,7 @@ use crate::messages::{HOST_CHANGED, LineByte, Realtime};
 use crate::protocol::floor::Floor;
 use crate::protocol::queues::Queues;
 
-/// Arbitrates between the hosts on several links: the active host, and the state shared by the hosts' bytes.
+/// Decides which of the hosts on several links is the active one, and counts the epochs of the bytes of all hosts.
 #[derive(Clone, Debug, Default)]
 pub struct HostArbiter {
     floor: Floor,
@@ -35,14 +35,14 @@ impl HostArbiter {
         self.gone
     }
 
-    /// Returns whether a [`HOST_CHANGED`] must precede the next line byte. If line bytes wait for room, this mark must
-    /// be added to the number of received bytes.
+    /// Returns whether a [`HOST_CHANGED`] must be queued before the next line byte. If line bytes wait for room, the
+    /// number of received bytes must include it.
     pub fn owes_cut(&self) -> bool {
         self.cut
     }
 
-    /// Queues a command, and counts its epoch if it opens one. The command need not come from a link. Returns whether
-    /// there was room.
+    /// Queues a command. A queued reset, stop or jog cancel advances the epoch of later line bytes. The command need
+    /// not come from a link. Returns whether there was room.
     pub fn command(&mut self, command: Realtime, queues: &mut impl Queues) -> bool {
         let queued = queues.realtime(command);
         if queued && command.opens_epoch() {
@@ -57,8 +57,8 @@ impl HostArbiter {
         self.epoch
     }
 
-    /// Returns whether the link's line bytes can be queued without further steps: its host is the active one, and no
-    /// [`HOST_CHANGED`] has to precede them.
+    /// Returns whether the link's line bytes can be put into the queue directly: its host is the active one, and no
+    /// [`HOST_CHANGED`] must be queued before them.
     #[inline]
     pub(super) fn reads(&self, link: usize) -> bool {
         !self.cut && self.floor.is_held_by(link)

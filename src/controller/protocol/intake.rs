@@ -1,5 +1,5 @@
-//! Decides which received bytes are still valid, and assembles them into lines. If lines are checked, this module also
-//! verifies the checksum of each complete line.
+//! Decides which received bytes are still valid, and assembles them into lines. While line checksums are on
+//! (`$LC=ON`), this module also verifies the checksum of each complete line.
 //!
 //! Realtime commands and line bytes arrive through two queues, so their mutual order is lost. Each byte carries the
 //! epoch in which it was received ([`LineByte`]); each soft reset (Ctrl-X), stop and jog cancel opens a new epoch:
@@ -19,8 +19,8 @@ use super::text::Text;
 use crate::error::Error;
 use crate::messages::{HOST_CHANGED, LineByte};
 
-/// Maximum distance between the current epoch and `reset_epoch` or `jog_epoch`. If more epochs than this are opened
-/// while a line waits unread, the line is dropped as if a reset had followed it.
+/// Maximum distance between the current epoch and `reset_epoch` or `jog_epoch`. If more resets, stops and jog cancels
+/// than this come while a line waits unread, the line is dropped as if a reset had followed it.
 pub(crate) const EPOCHS: u16 = 1 << 14;
 
 /// Result of taking a byte.
@@ -43,13 +43,15 @@ impl Taken {
 /// Assembles lines from the received bytes that are still valid.
 #[derive(Clone, Debug)]
 pub struct LineIntake {
-    /// A byte that arrived before the realtime command that opened its epoch.
+    /// A byte that arrived here before the reset, stop or jog cancel that was sent before it. It waits for that
+    /// command.
     held: Option<LineByte>,
     /// The current epoch: number of resets, stops and jog cancels handled (wrapping).
     epoch: u16,
     /// The epoch that the most recent reset or stop opened: bytes of older epochs are dropped.
     reset_epoch: u16,
-    /// The epoch that the most recent jog cancel opened: jogs of older epochs are not executed.
+    /// Epoch (see [`LineByte`]) that began with the most recent jog cancel, reset or stop. Jogs of older epochs were
+    /// sent before it and are not executed.
     jog_epoch: u16,
     /// Number of bytes still to be dropped, because they were received before the reset button was pressed.
     drop_bytes: u16,
@@ -112,16 +114,16 @@ impl LineIntake {
     }
 
     /// Fast path of [`LineIntake::take`] for a byte of ordinary text that need not be held or dropped. Returns whether
-    /// the byte was taken. Does not record the epoch of the line, which only jogs need: a jog begins with `$`, which
-    /// always goes to [`LineIntake::take`]. At that point the line is empty, even after blanks, so `take` records the
-    /// epoch.
+    /// the byte was taken. Does not record the epoch of the line, which is needed only for jogs. The `$` of a jog is
+    /// not ordinary text, so it goes to [`LineIntake::take`]. The line is still empty then, because blanks are not
+    /// stored, so `take` records the epoch.
     #[inline]
     pub fn take_plain(&mut self, byte: LineByte) -> bool {
         byte.epoch == self.epoch && !byte.damaged && self.line.push_plain(byte.byte)
     }
 
-    /// Takes bytes of one epoch, from the front, as long as [`LineIntake::take_plain`] would take them. Returns how
-    /// many were taken.
+    /// Takes bytes of one epoch from the front, until a byte comes that [`LineIntake::take_plain`] would not take.
+    /// Returns how many were taken.
     #[inline]
     pub fn take_text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         if epoch == self.epoch { self.line.push_plain_text(bytes) } else { 0 }
@@ -146,7 +148,7 @@ impl LineIntake {
             // The epoch of a `HOST_CHANGED` is the number of disconnected hosts.
             self.hosts_cut = byte.epoch;
         } else if is_before(self.epoch, byte.epoch) {
-            // The command that opened this epoch is still in the other queue.
+            // The reset, stop or jog cancel that was sent before this byte is still in the queue of commands.
             self.held = Some(byte);
             return Taken::NOTHING;
         } else if is_before(byte.epoch, self.reset_epoch) {
@@ -204,24 +206,25 @@ impl LineIntake {
         (pushed, verdict)
     }
 
-    /// Starts checking lines; the first has the number 0.
+    /// Switches line checksums on. The first line has the number 0. `session`: the four letters after `$LC=ON`, or
+    /// empty.
     pub fn begin_check(&mut self, session: &[u8]) {
         self.line.expect_plain(false);
         self.check.begin(session);
     }
 
-    /// Ends checking. Returns whether lines were checked.
+    /// Switches line checksums off. Returns whether they were on.
     pub fn end_check(&mut self) -> bool {
         self.check.end()
     }
 
-    /// Ends checking because of a reset or a stop: everything up to the next line end is refused. Returns whether lines
-    /// were checked.
+    /// Switches line checksums off because of a reset or a stop: everything up to the next line end is refused. Returns
+    /// whether checksums were on.
     pub fn lapse_check(&mut self) -> bool {
         self.check.lapse()
     }
 
-    /// Returns whether lines are checked.
+    /// Returns whether line checksums are on (`$LC=ON`).
     #[inline]
     pub fn is_checking(&self) -> bool {
         self.check.is_on()
@@ -232,13 +235,13 @@ impl LineIntake {
         self.check.fail(error);
     }
 
-    /// Returns the error of the checked line that was refused for its content. Every later checked line gets this
-    /// error.
+    /// Returns the error of the line that passed the checksum but was refused for its content; `None` if there was no
+    /// such line. Every later line gets this error.
     pub fn failed(&self) -> Option<Error> {
         self.check.failed()
     }
 
-    /// Returns an answer in the form of a checked line, or `None` if lines are not checked.
+    /// Returns an answer with the number of the expected line and a checksum added, or `None` while checksums are off.
     pub fn checked_answer(&self, text: &[u8]) -> Option<Text> {
         self.check.answer(text)
     }
@@ -252,19 +255,19 @@ impl LineIntake {
         by_button || is_before(byte.epoch, self.reset_epoch)
     }
 
-    /// Returns whether `byte`, if taken next, would have to wait for the command that opens its epoch, or for a held
-    /// byte before it.
+    /// Returns whether `byte`, if taken next, would have to wait for the reset, stop or jog cancel that was sent before
+    /// it, or for a byte that is held already.
     pub fn is_ahead(&self, byte: LineByte) -> bool {
         self.holds() || byte.byte != HOST_CHANGED && is_before(self.epoch, byte.epoch)
     }
 
-    /// Returns whether a byte is held until its realtime command arrives. No other byte may be taken before the held
-    /// one.
+    /// Returns whether a line byte is held because the reset, stop or jog cancel that was sent before it is still in
+    /// the queue of commands. No other byte may be taken before the held one.
     pub fn holds(&self) -> bool {
         self.held.is_some()
     }
 
-    /// Removes and returns the held byte, to be taken again after a command that opens an epoch.
+    /// Removes and returns the held byte. Call it after a reset, stop or jog cancel, then take the byte again.
     pub fn release(&mut self) -> Option<LineByte> {
         self.held.take()
     }
@@ -274,12 +277,14 @@ impl LineIntake {
         self.line.text()
     }
 
-    /// Returns the length of a line that is too long and how many of its bytes fit; `None` if bytes were lost.
+    /// Returns the length of a line that is too long, without blanks and remarks, and the length that is allowed;
+    /// `None` if bytes of the line were lost.
     pub fn lengths(&self) -> Option<(usize, usize)> {
         self.line.lengths()
     }
 
-    /// Returns the first words of a line that block delete skips; empty for any other line, and in the small image.
+    /// Returns the first words of a line that block delete skips. Empty for any other line, and in the small firmware
+    /// image.
     pub fn deleted(&self) -> &[u8] {
         self.line.deleted()
     }
@@ -327,8 +332,8 @@ impl LineIntake {
         }
     }
 
-    /// Handles a reset or a stop: all bytes sent earlier are dropped by their epoch. Among them are the bytes that the
-    /// reset button drops by their count, so this count is cleared.
+    /// Handles a reset or a stop: all bytes sent earlier are dropped because of their older epoch. The number of bytes
+    /// that the reset button still has to drop is cleared, because these bytes are among them.
     pub fn reset(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
         self.reset_epoch = self.epoch;
@@ -351,8 +356,8 @@ impl LineIntake {
         &mut self.heartbeat
     }
 
-    /// Opens an epoch without any other effect. In Grbl's dialect 0x19 does only that, because the serial task has
-    /// counted its epoch.
+    /// Advances the epoch and drops nothing. Grbl's dialect ignores a stop (0x19), but the serial task has advanced the
+    /// epoch of the line bytes after it.
     pub fn open_epoch(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
         self.keep_epochs_near();
@@ -367,8 +372,8 @@ impl LineIntake {
         self.keep_epochs_near();
     }
 
-    /// Handles an event that ends a jog but opens no epoch: a feed hold, a door, or the loss of the host. The jogs
-    /// among the `received` unread bytes are not executed.
+    /// Handles a feed hold, a door, or the loss of the host. They end a jog, but do not advance the epoch. Jogs among
+    /// the next `received` bytes, which have arrived but have not been read, are not executed.
     pub fn end_received_jogs(&mut self, received: u16) {
         self.jog_bytes = received;
         self.line.expect_plain(false);
@@ -382,8 +387,8 @@ impl LineIntake {
         self.line.expect_plain(false);
     }
 
-    /// Handles the reset button, which acts like 0x18 but opens no epoch. The `received` unread bytes are dropped by
-    /// their count.
+    /// Handles the reset button, which acts like 0x18. As the button sends no byte, it does not advance the epoch.
+    /// Instead, the next `received` bytes, which have arrived but have not been read, are dropped.
     pub fn drop_received(&mut self, received: u16) {
         self.drop_bytes = received;
         self.line.separate();
@@ -459,7 +464,8 @@ mod tests {
         assert_eq!(give(&mut intake, b"G0X2\n", 1), ["G0X2"], "whole lines are none of a jog cancel's business");
     }
 
-    /// A reset button drops neither a byte that is held for its command nor the bytes after it.
+    /// The reset button drops neither a byte that waits for the realtime command sent before it, nor the bytes after
+    /// that byte.
     #[test]
     fn a_byte_of_a_later_epoch_is_not_old() {
         let mut intake = LineIntake::new();
@@ -480,13 +486,14 @@ mod tests {
         let mut intake = LineIntake::new();
         intake.drop_received(6);
         assert_eq!(give(&mut intake, b"G0\nG1 X5\nG4\n", 0), ["G4"]);
-        // A reset after the button drops the bytes before it by their epoch. The count of the button must not drop
-        // later bytes.
+        // A reset after the button drops the bytes before it because of their epoch. The number of bytes that the
+        // button still had to drop must not apply to later bytes.
         intake.drop_received(6);
         intake.reset();
         assert_eq!(give(&mut intake, b"G1X1", 0), [""; 0]);
         assert_eq!(give(&mut intake, b"G4\n", 1), ["G4"]);
-        // In the reverse order, the count of the button includes the bytes that the reset drops by their epoch.
+        // In the reverse order, the reset button counts the four unread bytes, too, although they are dropped because
+        // of their epoch. Each dropped byte reduces the count.
         intake.reset();
         intake.drop_received(4);
         assert_eq!(give(&mut intake, b"G1X1", 1), [""; 0]);
@@ -636,7 +643,7 @@ mod tests {
             taken
         }
 
-        /// Passes the held byte again, after the command that opened its epoch.
+        /// Passes the held byte again, after the command for which it was held.
         fn release(&mut self) {
             let (brief, whole) = (self.brief.release(), self.whole.release());
             assert_eq!(brief, whole);

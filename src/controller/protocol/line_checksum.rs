@@ -44,9 +44,9 @@
 use super::text::{END, Text, put};
 use crate::error::Error;
 
-/// The digits 0 to 15 as they are written.
+/// The letters that stand for the hexadecimal digits 0 to 15 in the header of a line.
 const DIGITS: &[u8; 16] = b"ABDGHKNPSUVZcefi";
-/// Small letters of the text, and the characters they stand for.
+/// Small letters that replace characters in the text of a line: the letter, then the character for which it stands.
 const SUBSTITUTES: [(u8, u8); 10] = [
     (b's', b' '),
     (b'h', b'#'),
@@ -60,16 +60,16 @@ const SUBSTITUTES: [(u8, u8); 10] = [
     (b'y', b'Y'),
 ];
 
-// Number of digits in each part of a header.
+// Number of letters of each field in the header of a line: line number, length and CRC.
 const NUMBER: usize = 3;
 const LENGTH: usize = 2;
 const SUM: usize = 8;
-// Offset of the end of each part, including the colon.
+// Index of the first byte after each field of the header. The colon has index 0.
 const NUMBER_END: u16 = 1 + NUMBER as u16;
 const LENGTH_END: u16 = NUMBER_END + LENGTH as u16;
 const HEADER_END: u16 = LENGTH_END + SUM as u16;
 
-/// Number of bytes before the text of a checked answer.
+/// Number of bytes before the text of an answer with checksum: colon, line number, length and CRC.
 pub const ANSWER_HEADER: usize = HEADER_END as usize;
 
 /// Line numbers are written modulo this number.
@@ -82,9 +82,9 @@ const SESSION: usize = 4;
 /// Result of checking a completed line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// The line may be executed, because it is the expected one or lines are not checked.
+    /// The line may be executed: it is the expected one, or checksums are off.
     Valid,
-    /// The line is only answered, because it is empty or was already taken.
+    /// The line is not executed, but answered `known`: it is empty, or it was received before.
     Known,
     /// The line is refused.
     Damaged,
@@ -95,12 +95,12 @@ pub fn is_session(letters: &[u8]) -> bool {
     letters.is_empty() || letters.len() == SESSION && letters.iter().all(u8::is_ascii_uppercase)
 }
 
-/// A session of checked lines.
+/// A session: the lines after one `$LC=ON`.
 #[derive(Clone, Copy, Debug)]
 struct Session {
-    /// CRC of the session's letters.
+    /// CRC after the session's letters. The CRC of each line continues from here.
     start: Crc,
-    /// The session has letters, so the CRC covers whole line numbers.
+    /// The session has letters, so the CRC covers the line number in eight digits and not only its last three digits.
     is_named: bool,
 }
 
@@ -126,12 +126,12 @@ impl Session {
 /// Checks lines byte by byte, and tracks which line is expected.
 #[derive(Clone, Debug)]
 pub struct LineChecksum {
-    /// Number of the expected line; `None` while lines are not checked.
+    /// Number of the expected line; `None` while checksums are off.
     wanted: Option<u32>,
     session: Session,
-    /// A reset or stop has ended checking: everything up to the next line end is refused.
+    /// A reset or stop has switched checksums off: everything up to the next line end is refused.
     lapsed: bool,
-    /// Error of the checked line that was refused for its content.
+    /// Error of a line that passed the checksum but was refused for its content. All later lines get this error, too.
     failed: Option<Error>,
     /// Number of bytes of the current line received so far, including its header.
     place: u16,
@@ -144,7 +144,7 @@ pub struct LineChecksum {
 }
 
 impl LineChecksum {
-    /// Lines are not checked.
+    /// Checksums are off, and lines are accepted without them.
     pub const OFF: Self = Self {
         wanted: None,
         session: Session::NONE,
@@ -158,31 +158,31 @@ impl LineChecksum {
         crc: Crc::START,
     };
 
-    /// Starts checking lines; the first has the number 0. `session`: see [`is_session`].
+    /// Switches checksums on. The first line has the number 0. `session`: the four letters after `$LC=ON`, or empty.
     pub fn begin(&mut self, session: &[u8]) {
         *self = Self { wanted: Some(0), session: Session::of(session), ..Self::OFF };
     }
 
-    /// Ends checking. Returns whether lines were checked.
+    /// Switches checksums off. Returns whether they were on.
     pub fn end(&mut self) -> bool {
         core::mem::replace(self, Self::OFF).wanted.is_some()
     }
 
-    /// Ends checking because of a reset or a stop: everything up to the next line end is refused. Returns whether lines
-    /// were checked.
+    /// Switches checksums off because of a reset or a stop. Everything up to the next line end is refused, because a
+    /// damaged byte of a line may have become the reset or stop. Returns whether checksums were on.
     pub fn lapse(&mut self) -> bool {
         let was_on = self.is_on();
         *self = Self { lapsed: was_on || self.lapsed, ..Self::OFF };
         was_on
     }
 
-    /// Returns whether lines are checked.
+    /// Returns whether checksums are on.
     #[inline]
     pub fn is_on(&self) -> bool {
         self.wanted.is_some()
     }
 
-    /// Returns whether `finish` has to check lines.
+    /// Returns whether `finish` has to check the line: checksums are on, or a reset or stop has just switched them off.
     #[inline]
     pub fn looks_at_end(&self) -> bool {
         self.is_on() || self.lapsed
@@ -211,13 +211,14 @@ impl LineChecksum {
         }
     }
 
-    /// Returns the error of the line that was refused for its content. Every later line gets this error.
+    /// Returns the error of the line that passed the checksum but was refused for its content; `None` if there was no
+    /// such line. Every later line gets this error.
     pub fn failed(&self) -> Option<Error> {
         self.failed
     }
 
     /// Takes a byte of a line other than its end. Returns the character that the byte stands for, or `None` for a byte
-    /// of the header.
+    /// of the header (colon, line number, length and CRC). While checksums are off, returns the byte itself.
     #[inline]
     pub fn take(&mut self, byte: u8) -> Option<u8> {
         if self.is_on() { self.take_checked(byte) } else { Some(byte) }
@@ -270,7 +271,8 @@ impl LineChecksum {
         value.unwrap_or(0) as u8
     }
 
-    /// Checks a line at its end; `text` is its filtered text. A valid line advances the expected number.
+    /// Checks number, length and CRC of a line at its end. `text`: the line as the line filter returns it. A valid line
+    /// advances the expected number.
     #[inline]
     pub fn finish(&mut self, text: &[u8]) -> Verdict {
         if self.looks_at_end() { self.finish_checked(text) } else { Verdict::Valid }
@@ -304,7 +306,7 @@ impl LineChecksum {
         if (1..=NUMBERS / 2).contains(&behind) { Verdict::Known } else { Verdict::Damaged }
     }
 
-    /// Returns an answer in the form of a checked line, or `None` if lines are not checked.
+    /// Returns an answer with the number of the expected line and a checksum added, or `None` while checksums are off.
     pub fn answer(&self, text: &[u8]) -> Option<Text> {
         let number = self.wanted?;
         let text = text.strip_suffix(END).unwrap_or(text);
@@ -368,12 +370,13 @@ mod tests {
         crc.value()
     }
 
-    /// A checked line as a host writes it, without its end.
+    /// Returns a line with checksum, without letters of a session, as a host sends it. Has no line end.
     fn line(number: u16, text: &str) -> Vec<u8> {
         line_of("", number.into(), text)
     }
 
-    /// A checked line of a session; `session` may be empty.
+    /// Returns a line with checksum as a host sends it, without line end. `session`: the four letters after `$LC=ON`,
+    /// or empty.
     fn line_of(session: &str, number: u32, text: &str) -> Vec<u8> {
         let letter = |character: u8| SUBSTITUTES.iter().find(|(_, c)| *c == character).map_or(character, |(l, _)| *l);
         let text: Vec<u8> = text.bytes().map(letter).collect();
@@ -521,8 +524,8 @@ mod tests {
         {
             assert_eq!(is_session(text.as_bytes()), is, "{text}");
         }
-        // `$LC=ON` and `$LC=OFF` are accepted without a checksum, so that a host that does not expect checking can end
-        // it. `$LC=ONAB` is refused, because a session has four letters or none.
+        // `$LC=ON` and `$LC=OFF` are accepted without a checksum, so that a host that sends plain lines can switch
+        // checksums off. `$LC=ONAB` is refused, because it has neither four letters nor none.
         let mut host = Host::of("QKXW");
         host.send(b"$LC=ON\n$LC=ONABCD\n$LC=OFF\n$LC=ONAB\n");
         assert_eq!(host.answers, [Valid, Valid, Valid, Damaged]);
@@ -535,8 +538,8 @@ mod tests {
         assert_eq!(host.answers, [Damaged, Known, Known, Damaged, Damaged, Damaged]);
         host.send(b"$LC=OFF\n$lc=on\n");
         assert_eq!(host.taken, ["$LC=OFF", "$LC=ON"]);
-        // The LF after the header is not the second half of a CR LF, although the last byte before the header was a CR.
-        // So it ends the checked line 0, which has no text.
+        // A CR before the header of a line and an LF after the header are not a CR LF. So the LF ends line 0, which has
+        // no text.
         host.send(b"\r").line(0, "").line(1, "M5");
         assert_eq!(host.taken, ["$LC=OFF", "$LC=ON", "", "M5"]);
     }
@@ -604,8 +607,8 @@ mod tests {
                 host.send(&damaged).send(&second);
                 let is_reset = host.commands.iter().any(|command| matches!(command, Realtime::Reset | Realtime::Stop));
                 if is_reset {
-                    // The rest of the line is refused. A checked line after that is read as a plain line, which is an
-                    // error.
+                    // The rest of the line is refused. After that, checksums are off, so a line that begins with a
+                    // colon is an error.
                     assert!(host.taken.iter().all(|text| text.starts_with(':')), "{one} {other}: {:?}", host.taken);
                     continue;
                 }

@@ -24,7 +24,7 @@ const COUNTS_EXCESS: bool = cfg!(feature = "reasons");
 /// What a byte completed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pushed {
-    /// Nothing yet.
+    /// No line yet: more bytes must follow.
     More,
     /// A line: see [`Line::text`].
     Complete,
@@ -130,7 +130,8 @@ impl Line {
         self.text.get(..self.len).unwrap_or_default()
     }
 
-    /// Returns the first words of a line that block delete skips; empty for any other line, and in the small image.
+    /// Returns the first words of a line that block delete skips. Empty for any other line, and in the small firmware
+    /// image.
     pub fn deleted(&self) -> &[u8] {
         let Comment::Deleted(kept) = self.comment else { return &[] };
         match self.text.get(..usize::from(kept)).unwrap_or_default() {
@@ -150,7 +151,8 @@ impl Line {
         Some((*has_values, text.get(1..)?.trim_ascii()))
     }
 
-    /// Returns whether no text, remark or excess of the line has arrived yet.
+    /// Returns whether nothing of the line has arrived yet. Blanks do not count; remarks, lost bytes and bytes beyond
+    /// the maximum length do.
     pub fn is_empty(&self) -> bool {
         self.len == 0 && self.comment == Comment::None && !self.overflow
     }
@@ -232,7 +234,7 @@ impl Line {
                     }
                     len += 1;
                 }
-                // Blanks are removed.
+                // Blanks count as taken, but are not stored.
                 Some(b' ') if most > 0 => {}
                 _ => break,
             }
@@ -292,8 +294,8 @@ impl Line {
         self.overflow = true;
     }
 
-    /// Returns the length of a line that is too long, without blanks and remarks, and how many of its bytes fit; `None`
-    /// if bytes were lost.
+    /// Returns the length of a line that is too long, without blanks and remarks, and the length that is allowed.
+    /// `None` if bytes of the line were lost, or if this build does not count the excess.
     pub fn lengths(&self) -> Option<(usize, usize)> {
         let excess = self.excess.first().filter(|_| !self.damaged)?;
         Some((self.len + usize::from(*excess), self.len))

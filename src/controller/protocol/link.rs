@@ -48,8 +48,8 @@ pub struct Link {
     /// Maximum number of `held` bytes.
     may_hold: usize,
     /// Commands for which the queue had no room. While a command waits here, no byte is taken, because no byte may
-    /// overtake a command. Has room for one command, and for the bytes before it that [`Remark::break_off`] returns,
-    /// which can be commands.
+    /// overtake a command. Has room for one command, and before it up to three bytes of an incomplete UTF-8 character,
+    /// which can be commands after all (see [`Remark::break_off`]).
     stuck: heapless::Deque<Realtime, 4>,
     /// Bytes were lost; the next line byte is marked as damaged.
     lost: bool,

@@ -13,9 +13,9 @@ pub struct Owed(pub u32);
 impl Owed {
     const DOOR: u32 = 1 << 16;
     const HOLD: u32 = 1 << 17;
-    /// Mask of the count of resets. For each of these resets a stop of the step task has also been requested. The count
-    /// stays below 65,536: `control` takes the resets at least every half second, the limit of the watchdog, and in
-    /// that time a UART receives 50,000 bytes at 1,000,000 baud.
+    /// Mask of the number of resets that are kept. The serial task has also requested a stop of the step task for each
+    /// of them. The number stays below 65,536: `control` takes the resets at least every half second, the limit of the
+    /// watchdog, and in that time a UART receives 50,000 bytes at 1,000,000 baud.
     const RESETS: u32 = 0xFFFF;
 
     /// Returns these commands with `command` added, or `None` if the loss of `command` does no harm. At most one hold

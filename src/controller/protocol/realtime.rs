@@ -57,7 +57,7 @@ const OTHER: u8 = 0;
 const LF: u8 = 1;
 const PLAIN: u8 = 2;
 
-/// For each byte, whether it is plain, an LF, or another one.
+/// For each byte, whether it is ordinary text (`PLAIN`), an LF, or any other byte.
 #[allow(clippy::indexing_slicing, reason = "the compiler computes it")]
 const KINDS: [u8; 256] = {
     let mut kinds = [OTHER; 256];

@@ -10,8 +10,8 @@ const MICROSECONDS: u64 = 1_000_000;
 const BEGIN: &[u8] = b"[REC:";
 const CLOSE: &[u8] = b"]";
 
-/// Appends one piece of a recording. Times are printed in ticks of the step clock; `hz` is its frequency in ticks per
-/// second.
+/// Appends one item of the `$REC` listing. Times are printed in ticks of the step clock; `hz` is its frequency in ticks
+/// per second.
 pub fn piece(out: &mut Text, hz: u32, piece: &Recorded) {
     put(out, BEGIN);
     match piece {

@@ -14,7 +14,7 @@
 
 use heapless::Vec;
 
-/// Maximum number of bytes of an incomplete character.
+/// Maximum number of bytes of a UTF-8 character that is not complete.
 const MOST_BEGUN: usize = 3;
 
 /// The part of the line to which the next byte belongs.
@@ -32,7 +32,7 @@ enum RemarkPlace {
 #[derive(Clone, Debug)]
 pub struct Remark {
     place: RemarkPlace,
-    /// The bytes of an incomplete character.
+    /// The bytes received so far of a UTF-8 character that is not complete.
     begun: Vec<u8, MOST_BEGUN>,
 }
 
@@ -46,14 +46,14 @@ impl Remark {
         self.place != RemarkPlace::Words
     }
 
-    /// Returns whether a character is incomplete.
+    /// Returns whether the bytes of a UTF-8 character have begun to arrive and are not complete.
     #[inline]
     pub fn has_begun_character(&self) -> bool {
         !self.begun.is_empty()
     }
 
-    /// Updates the place in the line after `byte`. `nests` returns whether nested parentheses are counted, as the line
-    /// filter does; it is called only for a `(` within a remark.
+    /// Tracks, after each `byte`, whether the line is within a remark. `nests` returns whether nested parentheses are
+    /// counted, as the line filter does; it is called only for a `(` within a remark.
     pub fn follow(&mut self, byte: u8, nests: impl FnOnce() -> bool) {
         self.place = match (self.place, byte) {
             (_, b'\n' | b'\r') => RemarkPlace::Words,
@@ -78,8 +78,8 @@ impl Remark {
         if self.is_inside() && continues(&self.begun, byte) { Vec::new() } else { core::mem::take(&mut self.begun) }
     }
 
-    /// Takes a byte that starts or continues a character. Call it after [`Remark::break_off`]. Returns whether the byte
-    /// was taken. `reads`: whether the dialect recognises characters at all.
+    /// Takes a byte that starts or continues a UTF-8 character of a remark. Call it after [`Remark::break_off`].
+    /// Returns `false` for any other byte. `reads`: whether the dialect recognises such characters at all.
     pub fn takes(&mut self, byte: u8, reads: impl FnOnce() -> bool) -> bool {
         let Some(lead) = self.begun.first() else {
             let begins = matches!(byte, 0xC3..=0xF4) && self.is_inside() && reads();
@@ -120,7 +120,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Returns the bytes that a link does not take as parts of characters.
+    /// Returns the bytes that do not belong to UTF-8 characters in remarks, as a link passes them on.
     fn alone(bytes: &[u8]) -> std::vec::Vec<u8> {
         let mut remark = Remark::NONE;
         let mut alone = std::vec::Vec::new();

@@ -14,7 +14,8 @@ const RESERVE: usize = 2 * PIECE;
 /// Additional free bytes required for a status report directly after another one. So the answers to lines and the rows
 /// of listings find room between reports, however often a host sends `?`.
 const BETWEEN_REPORTS: usize = 64;
-/// Bytes reserved for the answer to the line being executed. The answer to a checked line is the longest one.
+/// Bytes reserved for the answer to the line being executed. The longest one has a line number and a checksum
+/// (`$LC=ON`).
 const ANSWER: usize = 64;
 
 /// Replies that wait to be sent, and reports that are due.
@@ -28,7 +29,7 @@ pub struct Replies {
     echoed: bool,
     /// `?` was received and has not been answered.
     status_due: bool,
-    /// The next report must have all fields (0x87). Takes no memory in the small image.
+    /// The next report must have all fields (0x87). Takes no memory in the small firmware image.
     is_full: [bool; FULL_IMAGE as usize],
     /// The fields of the previous status report with `$900=3`; `None` before the first one.
     told: [Option<GrblHalFields>; FULL_IMAGE as usize],
@@ -40,7 +41,7 @@ pub struct Replies {
     restart: Restart,
     /// Index of the first waiting byte in `ring`.
     first: usize,
-    /// Number of waiting bytes.
+    /// Number of bytes in `ring` that have not been sent yet.
     waiting: usize,
     ring: [u8; BYTES],
 }
@@ -160,7 +161,7 @@ impl Replies {
         self.is_full = [true; FULL_IMAGE as usize];
     }
 
-    /// Returns whether the report made now has all fields, and clears that request.
+    /// Returns whether the next status report must have all fields (0x87), and clears that request.
     pub fn take_full_status(&mut self) -> bool {
         self.is_full.first_mut().is_some_and(core::mem::take)
     }
@@ -204,7 +205,8 @@ impl Replies {
         self.rare_fields.overrides_changed();
     }
 
-    /// Returns whether the report made now has the field `WCO`, and whether it has `Ov`.
+    /// Returns whether the next status report has the field `WCO`, and whether it has `Ov`. Call it once for each
+    /// report, because it counts the reports.
     pub fn rare_fields(&mut self, busy: bool) -> (bool, bool) {
         self.rare_fields.next(busy)
     }

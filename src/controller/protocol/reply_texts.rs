@@ -36,7 +36,8 @@ pub fn error(out: &mut Text, code: u8) {
     put(out, END);
 }
 
-/// The answer `known` to a checked line that is empty, or that was received before and is not executed again.
+/// The answer `known` to a line with checksum (`$LC=ON`) that is empty, or that was received before and is not executed
+/// again.
 pub fn known(out: &mut Text) {
     put(out, b"known\r\n");
 }
@@ -47,7 +48,8 @@ pub fn is_of_one_host(text: &[u8]) -> bool {
     is_answer(text) || text.starts_with(b"$") || text.starts_with(b"[") && !text.starts_with(b"[MSG:")
 }
 
-/// Returns whether a text is the answer to a line. The answer to a checked line begins with a colon.
+/// Returns whether a text is the answer to a line. An answer with line number and checksum (`$LC=ON`) begins with a
+/// colon.
 pub fn is_answer(text: &[u8]) -> bool {
     matches!(text, b"ok\r\n" | b"known\r\n") || text.starts_with(b"error:") || text.starts_with(b":")
 }

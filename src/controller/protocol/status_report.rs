@@ -32,7 +32,7 @@ pub struct Status<const N: usize> {
     pub show_offset: bool,
     /// Overrides in percent (feed, rapid, spindle), spindle direction and coolant, if this report carries them.
     pub overrides: Option<([u8; 3], SpindleDirection, Coolant)>,
-    /// Further fields, with `$900=3`. Takes no memory in the small image.
+    /// Further fields, with `$900=3`. Takes no memory in the small firmware image, which lacks them.
     pub of_grblhal: [Option<GrblHalFields>; FULL_IMAGE as usize],
 }
 
@@ -206,7 +206,7 @@ impl RareFields {
     /// `WCO` and `Ov` are due.
     pub const DUE: RareFields = RareFields { offset_in: 0, overrides_in: 0 };
 
-    /// Makes `WCO` due after a change.
+    /// Call when the work offset has changed: the next report carries `WCO`.
     pub fn offset_changed(&mut self) {
         self.offset_in = 0;
     }

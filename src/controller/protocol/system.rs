@@ -133,11 +133,11 @@ pub enum Restore {
 /// States in which a `$` command is allowed. The state is checked before the rest of the line is parsed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Allowed {
-    /// In any state.
+    /// Allowed in any state. (Later, `$$` is refused while the machine moves.)
     Always,
-    /// In idle or alarm.
+    /// Allowed only in idle or alarm.
     AtRest,
-    /// In idle or jog.
+    /// Allowed only in idle or during a jog.
     ForJog,
 }
 

@@ -11,7 +11,7 @@ pub type Text = heapless::Vec<u8, PIECE>;
 /// The end of every line sent to a host.
 pub const END: &[u8] = b"\r\n";
 
-/// Appends bytes.
+/// Appends bytes, as far as there is room.
 #[inline(never)]
 pub fn put(out: &mut Text, bytes: &[u8]) {
     for byte in bytes {
@@ -21,7 +21,7 @@ pub fn put(out: &mut Text, bytes: &[u8]) {
     }
 }
 
-/// Appends a whole number.
+/// Appends a whole number in decimal.
 #[inline(never)]
 pub fn whole(out: &mut Text, value: u64) {
     let mut digits = [0_u8; 20];

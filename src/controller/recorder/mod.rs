@@ -34,7 +34,7 @@ use core::sync::atomic::{Ordering, compiler_fence};
 /// Number of bytes for entries in a page.
 const ROOM: usize = 236;
 const OPEN: u32 = u32::from_le_bytes(*b"came");
-/// Mark of the page in which the recording ends.
+/// Value of [`Page::mark`] in the page in which the recording ends; `OPEN` in all other valid pages.
 const CLOSED: u32 = u32::from_le_bytes(*b"ends");
 
 /// Maximum number of bytes of a line gathered before they are written to the ring.
@@ -42,17 +42,18 @@ const PLAIN: usize = 64;
 /// Maximum number of bytes of a line end and its time entry.
 const LINE_END: usize = 1 + 10 + 1;
 
-/// Upper bound, in microseconds, of the time from the start of one round of the control task to the end of the next
-/// round, if that next round fails. (The watchdog ends a round that hangs after half a second or two seconds.)
+/// Upper bound, in microseconds, of the time from `Crash::moment`, at the start of a round of the control task, to a
+/// failure in the next round. (The watchdog ends a round that hangs after half a second or two seconds.)
 const LONGEST_TURN_US: u32 = 10_000_000;
 
 // Basis and prime of 32-bit FNV-1a, here applied to whole words.
 const BASIS: u32 = 0x811C_9DC5;
 const PRIME: u32 = 0x0100_0193;
-/// Factor in the sum of a page: odd, so that one wrong byte always changes the sum.
+/// Factor in the checksum of a page: odd, so that one wrong byte always changes the checksum.
 const FACTOR: u32 = 0x9E37_79B1;
 
-/// Tags of all entries except plain bytes of a line.
+/// Tags: the first byte of an entry. Only printable characters and line ends of a line are entries of one byte without
+/// a tag.
 mod tag {
     pub const BYTE: u8 = 0x80;
     pub const TIME: u8 = 0x81;
@@ -100,7 +101,7 @@ impl Page {
         })
     }
 
-    /// Returns the page made from 256 bytes of RAM.
+    /// Returns the page that these 256 bytes of RAM (little-endian) hold. The result is never `None`.
     pub fn of_bytes(bytes: &[u8; 256]) -> Option<Page> {
         let mut rest = Bytes(bytes);
         let (mark, number) = (rest.word()?, rest.word()?);
@@ -121,7 +122,7 @@ impl Page {
         (self.state & 0xFF) as usize
     }
 
-    /// Returns the sum of a page without entries.
+    /// Returns the checksum of a page without entries.
     fn seed(&self) -> u32 {
         let words = [self.number, self.time as u32, (self.time >> 32) as u32];
         words.iter().flat_map(|word| word.to_le_bytes()).fold(0x5EED, add_to_sum)
@@ -169,15 +170,15 @@ fn add_to_sum(sum: u32, byte: u8) -> u32 {
     sum.wrapping_mul(FACTOR).wrapping_add(u32::from(byte))
 }
 
-/// Packs epoch, damage and byte into a word, with the epoch in the highest bits. So the plain bytes of an epoch
-/// (undamaged, blank to `~`) are a range of words. Before the rotation, the parts are in the order of the fields in
-/// memory, which makes the packing cheap.
+/// Packs a byte of a line into a word: its epoch in the upper 16 bits, [`LineByte::damaged`] in bit 8, and the byte in
+/// the lower 8 bits. So the plain bytes of an epoch (undamaged, blank to `~`) are a range of words. Before the
+/// rotation, the three parts are in the order of the fields in memory, which makes the packing cheap.
 #[inline(always)]
 fn word_of(byte: LineByte) -> u32 {
     (u32::from(byte.epoch) | u32::from(byte.byte) << 16 | u32::from(byte.damaged) << 24).rotate_left(16)
 }
 
-/// State of reading the ring.
+/// How far the ring has been read for `$REC`.
 #[derive(Clone, Debug)]
 struct Reading {
     /// `Page::number` of the page being read, if any.
@@ -191,7 +192,7 @@ struct Reading {
     begun: bool,
 }
 
-/// Writes and reads the ring. `P` holds the pages.
+/// Writes the recording into the ring of pages, and reads it back. `P` holds the pages.
 #[derive(Clone, Debug)]
 pub struct Recorder<P> {
     pages: P,
@@ -202,13 +203,14 @@ pub struct Recorder<P> {
     /// The current epoch: number of resets, stops and jog cancels passed to the controller (wrapping), as in
     /// [`LineByte`].
     epoch: u16,
-    /// Lowest plain byte of the current epoch, in the form of [`word_of`]: see [`Recorder::expect_plain`].
+    /// The word ([`word_of`]) of a blank in the current epoch. A blank is the lowest plain byte (printable, undamaged):
+    /// see [`Recorder::expect_plain`].
     plain_from: u32,
-    /// Bytes not yet in the ring: plain bytes of a line, or a time entry.
+    /// Gathered bytes, which are not in the ring yet: printable bytes of a line, or a time entry.
     next: heapless::Vec<u8, PLAIN>,
-    /// Epoch of the last reset or stop. Bytes of older epochs are dropped.
+    /// The `epoch` that the last reset or stop began. Line bytes of older epochs are not recorded.
     reset_epoch: u16,
-    /// A byte that arrived before the command that opened its epoch.
+    /// A line byte that arrived before the command that begins the byte's epoch. It is recorded after that command.
     early: Option<u8>,
     /// The ring holds the recording from before the reset, which is kept.
     kept: bool,
@@ -306,7 +308,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
-    // Pages
+    // Pages of the ring: finding and beginning them
 
     fn slot_of(&self, number: u32) -> usize {
         number as usize % self.pages.as_ref().len().max(1)
@@ -353,23 +355,25 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
-    // Writing
+    // Writing: bytes are gathered in `next`, then written to a page
 
-    /// From here on, only bytes of the current epoch can be plain. While an old recording is kept, no byte is plain.
+    /// Makes [`Recorder::put_plain`] accept only printable bytes of the current epoch, and none at all while the
+    /// recording from before the reset is kept.
     fn expect_plain(&mut self) {
-        // Bit 15 is never set in the word of a byte, so this makes the range empty.
+        // Bit 15 is never set in a word made by `word_of`. So with this bit, no word is in the range of plain bytes.
         let kept = u32::from(self.kept) << 15;
         self.plain_from = word_of(LineByte { byte: b' ', epoch: self.epoch, damaged: false }) | kept;
     }
 
-    /// Gathers a byte if it is plain and there is room. Returns whether it was gathered; nearly all bytes are.
+    /// Gathers a byte in `next` if it is plain (printable, undamaged, of the current epoch) and there is room. Returns
+    /// whether it was gathered; nearly all bytes are.
     #[inline(always)]
     fn put_plain(&mut self, byte: LineByte) -> bool {
         let is_plain = word_of(byte).wrapping_sub(self.plain_from) <= u32::from(b'~' - b' ');
         is_plain && self.next.push(byte.byte).is_ok()
     }
 
-    /// Writes the gathered bytes to the ring, into one page.
+    /// Writes the bytes gathered in `next` to the ring, all into one page.
     #[inline(never)]
     fn flush(&mut self) {
         for _ in 0..2 {
@@ -381,7 +385,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.next.clear();
     }
 
-    /// Writes an entry, into one page.
+    /// Writes an entry to the ring, all of it into one page, so that each page can be decoded without the others.
     #[inline(never)]
     fn put_tagged(&mut self, tag: u8, rest: &[u8]) {
         if !self.next.is_empty() {
@@ -420,7 +424,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.time = self.time.max(time);
     }
 
-    /// Gathers an entry with the time that has passed since the previous entry.
+    /// Adds a time entry to the gathered bytes: the microseconds from `self.time`, the last recorded time, to `time`.
     #[inline]
     fn put_time(&mut self, time: u64) {
         if self.next.len() > PLAIN - LINE_END {
@@ -441,8 +445,9 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.put_tagged(tag, rest);
     }
 
-    /// Records text that the controller has taken at `now`. `epoch` is the epoch of its bytes. Can be called after the
-    /// controller has taken the text, because text changes nothing that the recorder reads from the controller.
+    /// Records text, which is bytes that only extend a line. `epoch` is the epoch of these bytes. Unlike
+    /// [`Recorder::record`], it can be called after the controller has taken them at `now`, because text changes
+    /// nothing that the recorder reads from the controller.
     #[inline]
     pub fn record_text<const N: usize>(&mut self, now: Instant, epoch: u16, text: &[u8], controller: &Controller<N>) {
         // Text has no damaged bytes and no control characters, so all of it is plain if its epoch is the current one.
@@ -536,7 +541,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         if let Event::Realtime(Realtime::Reset | Realtime::Stop) = event {
             self.reset_epoch = self.epoch;
         }
-        // Epochs are compared by their signed difference, so the distance must stay below half of the range.
+        // Epochs are compared by their signed difference, so `reset_epoch` must never be half of the range or more
+        // behind `epoch`.
         if self.epoch.wrapping_sub(self.reset_epoch) > EPOCHS {
             self.reset_epoch = self.epoch.wrapping_sub(EPOCHS);
         }
@@ -582,7 +588,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             StepEvent::Underrun { position, .. } => (3, position),
             StepEvent::Miscounted { position, .. } => (4, position),
         };
-        // How many blocks were passed before a stop depends on the exact time of the stop, so the hash starts again.
+        // How many blocks were handed to the step task before a stop depends on the exact time of the stop. So the hash
+        // of the blocks starts again.
         (self.blocks, self.blocks_recorded) = (BASIS, BASIS);
         let mut rest = Rest::new();
         let _ = rest.push(kind);
@@ -611,7 +618,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.blocks
     }
 
-    /// Sets the hash to that of the blocks before the start of a replay.
+    /// Sets the hash of the blocks to its recorded value at the state from which a replay begins.
     pub fn follow_blocks(&mut self, blocks: u32) {
         self.blocks = blocks;
     }
@@ -680,8 +687,9 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.reading = Reading { number, at: 0, time, line: heapless::Vec::new(), records: Some(0), begun: false };
     }
 
-    /// Passes the next piece of the `$REC` listing to `tell`. `first`: begins with the first piece. The pair is the
-    /// board's name and its ticks of the step clock per second. `record` returns stored records by index.
+    /// Passes the next piece of the `$REC` listing (the board, a stored record, the start time, an entry or the end) to
+    /// `tell`. `first`: begins the listing again. The second argument is the board's name and the frequency of its step
+    /// clock in Hz. `record` returns stored records by index.
     pub fn read(
         &mut self,
         first: bool,

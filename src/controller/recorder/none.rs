@@ -23,16 +23,16 @@ impl<P> Recorder<P> {
         Recorder(core::marker::PhantomData)
     }
 
-    /// Returns `false`.
+    /// Always `false`: no recording can be kept, because nothing is recorded.
     pub fn is_kept(&self) -> bool {
         false
     }
 
-    /// Does nothing.
+    /// Ignores the event.
     #[inline(always)]
     pub fn record<const N: usize>(&mut self, _now: Instant, _event: &Event<N>, _controller: &Controller<N>) {}
 
-    /// Does nothing.
+    /// Ignores the text of a line.
     #[inline(always)]
     pub fn record_text<const N: usize>(
         &mut self,
@@ -43,19 +43,19 @@ impl<P> Recorder<P> {
     ) {
     }
 
-    /// Does nothing.
+    /// Ignores that more bytes wait after a line.
     #[inline(always)]
     pub fn more_waits(&mut self) {}
 
-    /// Does nothing.
+    /// Ignores a message to the step task; no hash of blocks is computed.
     #[inline(always)]
     pub fn handed(&mut self, _message: &ToStep) {}
 
-    /// Does nothing.
+    /// Ignores that the machine has come to rest.
     #[inline(always)]
     pub fn at_rest<const N: usize>(&mut self, _now: Instant, _controller: &Controller<N>) {}
 
-    /// Does nothing.
+    /// Never calls `_tell`, because there is no recording to list.
     #[inline(always)]
     pub fn read(
         &mut self,

@@ -5,15 +5,15 @@
 use super::table::Key;
 use super::values::Settings;
 
-/// A setting that is a mask with `$900=3`.
+/// A setting whose mask in grblHAL has more bits than its value here. With `$900=3`, hosts write and read the mask.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GrblHalMask {
     number: u16,
-    /// Bits that are the value of the setting itself.
+    /// Bits that are the value of this setting (`number`).
     pub own: u32,
-    /// Bits that are values of other settings.
+    /// Bits that are the value of another setting: for the mask of `$22` that of `$932`.
     elsewhere: u32,
-    /// Bits of functions that are always on here.
+    /// Bits of functions that are always on in this firmware.
     always: u32,
     /// Meanings of the bits from the lowest, separated by commas.
     pub labels: &'static str,
@@ -41,23 +41,24 @@ const MASKS: [GrblHalMask; 2] = [
 ];
 
 impl GrblHalMask {
-    /// Returns the mask of a setting, if the setting has one.
+    /// Returns the mask of the setting `number`; `None` if this setting has the same value with `$900=3` as without.
     pub fn of(number: u16) -> Option<&'static GrblHalMask> {
         MASKS.iter().find(|mask| mask.number == number)
     }
 
-    /// All bits that have a meaning here.
+    /// All bits that a host can set; the others have no function in this firmware.
     pub const fn bits(&self) -> u32 {
         self.own | self.elsewhere | self.always
     }
 
-    /// Returns the value that a host reads back after it has written `written`.
+    /// Returns the mask that a host reads after it has written `written`. In it, the bits of all functions that are
+    /// always on are set, unless the mask is that of `$22` and homing is off.
     pub fn read_back(&self, written: u32) -> u32 {
         if self.is_in_force(written) { written | self.always } else { written & self.own }
     }
 
-    /// Whether the bits besides the setting's own value have an effect. In the mask of `$22` they have none while
-    /// homing is off (`$22=0`).
+    /// Whether the bits other than `own` have an effect. In the mask of `$22` they have none while homing is off
+    /// (`$22=0`).
     fn is_in_force(&self, bits: u32) -> bool {
         self.elsewhere == 0 || bits & self.own != 0
     }

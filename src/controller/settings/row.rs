@@ -9,10 +9,10 @@ use crate::units::DECIMAL_ONE;
 /// How a value is checked and printed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Whole number from `.0` to `.1`. A fraction is refused; Grbl's dialect truncates it.
+    /// Whole number, with minimum and maximum. A fraction is refused; Grbl's dialect truncates it.
     Whole(u32, u32),
-    /// Tenths from `.0` to `.1`, printed with one decimal, or with none if that decimal is 0. In Grbl's dialect
-    /// fractions are truncated.
+    /// A multiple of 0.1; both bounds, minimum and maximum, are in tenths. Printed with one decimal, or with none if
+    /// that decimal is 0. In Grbl's dialect fractions are truncated.
     Tenths(u32, u32),
     /// A sum of some of these bits. A fraction is refused; Grbl's dialect truncates it.
     Mask(u32),
@@ -32,7 +32,7 @@ pub enum Kind {
 const GREATEST: f32 = (i64::MAX / DECIMAL_ONE) as f32;
 
 impl Kind {
-    /// Returns whether `value` is valid for a setting of this kind, on a machine with these axes.
+    /// Returns whether `value` is valid for a setting of this kind. `axes`: mask of the machine's axes, bit 0 for X.
     pub(super) fn can_be(self, value: f32, axes: u8) -> bool {
         let whole = value as u32;
         let only = |bits: u32| whole as f32 == value && whole & !bits == 0;
@@ -51,14 +51,15 @@ impl Kind {
     }
 }
 
-/// The part of a row that the machine needs.
+/// The part of a row with which the machine finds, checks, prints and resets a value. (The texts are in
+/// [`Description`].)
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
     /// The number after `$`. For a setting that exists per axis, the number for X.
     pub number: u16,
     /// How the value is checked and printed.
     pub kind: Kind,
-    /// Default value.
+    /// Default value, in the unit of the setting.
     pub default: f32,
     /// Whether Grbl 1.1h has a setting of this number.
     pub grbl: bool,
@@ -68,7 +69,7 @@ pub struct Entry {
 /// not link the texts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Description {
-    /// Name of the setting.
+    /// Name of the setting, such as `Step pulse`.
     pub name: &'static str,
     /// Unit; empty for none.
     pub unit: &'static str,
@@ -120,9 +121,9 @@ pub struct Row {
     /// The axis of a per-axis setting. For `$44` and on, which are numbered by homing cycle, the axis with the index of
     /// the cycle: X for the first cycle.
     pub axis: Option<Axis>,
-    /// The part that the machine needs.
+    /// Kind and default of the value, and whether Grbl 1.1h has the setting.
     pub entry: Entry,
-    /// The description.
+    /// Name, unit, group and labels, for people and senders.
     pub description: Description,
 }
 

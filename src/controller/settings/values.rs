@@ -8,7 +8,7 @@ use crate::axes::{Arrangement, Axis, LINEAR, PerAxis};
 use crate::image::FULL_IMAGE;
 use crate::units::Duration;
 
-/// The values of all settings.
+/// The value of each setting, in the unit of its row in the table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings<const N: usize> {
     scalars: [f32; Key::COUNT],
@@ -163,7 +163,8 @@ impl<const N: usize> Settings<N> {
         can_be
     }
 
-    /// Ends restoring. Soft limits that were stored with homing on are switched off if homing is off.
+    /// Call this after the stored values have been restored at power-up. If homing is off, soft limits that were stored
+    /// while homing was on are switched off.
     pub fn settle(&mut self) {
         let kept = self.value(Key::SoftLimits) == BEFORE_HOMING || self.is_on(Key::Homing);
         let on = kept && self.is_on(Key::SoftLimits);
@@ -178,9 +179,9 @@ impl<const N: usize> Settings<N> {
         self.at(Index::of_number(number, N)?)
     }
 
-    /// Returns the value of `$20` that must be stored before a new value of `$22`, so that the record of `$22` changes
-    /// both settings at once (see `settle`); `None` if the stored `$20` can stay. `were_on`: whether soft limits were
-    /// on before `$22` was changed.
+    /// Returns the value of `$20` (soft limits) to be stored just before a new value of `$22` (homing); `None` if the
+    /// stored `$20` remains right. So the record of `$22` changes both settings at once (see `settle`). `were_on`:
+    /// whether soft limits were on before `$22` was changed.
     pub fn soft_limits_before_homing(&self, were_on: bool) -> Option<f32> {
         match (self.is_on(Key::Homing), were_on) {
             (true, true) => None,
@@ -199,7 +200,7 @@ impl<const N: usize> Settings<N> {
         *self = Self { revision: self.revision.wrapping_add(1), present: self.present, ..others };
     }
 
-    /// Returns the value at an index.
+    /// Returns the value of the setting at an index; `None` if the index is beyond the tables.
     pub(super) fn at(&self, index: Index) -> Option<f32> {
         match index {
             Index::Scalar(i) => self.scalars.get(i).copied(),

@@ -200,9 +200,9 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Jog { cancelling: true });
     }
 
-    /// Voids all jogs received so far, by the count of received bytes. A reset or a jog cancel opens an epoch (see
-    /// `protocol::intake`), which separates older bytes from later ones. A hold or a door opens none, so the count is
-    /// needed here. In Grbl's dialect, a hold or a door voids jogs only while a jog moves.
+    /// Makes the controller skip the jogs among the line bytes received so far. After a reset or a jog cancel, such
+    /// older bytes are known by their epoch (see `protocol::intake`). A hold or a door begins no epoch, so here the
+    /// older bytes are counted. In Grbl's dialect, a hold or a door voids jogs only while a jog moves.
     pub(crate) fn forget_received_jogs(&mut self) {
         if self.dialect() != Dialect::Grbl || matches!(self.state, State::Jog { .. }) {
             self.m.lines.end_received_jogs(self.m.step_supply.observed().received);

@@ -48,7 +48,7 @@ pub(crate) enum State<const N: usize> {
     Homing(Homing<N>),
     /// Braking. Once the machine is at rest, everything queued is dropped.
     Braking {
-        /// What follows at rest.
+        /// What the machine does once it is at rest.
         then: AfterBraking,
     },
     /// The safety door is open, or something acts like an open door: see [`Door`].
@@ -79,7 +79,7 @@ pub(crate) enum Next {
 /// What happens after a controlled stop, once the machine is at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum AfterBraking {
-    /// The next line is taken.
+    /// The job is dropped, and the next line is read.
     Continue,
     /// The machine locks itself, because a line was refused.
     Lock,

@@ -50,10 +50,10 @@ fn a_gap_in_a_line_refuses_that_line_only() {
     assert_eq!(with_gap("G21\nG1 X1~.5 F100\nG90\n"), format!("ok\r\n{lost}error:11\r\nok\r\n"));
     // A line end was lost, so the two lines have become one line, which is refused.
     assert_eq!(with_gap("G21\nG1 X1~G90\nG94\n"), format!("ok\r\n{lost}error:11\r\nok\r\n"));
-    // The gap is at the beginning of a line, or just before its end.
+    // The lost bytes are at the beginning of a line, or just before its end.
     assert_eq!(with_gap("G21\n~X1\nG90\n"), format!("ok\r\n{lost}error:11\r\nok\r\n"));
     assert_eq!(with_gap("G21~\nG90\n"), format!("{lost}error:11\r\nok\r\n"));
-    // Several gaps in one line are reported once.
+    // Several losses of bytes within one line are reported once.
     assert_eq!(with_gap("G2~1 ~X~1\n~G9~0\n"), format!("{lost}error:11\r\n{lost}error:11\r\n"));
 }
 

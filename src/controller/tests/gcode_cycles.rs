@@ -10,7 +10,7 @@ use oxmill_controller::units::Coordinate;
 const CLEARANCE: Coordinate = Coordinate(2_540_000);
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
-/// Returns the steps of a checked line. `before`: position at its start.
+/// Returns the steps of the canned cycle in a checked line. `before`: machine position at the start of the line, mm.
 fn steps_of(checked: &Action<3>, mut before: [f64; 3]) -> Vec<String> {
     let MotionCommand::Cycle(mut cycle) = checked.motion else { panic!("no cycle") };
     let mut list = Vec::new();
@@ -161,11 +161,12 @@ fn levels_of_g98_and_g99() {
     play(&[
         ("G99 G81 X2 Z-1 R2", "r 2 1 10, r 2 1 2, f 2 1 -1, r 2 1 2"),
         ("X3", "r 3 1 2, f 3 1 -1, r 3 1 2"),
-        // The clear level is where the series began, even after a change of the cycle word.
+        // The clear level (the height to which G98 retracts) is that at which the first of these cycles began, even
+        // after a change of the cycle word.
         ("G98 X4", "r 4 1 2, f 4 1 -1, r 4 1 10"),
         ("G99 G82 X5 Z-1 R3 P0", "r 5 1 10, r 5 1 3, f 5 1 -1, dwell 0, r 5 1 3"),
         ("G98 X6", "r 6 1 3, f 6 1 -1, dwell 0, r 6 1 10"),
-        // Another motion ends the series.
+        // Any other motion ends the series of cycles. The next cycle takes the new height as its clear level.
         ("G0 Z5", ""),
         ("G81 X7 Z-1 R2", "r 7 1 5, r 7 1 2, f 7 1 -1, r 7 1 5"),
         ("G80", ""),
@@ -186,8 +187,8 @@ fn a_longer_tool_goes_back_to_a_higher_level() {
         ("G49 G81 X4 Z-1 R2", "r 4 1 15, r 4 1 2, f 4 1 -1, r 4 1 10"),
         ("G91 G43 H2 G81 X1 Z-1 R-3", "r 4 1 12, r 5 1 12, f 5 1 11, r 5 1 15"),
         ("G49 X1", "r 6 1 15, r 6 1 7, f 6 1 6, r 6 1 10"),
-        // A change of tool length in the first line of a series does not move the clear level: it is where the tool is
-        // now.
+        // If a line changes the tool length and begins a series of cycles, the clear level is the present height,
+        // without that change.
         ("G90 G0 Z10", ""),
         ("G43 H2 G81 X7 Z-1 R2", "r 7 1 10, r 7 1 7, f 7 1 4, r 7 1 10"),
     ]);
@@ -234,11 +235,11 @@ fn incremental_words_and_repetitions() {
         ),
         // L is not modal.
         ("X1", "r 8 4 10, r 8 4 8, f 8 4 5, r 8 4 10"),
-        // Z and R stay in force as the numbers that were written, here taken as absolute.
+        // Z and R stay in force with the numbers of the line with G91. Under G90 these numbers are coordinates.
         ("G90 X9", "r 9 4 10, r 9 4 -2, f 9 4 -3, r 9 4 10"),
         ("X8 L2", "r 8 4 10, r 8 4 -2, f 8 4 -3, r 8 4 10, r 8 4 -2, f 8 4 -3, r 8 4 10"),
     ]);
-    // With G99, repeated holes do not get deeper, because R counts from where the series began.
+    // With G99, repeated holes do not get deeper, because R counts from the height at which the series of cycles began.
     play(&[
         ("G99 G91 G81 X2 Z-3 R-2 L2", "r 3 1 10, r 3 1 8, f 3 1 5, r 3 1 8, r 5 1 8, f 5 1 5, r 5 1 8"),
         ("X1", "r 6 1 8, f 6 1 5, r 6 1 8"),
@@ -332,7 +333,7 @@ fn what_is_refused() {
         }
         let mut program = Program::new(dialect);
         assert_eq!(program.error("G81 X1 Z-1 R1"), 22);
-        // A refused line neither ends a series nor changes its words.
+        // A refused line neither ends a series of cycles nor changes the words that stay in force in it.
         program.run("F100 G81 X1 Z-1 R1");
         assert_eq!(program.error("X2 R-5"), 54);
         assert_eq!(program.error("R2"), 36);

@@ -288,23 +288,23 @@ fn g28() {
         program.run("G10 L2 P1 Z1");
         assert_eq!(program.run("G28.1").store, Some(StoredOffset::G28));
         program.run("G53 G0 X0 Y0 Z0");
-        // 1: Z moves to its stored position from where it is.
+        // Example 1 of the document: Z moves to its stored position from where it is.
         let home = program.check("G91 G28 Z0").unwrap();
         assert_eq!((via(&home), target(&home)), (Some([0.0, 0.0, 0.0]), [0.0, 0.0, 30.0]));
-        // 2: without G91, Z first moves to work Z0, where the table can be.
+        // Example 2 of the document: without G91, Z first moves to work Z0, where the table can be.
         let home = program.check("G28 Z0").unwrap();
         assert_eq!((via(&home), target(&home)), (Some([0.0, 0.0, 1.0]), [0.0, 0.0, 30.0]));
-        // 3: Z first moves to work Z-10.
+        // Example 3 of the document: Z first moves to work Z-10.
         let home = program.run("G90 G28 Z-10");
         assert_eq!((via(&home), target(&home)), (Some([0.0, 0.0, -9.0]), [0.0, 0.0, 30.0]));
         assert_eq!((feed(&home), program.machine()), (Feed::Rapid, [0.0, 0.0, 30.0]));
-        // 4: the position is stored, and X-10 Y-25 is a rapid, as G0 is active.
+        // Example 4 of the document: the position is stored, and X-10 Y-25 is a rapid, as G0 is active.
         let stored = program.run("G28.1 X-10 Y-25");
         assert_eq!(target(&stored), [-10.0, -25.0, 30.0]);
         assert_eq!(in_mm(&program.interpreter.offsets().stored(StoredOffset::G28)), [0.0, 0.0, 30.0]);
         let home = program.run("G28");
         assert_eq!((via(&home), target(&home)), (None, [0.0, 0.0, 30.0]));
-        // 5: two rapids in place of G28.
+        // Example 5 of the document: two rapids are used instead of G28.
         assert_eq!(target(&program.run("G90 G0 Z-10")), [0.0, 0.0, -9.0]);
         assert_eq!(target(&program.run("X0 Y0 Z0")), [0.0, 0.0, 1.0]);
         // G30 has a stored position of its own.

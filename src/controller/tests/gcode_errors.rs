@@ -95,13 +95,14 @@ fn order_of_checks() {
     for dialect in DIALECTS {
         let program = ready(dialect);
         let ladder: &[(&str, u8)] = &[
-            // First the words, from left to right.
+            // Errors of the words come first, in the order of the words in the line.
             ("X1 G6 2", 20),
             ("X1 * G6", 1),
             ("G0 G1 G6", 24),
             ("M3.5 M100", 23),
             ("T100000 T-1", 38),
-            // Then line number, feed of G93, dwell, tool length, G10, G53, G80, feed, arc, unused words.
+            // After them come errors of the line number, the feed with G93, the dwell, the tool length, G10, G53, G80,
+            // the feed, the arc, and unused words, in this order.
             ("N99999999 G93 G1 X1 P1", 27),
             ("G93 G1 X1 G4", 22),
             ("G4 G1 F0 X1", 28),
@@ -183,7 +184,7 @@ fn arcs_of_rounded_words() {
         assert_eq!(ready(Dialect::Oxmill).error(line), error, "{line}");
     }
     // In the dialect `seed` an arc ends on the circle around its centre, even if the programmed target is off that
-    // circle. Grbl's dialect rejects this arc, and also the half circle with R from above.
+    // circle. Grbl's dialect rejects this arc, and also the half circle with R that Oxmill's dialect accepts above.
     let MotionCommand::Arc(arc) = ready(Dialect::Seed).run("G2 X5.02 I2.5").motion else { panic!() };
     assert_eq!(arc.target.0[0].0, 50_000_000);
     let grbl = ready(Dialect::Grbl);

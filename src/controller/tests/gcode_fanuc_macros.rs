@@ -55,8 +55,8 @@ fn jumps_of_fanuc() {
     goes(&calling(again), &[1, 1, 3, 9]);
     goes(&calling("o7 repeat [3]\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 5\nX#1\nN5 o7 endrepeat"), &[1, 1, 3, 9]);
     goes(&calling("o7 do\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 5\nX#1\nN5 o7 while [#1 LT 3]"), &[1, 1, 3, 9]);
-    // GOTO works in the held part of a program, in a loop of the main program, and in a G65 call, which has parameters
-    // of its own.
+    // GOTO works in the part of a program that is stored because its subprogram comes later, in a loop of the main
+    // program, and in a G65 call, which has parameters of its own.
     goes("G0 X1\nM98 P1\nN5 #1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 5\nM30\nO1\nX9\nM99\n%", &[1, 9, 1, 2, 3]);
     goes("G0 X7\nWHILE [1] DO1\n#1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 5\no1 break\nN5 END1\nM30", &[7, 1, 2, 3]);
     goes("G0 X1\nG65 P1 A2\nX9\nM30\nO1\nIF [#1 EQ 2] GOTO 6\nX5\nN6 X6\nM99\n%", &[1, 6, 9]);
@@ -78,8 +78,8 @@ fn jumps_of_fanuc() {
 #[test]
 fn modal_calls() {
     let drill = "O1\nX[#1+50]\nM99\n%";
-    // The subprogram comes after the end of the program, so the program is held from G66 on. Or the subprogram is a
-    // subroutine that is defined before G66.
+    // First the subprogram that G66 calls comes after the end of the program, so the lines from G66 on are stored until
+    // it has come. Then it is a subroutine that is defined before G66.
     goes(
         &format!("G0 X1\nG66 P1 A2\nX3\nM8\nG4 P0\nY4\nG92 Y0\nX5\nG67\nX6\nM30\n{drill}"),
         &[1, 3, 52, 52, 52, 5, 52, 6],

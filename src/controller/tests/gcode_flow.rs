@@ -122,7 +122,7 @@ fn subroutines_that_do_not_fit() {
     fails("o1 sub\no2 endsub\nX1\no1 endsub\nX2", &[81, 81, 81], &[2]);
     fails("o1 sub\no1 endsub\no1 call [1\nX1", &[75], &[1]);
     fails("o1 sub\no1 endsub\no1 call 5\nX1", &[81], &[1]);
-    // An error within a call ends the call and its local parameters.
+    // An error within a call ends the call. After that, #1 is the parameter of the main program again.
     fails("o1 sub\n#1=8\nX1\nX[1/0]\nX2\no1 endsub\n#1=7\no1 call\nX#1", &[72], &[1, 7]);
     fails("o1 sub\no2 if [1]\no1 endsub\no1 call\nX1", &[81], &[1]);
     fails("o1 sub\no2 if [0]\no1 endsub\no3 sub\nX5\no3 endsub\no1 call\nX1", &[81], &[1]);
@@ -218,8 +218,8 @@ fn words_behind_a_keyword() {
     fails("o1 sub\no1 return X9\no1 endsub\nX2", &[81, 81], &[2]);
 }
 
-/// There are 6 KiB for the text of blocks. If a block does not fit, all its lines up to its end are refused, so that
-/// none of them runs outside of the block.
+/// There are 6 KiB for the text of subroutines and loops. If one of them does not fit, all its lines up to its end are
+/// refused, so that none of them runs on its own.
 #[test]
 fn memory_for_text() {
     let line = "G1 F100 X1.5 Y2.5 Z-0.5\n";

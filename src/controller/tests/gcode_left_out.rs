@@ -56,7 +56,7 @@ fn expressions_and_parameters() {
     }
 }
 
-/// Cycles, the tool table and words of state are in every image.
+/// Cycles, the tool table, and words that save modal state or shift coordinates (M70, G92.2, G52) are in every image.
 #[test]
 fn what_stays() {
     for dialect in NEW {

@@ -76,7 +76,7 @@ proptest! {
             prop_assert_eq!(answer, [there]);
             interpreter.abandon_held();
         }
-        // The lines survive the end of a program, and a reset.
+        // The lines of the macros survive the end of a program, and a reset.
         interpreter.abandon_program();
         prop_assert_eq!(&all(&interpreter), &expected);
         prop_assert_eq!(send(&mut interpreter, "O9CALL"), [Err(Error::FlowSyntax)]);

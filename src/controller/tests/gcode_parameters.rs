@@ -222,7 +222,8 @@ fn the_machine_shows_its_state() {
     }
 }
 
-/// With three axes, programs may use the names of the other axes' parameters, but their numbers belong to the machine.
+/// With three axes, programs may use the names of the parameters of A, B and C as their own. The numbers of these
+/// parameters stay reserved: they read 0 and cannot be set.
 #[test]
 fn names_of_axes_that_the_machine_lacks() {
     for letter in ["A", "B", "C"] {
@@ -304,8 +305,8 @@ fn what_the_probe_found() {
     assert_eq!([x(&program, "#5061"), x(&program, "#5070")], [0.0, 0.0]);
 }
 
-/// The value of a coordinate's last decimal (`digit`) follows from a computed value as from a written number: for
-/// 11.125 it is 0.001 mm.
+/// `digit`, the value of a coordinate's last decimal, is the same for a computed coordinate as for one written as a
+/// number: for 11.125 it is 0.001 mm.
 #[test]
 fn digits_of_computed_values() {
     let mut program = ready();

@@ -582,7 +582,7 @@ fn refusal(program: &Program, line: &str) -> Option<(u8, String)> {
     Some((error.code(), String::from_utf8(reason.to_vec()).expect("text")))
 }
 
-/// Returns a program after the lines of `setup`.
+/// Returns a program that has run the lines of `setup`, which are separated by ` | `.
 fn after(dialect: Dialect, setup: &str) -> Program {
     let mut program = Program::new(dialect);
     for line in setup.split(" | ").filter(|line| !line.is_empty()) {
@@ -624,7 +624,7 @@ fn a_wrong_sentence_is_found() {
     assert_eq!(wrong(Dialect::Oxmill, &rows).len(), rows.len());
 }
 
-/// Sentences fit into a `[MSG:...]`, and say more than the text of the error.
+/// Each sentence about a refused line fits into a `[MSG:...]`, and differs from the texts of all errors.
 #[test]
 fn sentences_are_texts_of_a_message() {
     for (_, line, _, text) in ROWS.iter().chain(ROWS_OF_GRBL) {

@@ -113,7 +113,7 @@ fn cycles() {
     let mut program = ready("G0 Z20\nG51 X0 Y0 Z0 P2");
     assert_eq!(heights(&mut program, "G99 G83 X1 Y1 Z-2 R1 Q2"), [20.0, 20.0, 2.0, -2.0, 2.0, -1.0, -4.0, 2.0]);
     assert_eq!(program.machine(), [2.0, 2.0, 2.0]);
-    // R, Z and Q stay in force as they were written, unscaled.
+    // R, Z and Q stay in force with the numbers that were written, and the new factor scales these.
     program.run("G51 Z0 K3");
     assert_eq!(heights(&mut program, "X5"), [3.0, 3.0, 3.0, -3.0, 3.0, -2.0, -6.0, 3.0]);
     let mut program = ready("G0 Z20\nG51 P2 X0 Y0 Z0\nG91");

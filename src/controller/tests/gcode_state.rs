@@ -316,7 +316,7 @@ fn path_tolerances() {
     }
 }
 
-/// Grbl's dialect refuses all these words, as Grbl does.
+/// Grbl's dialect refuses all words that are tested in this file, as Grbl does.
 #[test]
 fn grbl_knows_none_of_them() {
     let program = ready(Dialect::Grbl);

@@ -137,7 +137,7 @@ fn definitions_end_with_their_file() {
             assert_eq!((sender.went, sender.errors), (vec![1, 2], vec![203]), "{name}: {file}");
         }
     }
-    // Definitions also end if an error ends the running program.
+    // An error in the running program also ends the definitions of its file.
     for error in ["X", "M98 P1 L0", "o7 call"] {
         let mut sender = Sender::new();
         sender.send_all(&format!("M98 P5\nM30\nO1\nG0 X-3\nM99\nO5\nG0 X1\n{error}\nM99\nO2\nG0 X-3\nM99\n%"));
@@ -148,8 +148,8 @@ fn definitions_end_with_their_file() {
     }
 }
 
-/// Whatever error a subprogram has, its remaining lines are refused, not run as a program, even if the machine was idle
-/// in between. A line `%` ends this.
+/// If a line of a subprogram is refused, its remaining lines are refused too, whatever the error was and however long
+/// the host pauses between them. They are not run as a program. A line `%` ends the refusal.
 #[test]
 fn a_refused_subprogram_is_no_program_after_a_rest() {
     for program in ["G0 X1\nM30\n", "G0 X1\nM98 P1\nM30\n"] {
@@ -165,7 +165,7 @@ fn a_refused_subprogram_is_no_program_after_a_rest() {
             sender.send_all("%\nG0 X9");
             assert_eq!(sender.went.last(), Some(&9));
         }
-        // The same holds if a line is refused because of its length, before its words are read.
+        // The remaining lines are also refused if the wrong line is too long, so that its words are not read at all.
         let mut sender = Sender::new();
         sender.send_all(&format!("{program}O1\nG0 X-2"));
         sender.interpreter.refused_line(None);
@@ -173,7 +173,8 @@ fn a_refused_subprogram_is_no_program_after_a_rest() {
         sender.send_after_rest("G0 X-3\nM99");
         assert_eq!(sender.errors, [203, 203]);
     }
-    // Between two subprograms, such a line may have been the number of a subprogram.
+    // Between two subprograms, a line that is too long may have held the number of the next one, so the lines after it
+    // are refused.
     let mut sender = Sender::new();
     sender.send_all("G0 X1\nM30\nO1\nG0 X-2\nM99");
     sender.interpreter.refused_line(None);
@@ -199,7 +200,8 @@ fn a_refused_end_is_an_end() {
     }
 }
 
-/// If the machine rests while lines are held, the held program is dropped: the next line can be that of another file.
+/// If the host pauses while a program waits for its subprograms, or within a subprogram, the stored lines are dropped:
+/// the next line can be that of another file.
 #[test]
 fn a_rest_drops_a_held_program() {
     for held in ["M98 P8", "M98 P8\nG0 X2\nM30", "M98 P8\nM30\nO9\nG0 X-2", "M98 P9\nM98 P8\nM30\nO9\nM99", "M30\nO9"] {
@@ -216,7 +218,8 @@ fn a_rest_drops_a_held_program() {
     }
 }
 
-/// `$X`, a stop and an alarm drop what is held, and refuse the rest of it, which the host can still send.
+/// `$X`, a stop and an alarm drop the stored lines of a program or subprogram. Its other lines, which the host can
+/// still send, are refused.
 #[test]
 fn what_is_dropped_does_not_go_on_as_a_program() {
     type Way = (&'static str, fn(&mut Interpreter<3>));
@@ -243,8 +246,8 @@ fn what_is_dropped_does_not_go_on_as_a_program() {
             sender.interpreter.unlock(false, false);
             sender.send("G0 X9");
             assert_eq!(sender.went, [9], "{name}: {held}");
-            // After a rest, these lines are not taken for the next program: the operator may only have looked at the
-            // machine.
+            // The lines are refused even after a pause of the host, and not taken for the next program: the operator
+            // may only have looked at the machine.
             let mut sender = Sender { interpreter: before, ..Sender::new() };
             sender.send_after_rest("O1000\nG0 X-9");
             assert_eq!((sender.errors.as_slice(), sender.went.as_slice()), (&[203; 2][..], &[][..]), "{name}: {held}");
@@ -255,7 +258,7 @@ fn what_is_dropped_does_not_go_on_as_a_program() {
 }
 
 /// After an alarm in a subprogram, such as that of a probe without contact, the subprograms that follow are not run as
-/// a program, neither after `$X` nor after a rest.
+/// a program, neither after `$X` nor after a pause of the host.
 #[test]
 fn an_alarm_in_a_subprogram_refuses_the_next_ones() {
     for refused in ["", "O2"] {
@@ -272,7 +275,7 @@ fn an_alarm_in_a_subprogram_refuses_the_next_ones() {
         sender.send("G0 X9");
         assert_eq!(sender.went, [1, 9]);
     }
-    // After a stop, nothing needs to be unlocked, and the lines that follow are refused, too.
+    // A stop needs no `$X` after it, but the lines that follow are refused, too.
     let mut sender = Sender::new();
     sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
     sender.interpreter.abandon_program();
@@ -280,7 +283,8 @@ fn an_alarm_in_a_subprogram_refuses_the_next_ones() {
     assert_eq!((sender.errors.as_slice(), sender.went.as_slice()), (&[203; 4][..], &[1][..]));
 }
 
-/// M99 without a call means that a subprogram has run as the program, wherever the M99 is.
+/// M99 without a call shows that the lines of a subprogram have been run as those of the program, so the lines after it
+/// are refused, wherever the M99 is.
 #[test]
 fn a_return_without_a_call_refuses_the_rest() {
     for (line, error) in [
@@ -314,7 +318,8 @@ fn a_skipped_end_is_an_end() {
     }
 }
 
-/// Lines after a held end of the program are those of the next program, even if they are calls.
+/// Lines after the M30 of a held program (one that waits for its subprograms) do not belong to it. Even calls among
+/// them are refused, not silently dropped.
 #[test]
 fn calls_after_a_held_end_are_not_lost() {
     fails("M98 P1\nM30\nM98 P2\nG0 X5\nM30\nO1\nG0 X1\nM99", &[203; 6], &[]);
@@ -411,8 +416,8 @@ fn conditions_and_loops() {
     fails("M98 P5\nG0 X3\no1 if [0]\nM2\nO5\nG0 X2\nM99\nG0 X4\n%", &[81, 203], &[2, 3]);
 }
 
-/// Whatever is missing, no line of a subprogram runs without a call. If a held program is refused, none of its lines
-/// runs.
+/// Whatever a file lacks (the subprogram, an M30 or an M99), no line of a subprogram runs without a call. If a program
+/// that waits for its subprograms is refused, none of its stored lines runs.
 #[test]
 fn nothing_falls_into_a_subprogram() {
     // There is no subprogram with this number.
@@ -451,7 +456,8 @@ fn nothing_falls_into_a_subprogram() {
     fails("M98 P1\nM30\nO1\nG0 X1\nM98 P1\nM99", &[82], &[1; 48]);
 }
 
-/// A number that is not written like that of a subprogram is refused, after a program that is held or not.
+/// An O number in a form that the number of a subprogram cannot have is refused, whether or not the program before it
+/// waits for subprograms.
 #[test]
 fn numbers_in_other_forms_are_refused() {
     for number in
@@ -478,7 +484,7 @@ fn the_next_program() {
     let mut sender = Sender::new();
     sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
     assert_eq!(sender.went, [1]);
-    // Without a rest, further lines do not belong to a program.
+    // Lines after the last subprogram are refused, unless the host has paused before them.
     sender.send("G0 X2");
     assert_eq!((sender.went.as_slice(), sender.errors.as_slice()), (&[1][..], &[203][..]));
     let mut sender = Sender::new();
@@ -492,16 +498,17 @@ fn the_next_program() {
     assert_eq!((sender.went.clone(), sender.errors.clone()), ([1, 2].repeat(3), vec![]));
     sender.send_all(file);
     assert_eq!((sender.went.len(), sender.errors), (6, vec![203; 4]), "without a rest");
-    // After another program has begun, the number no longer shows that.
+    // After another program has begun, O1000 no longer counts as the number of the program sent again; it is a
+    // subprogram.
     let mut sender = Sender::new();
     sender.send_all(file).send_after_rest("G0 X3\nM30\nO2\nX4\nM99").send_after_rest("O1000\nG0 X5\nM99");
     assert_eq!((sender.went, sender.errors), (vec![1, 2, 3], vec![]));
-    // Any other number is that of a subprogram, even after a rest.
+    // An O number that is not that of the program before it is that of a subprogram, even after a pause of the host.
     let mut sender = Sender::new();
     sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
     sender.send_after_rest("O2000\nG0 X3\nM30\nX4");
     assert_eq!((sender.went, sender.errors), (vec![1], vec![203, 203]));
-    // A tape mark, a reset and another host drop what is held.
+    // A tape mark, a reset and another host drop the stored lines of a program or subprogram.
     for drop in [
         |interpreter: &mut Interpreter<3>| interpreter.begin_program(),
         |interpreter: &mut Interpreter<3>| interpreter.reset(),

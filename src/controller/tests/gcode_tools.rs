@@ -169,7 +169,7 @@ fn what_is_refused() {
     assert_eq!(program.machine(), [1.0, 2.0, 2.0]);
 }
 
-/// A table without any entry counts as unused.
+/// Without any entry in the tool table, every tool has length 0 and no tool is refused as unknown.
 #[test]
 fn without_any_entry_tools_have_no_length() {
     for dialect in NEW {
@@ -178,14 +178,15 @@ fn without_any_entry_tools_have_no_length() {
             program.run(line);
             assert_eq!((tool_length(&program), program.machine()), (0.0, [1.0, 2.0, 3.0]), "{line}");
         }
-        // While a tool length is in force, the table counts as used.
+        // While a tool length is in force, tools that have no entry are refused.
         program.run("G43.1 Z2");
         assert_eq!((program.error("G43 H7"), program.error("G43.2 H7"), program.error("G43 H0")), (47, 47, 47));
         program.run("M61 Q0");
         assert_eq!(program.error("G43 H0"), 0, "no tool has no length");
         program.run("G49");
         assert_eq!(program.error("G43 H7"), 0);
-        // A measured length counts as an entry, and so does an entry made in check mode.
+        // A tool without an entry is also refused while the table has any entry, even one made in check mode, or while
+        // a tool has been measured.
         program.run("G10 L1 P1 Z0");
         assert_eq!(program.error("G43 H7"), 47);
         program.run("G10 L1 P1");
@@ -393,7 +394,8 @@ fn a_restored_state_has_the_length_of_the_tool_in_the_spindle() {
     measure(&mut program, 1, -15);
     program.run("M72");
     assert_eq!(tool_length(&program), 5.0, "it has been put in otherwise");
-    // If the state saved by M70 had the measured length in force, M72 puts the length measured since then in force.
+    // If the state saved by M70 had a measured length in force, M72 restores the length that has been measured since
+    // then, not the saved one.
     for line in ["G49", "G43.1 Z99"] {
         program.run("M70");
         measure(&mut program, 2, -10);

@@ -10,8 +10,8 @@ use proptest::prelude::*;
 enum Step {
     Move(i64),
     Add(i64),
-    /// A call: of which of the programs after this one (0 for the next), how often, and with which argument if it is a
-    /// call by G65.
+    /// A call: how far the called program is behind this one (0 for the next), the number of repeats, and the argument
+    /// if the call is a G65.
     Call(usize, u16, Option<i64>),
 }
 
@@ -53,8 +53,8 @@ fn written_out(programs: &[Vec<Step>], index: usize, one: &mut i64, went: &mut V
     }
 }
 
-/// A line of a program, or a call: of which of the programs after this one (0 for the next), how often, and with which
-/// arguments if it is a call by G65.
+/// A line of a program, or a call: how far the called program is behind this one (0 for the next), the number of
+/// repeats, and the arguments if the call is a G65.
 #[derive(Clone, Debug)]
 enum Line {
     Text(&'static str),
@@ -161,7 +161,8 @@ proptest! {
         prop_assert_eq!((sender.went, sender.errors, sender.ends), (went, vec![], 1), "{}", text);
     }
 
-    /// The same for all kinds of lines: arcs, cycles, modes, dwells and arguments.
+    /// Programs with all kinds of lines (arcs, cycles, modes, dwells and arguments) act the same as with their calls
+    /// written out.
     #[test]
     fn calls_act_as_their_lines(
         programs in prop::collection::vec(prop::collection::vec(line(), 0..7), 2..5),
@@ -184,8 +185,9 @@ proptest! {
         prop_assert_eq!(called, written, "{}\n---\n{}", text, lines.join("\n"));
     }
 
-    /// However the lines after a program are mixed, and wherever the machine rests while lines are held, the lines
-    /// after the first O number run only in calls, and never in the next job.
+    /// However the lines after a program are mixed, and even if the host pauses while a program waits for its
+    /// subprograms, or within a subprogram, the lines after the first O number run only in calls, and never in the next
+    /// job.
     #[test]
     fn no_mixture_falls_into_a_subprogram(
         program in prop::collection::vec(
@@ -209,8 +211,8 @@ proptest! {
         }
         sender.send_all("M30\nO5");
         for (line, rests) in &lines {
-            // The machine rests only while lines are held. After a complete subprogram and a rest, lines would be those
-            // of the next program.
+            // The host pauses only while a program waits for its subprograms, or within a subprogram. After a complete
+            // subprogram and a pause, lines would be those of the next program.
             sender.rested = *rests && sender.interpreter.is_held();
             sender.send(line);
         }

@@ -14,8 +14,8 @@ struct Scribe<const WOKEN: bool> {
     controller: Controller<3>,
     log: Vec<String>,
     events: Vec<(Source, Event<3>)>,
-    /// Events that arrive with the next store operation, the store's answer among them. If there are none, the store
-    /// only reports success.
+    /// Events that arrive in place of `Event::Stored` at the next store operation, the store's answer among them. If
+    /// there are none, `Event::Stored` arrives.
     with_store: Vec<(Source, Event<3>)>,
     lines: VecDeque<u8>,
     epoch: u16,
@@ -28,7 +28,7 @@ struct Scribe<const WOKEN: bool> {
     flood: Option<Realtime>,
     /// Whether the pump reports no room for replies.
     mute: bool,
-    /// Number of pieces of replies for which there still is room.
+    /// Number of further outputs with text for the host that the pump has room for.
     pieces: u32,
 }
 
@@ -60,7 +60,7 @@ impl<const WOKEN: bool> Scribe<WOKEN> {
         self.lines.extend(line.bytes());
     }
 
-    /// Sends a line and runs rounds until nothing is left to do. Returns the replies.
+    /// Sends a line and calls `round` until it returns false. Returns the replies.
     fn answer_to(&mut self, line: &str) -> String {
         self.send(line);
         while round(self) {}
@@ -260,7 +260,7 @@ fn a_pump_that_is_woken_makes_no_round_for_nothing() {
     woken.events.push((Source::Commands, Event::Realtime(Realtime::Status)));
     assert_eq!(rounds(round(&mut woken), &woken.log), (false, 1));
     assert!(woken.said.starts_with("<Idle|"), "{}", woken.said);
-    // After a line another round is needed, because more lines can be waiting.
+    // After a line, `round` asks for another round, because more lines can be waiting.
     woken.send("G20\n");
     assert!(round(&mut woken));
     let mut other = Scribe::<false>::new();
@@ -328,7 +328,7 @@ fn a_failure_to_store_is_told_with_the_command_that_it_belongs_to() {
     }
 }
 
-/// Here `$22=0` stores two records, because `$20` changes with it.
+/// The command is `$22=0`. It stores two records, because `$20` changes with it.
 #[test]
 fn two_failures_of_one_command_are_told_once() {
     let mut scribe = Scribe::<false>::new();
@@ -393,7 +393,8 @@ struct Flooded {
     lines: u32,
     /// The last segment of the motion has been handed to the step task.
     ended: bool,
-    /// Minimum number of segments that were queued while lines were read and more segments were to come.
+    /// Minimum number of segments in the queue at the end of a line, over the time from the first segment begun until
+    /// the last one is queued.
     fewest: u32,
 }
 

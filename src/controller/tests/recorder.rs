@@ -183,7 +183,8 @@ fn a_page_that_is_not_what_was_written_is_none() {
     assert!(ring.is_kept() && left > 0 && left < whole, "{left} of {whole}");
 }
 
-/// Each jog cancel starts an epoch. Epochs wrap, because a machine can be jogged for weeks without a reset.
+/// Each jog cancel starts an epoch, which separates the line bytes after it from those before it. Epochs wrap, because
+/// a machine can be jogged for weeks without a reset.
 #[test]
 fn lines_behind_very_many_jog_cancels_are_recorded() {
     let board = board();
@@ -201,7 +202,8 @@ fn lines_behind_very_many_jog_cancels_are_recorded() {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
-    /// All input is listed, and nothing else, whatever its times, and whether it comes in pieces or byte by byte.
+    /// All recorded input is listed, and nothing else, whatever its times, and whether the text is recorded in pieces
+    /// or byte by byte.
     #[test]
     fn nothing_is_left_out(script in prop::collection::vec((prop_oneof![Just(0_u64), 1..200_u64, any::<u32>().prop_map(u64::from)], 0..6_u8, prop_oneof![0..20_usize, 60..70_usize, 120..140_usize, 0..260_usize], 1..40_usize), 1..40)) {
         let board = board();

@@ -142,8 +142,8 @@ fn many_resets_are_over_when_the_step_task_has_obeyed_them() {
     assert_eq!(board.pump().matches("Grbl 1.1h").count(), 1);
 }
 
-/// The reset button drops the first half of a line, then another host takes over. The mark of the change ends the
-/// dropping, so the new host's line is executed.
+/// The reset button drops the first half of a line, then another host takes over. `HOST_CHANGED`, the byte that marks
+/// the change, ends the dropping, so the new host's line is executed.
 #[test]
 fn what_a_reset_button_drops_ends_with_a_cut() {
     let (mut board, _) = Board::started(None);

@@ -146,7 +146,8 @@ impl<const N: usize> Controller<N> {
     fn reach(&self, axis: Axis, travel: f32) -> f32 {
         let resolution = self.m.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);
         let steps = travel * resolution;
-        // The product may be whole only because `f32` has rounded it, so 0.02 steps are allowed even if it is whole.
+        // `steps` may be whole only because `f32` has rounded it, so 0.02 steps beyond the travel are allowed even if
+        // it is whole.
         let share = if steps as i32 as f32 == steps { 0.02 } else { 0.5 };
         travel + share / resolution
     }
@@ -190,7 +191,8 @@ impl<const N: usize> Controller<N> {
         });
     }
 
-    /// Whether lines that use machine coordinates have to wait for homing, because the position is not trusted.
+    /// Whether lines that use machine coordinates are refused until the machine is homed, because the position is not
+    /// trusted.
     fn needs_homing(&self) -> bool {
         !self.m.reference.is_trusted()
             && self.dialect() != Dialect::Grbl
@@ -199,7 +201,7 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// Returns the circle of an arc.
+/// Converts the interpreter's arc to the form with which `motion` computes.
 pub(crate) fn geometry<const N: usize>(arc: &ArcMove<N>) -> ArcGeometry<N> {
     ArcGeometry {
         start: arc.start,
@@ -213,7 +215,7 @@ pub(crate) fn geometry<const N: usize>(arc: &ArcMove<N>) -> ArcGeometry<N> {
     }
 }
 
-/// Returns the curve of a spline.
+/// Converts the interpreter's spline to the form with which `motion` computes.
 pub(crate) fn spline_geometry<const N: usize>(spline: &SplineMove<N>) -> SplineGeometry<N> {
     SplineGeometry { start: spline.start, target: spline.target, leaving: spline.leaving, arriving: spline.arriving }
 }

@@ -47,7 +47,7 @@ impl Refusal {
 }
 
 impl<const N: usize> LineInWork<N> {
-    /// The value before the first line.
+    /// The value at power-up, before any line has been executed.
     pub(crate) const NONE: Self = Self {
         action: Action::NOTHING,
         curve: None,
@@ -162,7 +162,7 @@ impl<const N: usize> LineInWork<N> {
         self.told = 0;
     }
 
-    /// Ends single block and the program, at a reset.
+    /// At a reset, switches single block off, and marks all notices as not sent, for the next program.
     pub(crate) fn reset(&mut self) {
         self.single_block = false;
         self.forget_notices();

@@ -115,8 +115,8 @@ impl<const N: usize> Controller<N> {
         progressed
     }
 
-    /// Advances a line of G-code. If the line only moves, outputs and waiting work cannot have changed and are not
-    /// checked again.
+    /// Advances a line of G-code. A line that has only motion cannot change outputs or other pending work, so these are
+    /// not checked again after it.
     fn advance_job(&mut self, mut job: Job) -> bool {
         self.task = Task::None;
         let progressed = self.advance_line(&mut job);
@@ -124,7 +124,7 @@ impl<const N: usize> Controller<N> {
             && !job.jog
             && matches!(self.state, State::Normal)
             && matches!(job.answer, Answer::Host | Answer::Held(_));
-        // Count an ordered stop as progress, because nothing else would wake the pump to send it.
+        // An ordered stop also counts as progress, because otherwise nothing would wake the pump to send the order.
         let ordered = self.m.stops.has_order();
         if ordered || progressed && !only_moved {
             self.m.pins.disturb();
@@ -190,7 +190,7 @@ impl<const N: usize> Controller<N> {
             // The first arms are the stages of a line that only moves, as nearly all lines do. Between its stages, such
             // a line has nothing to show to the host, and nothing to wait for.
             let next = match job.stage {
-                // Such a line waits only if a record of an earlier line is still being stored.
+                // A line that only moves waits here only if a record of an earlier line is still being stored.
                 Stage::Apply if self.line.action.moves_only() && self.m.records.are_stored() => {
                     self.m.interpreter.commit(&self.line.action);
                     // Set even if S has not changed, because a stop may have set another speed.

@@ -40,15 +40,16 @@ pub(crate) enum Task {
 pub(crate) enum Answer {
     /// The host.
     Host,
-    /// Nobody yet, because a startup line (`.0`: its index) is being run. `.1`: whether the host waits until the last
-    /// startup line has been run.
+    /// The startup line with index `.0`: its echo is sent with an `ok`, and the next startup line begins. `.1`: whether
+    /// the host waits for an answer until the last startup line has been run.
     Startup(usize, bool),
-    /// The host, for the startup line with this index. Its text is kept, and stored once the line has run without
-    /// error.
+    /// The host, which has set the startup line with this index (`$N`). Its text is kept, and stored once the line has
+    /// run without error.
     Validation(usize),
-    /// The caller of a subroutine, loop or macro, once its last line has been run.
+    /// Nobody yet, because the line is a stored one of a subroutine, loop or macro. The caller is answered once the
+    /// last stored line has been run.
     Held(Caller),
-    /// The host, for the setting with this number.
+    /// The host, which has changed the setting with this number.
     Setting(u16),
     /// The host. After the answer, the controller is initialised (`$RST`).
     Restart,
@@ -64,7 +65,7 @@ impl Answer {
 /// Whose line has called a subroutine, loop or macro. The fields are those of [`Answer`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Caller {
-    /// A line of the host.
+    /// A line that the host has sent.
     Host,
     /// A startup line.
     Startup(usize, bool),
@@ -73,7 +74,7 @@ pub(crate) enum Caller {
 }
 
 impl Caller {
-    /// Returns who gets the answer when the last line has been run.
+    /// Returns who gets the answer once the last line of the subroutine, loop or macro has been run.
     pub(crate) fn answer(self) -> Answer {
         match self {
             Caller::Host => Answer::Host,
@@ -95,7 +96,7 @@ pub(crate) struct Job {
     pub(crate) chord_feed: f32,
     /// Time until which the stage waits.
     pub(crate) until: Instant,
-    /// Remaining time of a stage that a hold has suspended.
+    /// Time that was left of a dwell or of the wait of M66 when a hold suspended it.
     left: Duration,
     /// How long the spindle takes to spin up or down after this line has switched it.
     pub(crate) spindle_delay: Duration,
@@ -200,8 +201,8 @@ impl Task {
         }
     }
 
-    /// Returns when the task has to be advanced, if it waits for a time. `late`: for a spindle whose spin-up time ends
-    /// at the given time, returns when to check the spindle next.
+    /// Returns the time at which the task can continue, if it waits for a time. `late`: returns when to check the
+    /// spindle next, given the end of its spin-up time.
     pub(crate) fn wakeup(&self, late: impl Fn(Instant) -> Instant) -> Option<Instant> {
         match self {
             Task::Job(Job { stage: Stage::SpinningUp, until, .. }) => Some(late(*until)),
@@ -249,8 +250,8 @@ impl Task {
         job.until = now + job.left;
     }
 
-    /// Drops the task. Returns whether the host waits for its answer. A restart after restoring the defaults is not
-    /// dropped, because without it the defaults would not take effect.
+    /// Drops the task. Returns whether the host still waits for an answer to the line that began it. A restart after
+    /// restoring the defaults is not dropped, because without it the defaults would not take effect.
     pub(crate) fn abandon(&mut self) -> bool {
         if let Task::Storing(Answer::Restart) = self {
             return false;
@@ -291,13 +292,13 @@ pub(crate) enum Listing {
     Recording(Ask),
 }
 
-/// Progress of the request for a piece of a recording.
+/// How far the request for the next piece of the `$REC` listing has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Ask {
-    /// The controller requests the piece when there is room for its text.
+    /// The controller requests the next piece when there is room for its text.
     Wanted,
-    /// The controller requests the piece now.
+    /// There is room for the text, and the controller requests the piece now.
     Due,
-    /// The piece has been requested and has not come yet.
+    /// The recorder has been asked for the piece, which has not come yet.
     Asked,
 }

@@ -127,8 +127,8 @@ impl Element<'_> {
         Ok(())
     }
 
-    /// Adds the edge of a closed shape, or its area if it has no edge. `wider` returns the corners, moved outwards by a
-    /// distance. Returns the name of the attribute that has the colour.
+    /// Adds a rectangle or a circle to `shape`: its edge, or its area if it has no edge. `wider` returns its corners,
+    /// moved outwards by a number of pixels. Returns the name of the attribute that has the colour.
     fn closed<const N: usize>(&self, shape: &mut Shape, wider: impl Fn(f32) -> [Point; N]) -> Result<&'static str> {
         if self.value("stroke")? == "none" {
             shape.polygon(&wider(0.0));
@@ -205,7 +205,7 @@ fn unescaped(text: &str) -> String {
     signs.iter().fold(text.to_owned(), |text, (written, sign)| text.replace(written, sign))
 }
 
-/// An area as its outlines, in pixels.
+/// The outlines of an area to be filled, in pixels.
 #[derive(Default)]
 struct Shape(Vec<OutlineCurve>);
 
@@ -215,7 +215,7 @@ impl Shape {
         self.0.extend(corners.iter().zip(next).map(|(a, b)| OutlineCurve::Line(*a, *b)));
     }
 
-    /// Adds a line with a width through points.
+    /// Adds the area of a line of this width through `points`.
     fn line(&mut self, points: &[Point], width: f32) {
         let half = width / 2.0;
         let mut before: Option<Point> = None;
@@ -283,7 +283,7 @@ impl Canvas {
         if low.x >= high.x || low.y >= high.y {
             return;
         }
-        // The rasterizer puts the remainder of an edge in the last column into the column to the right: add one.
+        // For an edge in the last column, the rasterizer also writes into the next column to the right: add one.
         let (width, height) = ((high.x - low.x) as usize + 1, (high.y - low.y) as usize);
         let mut covered = Rasterizer::new(width, height);
         let place = |at: Point| inside(at) - low;
@@ -405,7 +405,7 @@ mod tests {
             let corner = if points.contains("40,10 40,40") || points.contains("40,40 40,10") { 41 } else { 8 };
             assert_eq!(dark(corner, 8), 1.0, "{points}");
         }
-        // Where a line turns back, it has no tip.
+        // A line that turns back at a sharp angle gets no tip, because the tip would be too long.
         let dark = darkness(r##"<polyline SOLID stroke="#000000" stroke-width="4" points="10,10 40,10 12,10.5 "/>"##);
         assert_eq!((44..60).map(|x| dark(x, 10)).sum::<f32>(), 0.0);
     }

@@ -37,7 +37,7 @@ impl Bounds {
 pub(super) struct Scale {
     pub(super) low: f64,
     pub(super) high: f64,
-    /// Distance between two marks, in mm/min or mm.
+    /// Distance between two labelled values of the scale, in mm/min or mm.
     pub(super) step: f64,
     pub(super) stops: &'static [(f64, f64, f64)],
 }
@@ -68,7 +68,7 @@ impl Scale {
         colour(self.stops, part)
     }
 
-    /// Returns the values at the marks.
+    /// Returns the values of the scale that get a mark with a label.
     pub(super) fn marks(&self) -> impl Iterator<Item = f64> {
         let first = (self.low / self.step - 0.001).ceil();
         let count = ((self.high / self.step + 0.001).floor() - first).max(0.0) as usize;

@@ -61,7 +61,7 @@ pub(super) fn speed_curve(area: &Area, drawing: &Drawing, scale: &Scale) -> Draw
     };
     let per_minute = |mm_s: f32| f64::from(mm_s) * 60.0;
     let spans = spans(drawing, CURVE_COLUMNS);
-    // Take the scale of feeds from the points of the path, because a rapid and the next feed can share a span.
+    // Take the scale of feeds from the points of the path, because a span of time can contain both a rapid and a feed.
     let feeds = drawing.points().iter().skip(1).any(|point| !point.rapid && point.speed > 0.0);
     let rapids = spans.iter().filter_map(|span| span.1.rapid).map(per_minute).fold(0.0, f64::max);
     let top = if feeds { scale.high } else { rapids.max(1e-3) } * 1.1;

@@ -39,11 +39,11 @@ pub enum Told {
     Ended {
         /// The entry's text, such as `panic N12 1.000 2.000 0.000` or `reset`.
         text: String,
-        /// Whether a failure ended it.
+        /// Whether a failure of the firmware ended the recording.
         crash: bool,
-        /// Machine position at the failure, in micrometres.
+        /// Machine position at that failure, in micrometres.
         place: Vec<i64>,
-        /// Line number (N word) at the failure; 0 if it was not recorded.
+        /// Line number (N word) of the line that was running at that failure; 0 for none.
         line: u32,
     },
 }
@@ -82,7 +82,8 @@ pub(super) fn state(simulator: &Simulator) -> String {
 /// Precedes, in a recorded state, the hash of the clock and of the times of all steps and output changes.
 const TRACED: &str = " traced ";
 
-/// Returns [`place`] followed by [`TRACED`] and the hash, for a recording that began at `begin` on the virtual clock.
+/// Returns [`place`] and [`TRACED`], followed by a hash over the clock and over the times of all steps and output
+/// changes. `begin`: the tick at which the recording began.
 pub(super) fn traced(simulator: &Simulator, begin: u64) -> String {
     let (clock, trace) = (simulator.clock(), simulator.trace());
     let hz = u64::from(simulator.board().step_clock_hz);

@@ -109,7 +109,7 @@ impl Recording {
             text => Fittings::parse(text).map_err(|error| format!("{error:#}"))?,
         };
         let mut simulator = Simulator::new(Options { board: self.board, store, fittings, keep_steps: false });
-        // Startup lines run before any input arrives, as they did during recording.
+        // The recorded machine had executed its startup lines before the first input: do the same here.
         simulator.run_until_idle();
         simulator.take_output();
         advance(&mut simulator, self.begin.ok_or("the recording has no `begin`")?, |_| {}, |_| {});
@@ -165,8 +165,8 @@ fn advance(simulator: &mut Simulator, until: u64, mut hear: impl FnMut(&str), mu
     }
 }
 
-/// Takes all of the machine's output, including replies that the controller sends only after earlier output has been
-/// taken.
+/// Passes all of the machine's output to `hear`, including replies that the controller sends only after earlier output
+/// has been fetched.
 fn hear_all(simulator: &mut Simulator, hear: &mut impl FnMut(&str)) {
     while simulator.unfetched() > 0 {
         hear(&simulator.take_output());

@@ -15,7 +15,7 @@ pub struct Recorder {
     out: Option<Box<dyn Write>>,
     begin: u64,
     last: String,
-    /// Tick from which [`Recorder::time_passed`] looks at the state of the machine again.
+    /// Tick before which [`Recorder::time_passed`] does nothing.
     next_look: u64,
 }
 

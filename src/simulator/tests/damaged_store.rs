@@ -117,7 +117,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
         }
         assert_eq!(say(&mut mill, "$J=G91X1F100"), "error:8\r\n");
         assert_eq!(say(&mut mill, "$C"), "error:8\r\n");
-        // A program that lists and unlocks immediately does not count as a user who has read the list.
+        // `$X` less than 2 s after `$$` is rejected: it can come from a program, without a user who has read the list.
         let list = say(&mut mill, "$$");
         assert!(list.contains("$100=80.000\r\n") && list.contains("$110=600.000\r\n"), "{list}");
         assert!(list.ends_with("[MSG:Compare with your notes; 2 s later $X confirms]\r\nok\r\n"), "{list}");
@@ -139,7 +139,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
         // Not even `$RST` clears the damage.
         assert!(say(&mut mill, "$RST=#").ends_with(&format!("{WELCOME}{TOLD}")));
         assert_eq!(mill.machine().pulses(), [0; 3]);
-        // After a power cycle the message is sent again.
+        // After a power cycle, the damage is reported again.
         drop(mill);
         let (mut mill, said) = power_up(&path);
         assert_eq!(said, format!("{WELCOME}{TOLD}"));
@@ -150,7 +150,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
         say(&mut mill, "$22=0");
         assert_eq!(say(&mut mill, "G0X1"), "ok\r\n");
         assert_eq!(mill.machine().position(), [80, 0, 0]);
-        // The confirmation has cleared everything.
+        // After the confirmation, neither `$$` nor the next start reports the damage.
         assert!(!say(&mut mill, "$$").contains("MSG"));
         drop(mill);
         let (mut mill, said) = power_up(&path);

@@ -1,5 +1,5 @@
-//! A host keeps the machine while a subroutine, loop or condition that it has sent is still open. If another host could
-//! take over, for example with `?`, the rest of the block would be executed as separate lines.
+//! While a subroutine, loop or condition is still open, the host that sends it stays the active one. If another host
+//! became active, for example by `?`, the rest of the block would be executed as separate lines.
 
 use oxmill_simulator::{Options, Simulator};
 

@@ -60,7 +60,7 @@ fn a_circle_at_feed_has_the_speed_and_the_ramps_of_its_program() {
 fn a_line_has_the_speed_and_the_ramps_of_its_program() {
     for (index, resolution) in [80, 100, 250, 400, 1000].into_iter().cycle().take(25).enumerate() {
         let (angle, feed) = (spread(index) * std::f64::consts::TAU, 300.0 + 2700.0 * spread(index + 7));
-        // At least six times as long as a ramp, v^2 / (2 a), and at least 400 steps.
+        // At least six ramps of v^2 / (2 a) each, so that most of the line is at the feed rate, and at least 400 steps.
         let length = (3.0 * (feed / 60.0).powi(2) / ACCELERATION).max(400.0 / f64::from(resolution));
         let (x, y) = (length * angle.cos(), length * angle.sin());
         let program = format!("G21 G91 G1 X{x:.4} Y{y:.4} F{feed:.1}");
@@ -77,7 +77,8 @@ fn a_line_has_the_speed_and_the_ramps_of_its_program() {
     }
 }
 
-/// Returns a path in pieces of about `chord`, as a program with three decimals.
+/// Returns a program of straight moves, at most `chord` mm each, along a path of `length` mm. `place` returns the
+/// position (X, Y) after a fraction of the path.
 fn pieces(feed: f64, length: f64, chord: f64, place: impl Fn(f64) -> (f64, f64)) -> String {
     let count = (length / chord).ceil();
     let mut program = format!("G21 G90 F{feed}\n");
@@ -132,7 +133,7 @@ fn a_circle_in_chords_has_the_speed_of_its_program() {
 
 #[test]
 fn rounding_to_coarse_steps_is_no_speed() {
-    // A chord is three quarters of a step. Rounded to steps, it seems a third longer, or has no length.
+    // Each move is three quarters of a step long. Rounded to steps, it becomes a third longer, or has no length.
     let program = pieces(600.0, 30.0, 0.03, |part| (30.0 * part, 0.0));
     let m = measured(25, &program);
     assert_near(m.speed * 60.0, 570.0, 606.0, "a line in pieces below a step");

@@ -40,7 +40,7 @@ impl Dice {
             16 if value < 40 => format!("$900={}", value % 3),
             16 => format!("$I=mill {value}"),
             17 if value < 150 => self.pick(&["$RST=$", "$RST=$", "$RST=#", "$RST=*"]).into(),
-            // While the spindle turns, no sector is erased ahead.
+            // While the spindle turns, the board does not erase the spare sector in advance.
             18 => self.pick(&["M3S200", "M5", "M5"]).into(),
             _ => "$X".into(),
         }
@@ -131,7 +131,8 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
                 difference(&found, after),
             );
             cuts += 1;
-            // A cut is reported as damage only if the last word lacks bits of a single byte: see the store's own tests.
+            // The store takes a cut write for damage only if the record's last word lacks bits of just one byte: see
+            // the store's own tests.
             told += u32::from(again.controller().is_store_damaged());
             if before != after {
                 old += u32::from(found == *before);

@@ -156,7 +156,8 @@ fn another_machine_parts_from_it() {
     }
 }
 
-/// Other line ends and a byte order mark, as an editor or a mail program may write them, make no difference.
+/// A recording is read in the same way with the line ends and the byte order mark that an editor or a mail program may
+/// have added.
 #[test]
 fn line_ends_and_a_mark_in_front_are_no_difference() {
     let (text, _) = recorded("G1 X1 F600\n");
@@ -219,7 +220,7 @@ fn other_outputs_and_another_clock_part_from_it() {
         assert!(text.contains(from));
         differs(text.replace(from, to));
     }
-    // Each bit of the step clock and of each recorded time matters.
+    // A change of any one bit of the step clock frequency or of a recorded time is found.
     let hz = "board desk 100000000\n";
     assert!(text.contains(hz), "{text}");
     for bit in 0..20 {
@@ -233,7 +234,7 @@ fn other_outputs_and_another_clock_part_from_it() {
         for bit in 0..24 {
             let changed = format!("{} {rest}", time ^ 1 << bit);
             let text = [&lines[..number], &[&changed], &lines[number + 1..]].concat().join("\n") + "\n";
-            // A time before that of the preceding line makes the whole recording invalid.
+            // `parse` already rejects a time that is before that of the preceding line.
             if Recording::parse(&text).is_ok() {
                 differs(text);
             }
@@ -312,8 +313,8 @@ proptest! {
         let mut again = recording.power_up().unwrap();
         let arrival = oxmill_simulator::board_replay::play(&recording, &mut again, |_| {}, |_| {});
         if log.rfind(" stored]") > log.rfind(" state ") {
-            // A setting was changed while a switch was active. After this change, no state was recorded at which a
-            // replay can begin.
+            // The last setting was changed while a switch was active. No state was recorded after it, so there is none
+            // from which a replay can begin.
             prop_assert!(arrival.parted.is_some_and(|why| why.starts_with("begins in the middle")), "{}", log);
             return Ok(());
         }
@@ -359,7 +360,7 @@ fn a_replay_says_how_much_it_has_compared() {
     assert_eq!(said(&log), "the motors come to all 2 places that are recorded, by the same blocks");
     let without = |word: &str| log.lines().filter(|line| !line.contains(word)).collect::<Vec<_>>().join("\n");
     assert!(said(&without(" rest ")).starts_with("nothing in it tells where"), "{log}");
-    // A missing line is detected at the next rest of the motors.
+    // If a line of the host is missing, the motors come to rest at another position than the recorded one.
     let parted = arrival(&without("host G1 X0.5")).unwrap();
     assert!(parted.parted.is_some_and(|why| why.contains("the recording has the motors at")), "{log}");
     assert!(parted.notes.iter().all(|note| !note.contains("the motors come")), "{:?}", parted.notes);

@@ -44,8 +44,9 @@ fn run(settings: &[&str], before: &str, program: &str) -> Ran {
     (steps, simulator.controller().interpreter().clone())
 }
 
-/// Resumes the program at each line, on a machine that is at another position and remembers only its settings. At the
-/// lines `other_way` the steps are not compared. Returns the lines that are rejected, with the reasons.
+/// Resumes the program at each of its lines, on a machine that has only its settings and stands where the lines
+/// `elsewhere` lead. The steps must be those of the whole program, except if it is resumed at a line of `other_way`.
+/// Returns the lines at which it cannot be resumed, with the reasons.
 fn compare_all(settings: &[&str], program: &str, elsewhere: &str, other_way: &[usize]) -> Vec<(u64, String)> {
     let words: Vec<String> =
         "XYZA".chars().filter(|c| elsewhere.contains(*c)).map(|c| format!(" {c}").replace(" Z", "Z")).collect();
@@ -78,7 +79,7 @@ fn compare_all(settings: &[&str], program: &str, elsewhere: &str, other_way: &[u
             other_way.contains(&line) || steps[steps.len() - remaining..] == whole.0[whole.0.len() - remaining..],
             "line {line}: other steps\n{text}"
         );
-        // Parameters and the state saved by M70 are not compared.
+        // The prologue restores neither parameters nor the state saved by M70.
         let differs = state.differs_from(&whole.1).filter(|part| !part.contains("parameter") && !part.contains("M70"));
         assert_eq!(differs, None, "line {line}\n{text}");
     }
@@ -143,7 +144,8 @@ M4 S500.5
 M5 M9
 G1 X3
 M30";
-    // Lines 30 and 31 make other steps: with G99, the prologue travels at the Z to which G98 would retract.
+    // Resumed at lines 30 and 31, the steps differ from those of the whole program: there G99 is in force, but the
+    // prologue travels at the Z to which G98 would retract.
     let refused = compare_all(&["918=1"], program, "G91 G0 X1.7 Y-2.3 Z4.9\nG90", &[30, 31]);
     let lines: Vec<u64> = refused.iter().map(|(line, _)| *line).collect();
     // These lines follow G56. The positions of the job are known in G55 only, because the zeros of both systems are
@@ -264,7 +266,7 @@ fn curves_of_control_points() {
     assert!(why.contains("control points are being read"), "{why}");
     let closed = "G21 G90 G0 X0 Y0 Z5\nG1 Z0 F100\nG5.2 P1 L3\nX1 Y2 P1\nX3 Y4 P1\nX0 Y0 P1\nG5.3\nG1 Z-1\nX20\n";
     assert!(resumed(&[], closed, &wish(8)).is_ok(), "a curve that is done, in front of a line at its first point");
-    // Order 3 is the default without L.
+    // Order 3 (`L3`) is the default of G5.2, so the job can be resumed there.
     assert!(resumed(&[], &job(" L3"), &wish(4)).is_ok());
 }
 
@@ -276,7 +278,7 @@ fn limits_of_travel_do_not_hinder_it() {
     assert_eq!(resumed(&["22=1", "20=1", "21=1"], program, &wish(6)).unwrap(), free);
 }
 
-/// The store of the machine is not changed.
+/// `resume` does not change the store of the machine that it is given.
 #[test]
 fn the_machine_is_as_it_was() {
     let simulator = machine(&[]);
@@ -285,7 +287,7 @@ fn the_machine_is_as_it_was() {
     assert!(image == simulator.store().image());
 }
 
-/// Returns a line that a program could contain.
+/// Returns a random line of G-code, with `retracts` also G98 and G99.
 fn any_line(dice: &mut impl FnMut(usize) -> usize, retracts: bool) -> String {
     let mut length = |most: usize| format!("{:.2}", dice(most * 100) as f64 / 100.0 - most as f64 / 3.0);
     let [x, y, z, i, j] = [6, 6, 6, 2, 2].map(&mut length);
@@ -361,7 +363,7 @@ fn dice_of(seed: u64) -> impl FnMut(usize) -> usize {
     }
 }
 
-/// Returns a program of those random lines that a machine accepts.
+/// Returns a program of random lines ([`any_line`]), without those that a machine rejects.
 fn any_program(settings: &[&str], seed: u64) -> String {
     let mut dice = dice_of(seed);
     let mut simulator = machine(settings);
@@ -476,7 +478,7 @@ fn what_probes_and_inputs_tell_is_not_known() {
     refused("G21 G90\nG43.1 Z[#5422+1]\nG0 Z5\nX1\nX2\n", "a tool length offset acts");
     refused("G21 G90\nF[#5420*10+100]\nG0 Z5\nX1\nX2\n", "a modal state");
     refused("$C\nG21 G90\nG0 X1\nX2\n", "check mode");
-    // The program does not use the result.
+    // Here, no later line uses the result of M66.
     assert!(resumed(&[], "G21 G90\nG0 Z5\nG0 X1\nM66 P0 L0\nX2\nX3\n", &wish(6)).is_ok());
 }
 
@@ -488,8 +490,8 @@ fn outputs_of_the_program_are_on_again() {
     assert_eq!(prologue[2..], ["G0 Z5", "G0 X2", "M64 P2", "M64 P3", "G1 F100"]);
 }
 
-/// If the rest returns to the end of a curve that precedes the rest, the machine would reject a G5 without I and J, and
-/// cut the next line from the wrong position.
+/// A G5 without I and J continues the curve that ended at its start. If that curve is not part of the rest, a machine
+/// that runs the rest would reject the G5, and cut the next line from the wrong position.
 #[test]
 fn a_curve_that_goes_on_from_one_in_front_is_refused() {
     let front = "G21 G90\nG0 Z5\nG0 X0 Y0\nG5 X2 Y2 I1 J0 P-1 Q0 F100\nG0 X9\nX8\n";

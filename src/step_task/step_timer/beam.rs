@@ -4,17 +4,17 @@ use super::begins::MARKS;
 use crate::boards::{StepOutput, StepPins};
 use crate::shared::Power;
 
-/// The laser power, and its changes "ahead": those of segments whose start has been generated but not output yet.
+/// The laser power, and a queue of its coming changes: those of generated segments whose start has not been output yet.
 pub struct Beam {
-    /// Changes ahead, in the order of their times: time and new power.
+    /// The queued changes in the order of their times: time and new power.
     marks: heapless::Deque<(u32, u16), MARKS>,
     /// Power of the segment that is being output.
     power: u16,
-    /// Power of the segment whose start was generated last.
+    /// Power of the segment generated most recently.
     made: u16,
     /// Power that the output has been set to.
     shown: u16,
-    /// Whether hardware is set up to make the first change at its time.
+    /// Whether hardware is set up to make the first queued change at its time, without the CPU.
     armed: bool,
 }
 
@@ -23,7 +23,7 @@ impl Beam {
         Beam { marks: heapless::Deque::new(), power: 0, made: 0, shown: 0, armed: false }
     }
 
-    /// Sets the power to 0 and discards all changes ahead. Call when a motion begins from rest.
+    /// Sets the power to 0 and empties the queue of changes. Call when a motion begins from rest.
     pub fn clear(&mut self) {
         self.marks.clear();
         (self.power, self.made) = (0, 0);
@@ -37,20 +37,21 @@ impl Beam {
         self.marks.is_full()
     }
 
-    /// Returns whether power comes from segments, or hardware can still make a change that was armed.
+    /// Returns whether the laser may be on: its power comes from the segments, or hardware is still set up to change
+    /// it.
     pub fn is_on(&self) -> bool {
         Power::wanted().from_segments || self.armed
     }
 
-    /// Adds the power of a segment that begins at the time `at`. Returns whether this change is now the first one
-    /// ahead.
+    /// Queues the power of a segment that begins at the time `at`, if it differs from that of the previous segment.
+    /// Returns whether it is the only queued change, which the caller must arm once the output runs.
     pub fn segment(&mut self, at: u32, power: u16) -> bool {
         if power == self.made {
             return false;
         }
         if self.marks.is_full() {
-            // The new change replaces the newest stored one. No event lies between these two changes, so no step would
-            // have had the power of the stored one.
+            // Replace the newest queued change. No event lies between it and the new one, so no step would have had its
+            // power.
             self.marks.pop_back();
         }
         let is_kept = self.marks.push_back((at, power)).is_ok();
@@ -72,8 +73,8 @@ impl Beam {
         }
     }
 
-    /// Arms the next change: hardware makes it at its time, and calls the step task. If power does not come from
-    /// segments, hardware only calls the step task, which records the change. Do not call this function while the
+    /// Arms the first queued change: at its time, hardware changes the power and calls the step task ([`Beam::mark`]).
+    /// If power does not come from segments, hardware only calls the step task. Do not call this function while the
     /// motion can still be delayed, because until then the time of the change is not final.
     #[inline(never)]
     pub fn arm(&mut self, output: &mut StepPins) {
@@ -83,8 +84,9 @@ impl Beam {
         }
     }
 
-    /// Records all changes whose time has come, and arms the next one. Hardware makes only one change at its time; if
-    /// others follow it shortly, this function makes them, perhaps late.
+    /// Call at the time of an armed change. Removes all changes that are due from the queue, makes the power of the
+    /// last of them the present one, and arms the next change. Hardware makes only one change at its time; if others
+    /// follow it shortly, this function makes them, perhaps late.
     #[inline(never)]
     pub fn mark(&mut self, output: &mut StepPins) {
         let before = self.marks.len();
@@ -95,14 +97,15 @@ impl Beam {
             self.marks.pop_front();
         }
         if self.marks.len() < before && Power::wanted().from_segments {
-            // Sets the power that hardware should have set, in case it has not, and any later power that is due.
+            // Set the power that hardware should have set, in case it has not, or that of a later change which is also
+            // due.
             self.set_power(output, self.power);
         }
         self.arm(output);
     }
 
-    /// Sets the output if the wanted power differs from it. While the machine moves, the power of a laser is that of
-    /// the segments. `is_dark`: keep a laser off. Returns whether the output was set.
+    /// Sets the output to the power that `control` has requested or, for a laser in motion, to that of the segments, if
+    /// the output differs. `is_dark`: keeps a laser off. Returns whether the output was set.
     #[inline(always)]
     pub fn show(&mut self, output: &mut StepPins, is_at_rest: bool, is_dark: bool) -> bool {
         let power = Power::wanted();
@@ -119,7 +122,8 @@ impl Beam {
         is_other
     }
 
-    /// Switches off power from segments at once, until the controller sets it again.
+    /// Switches off a laser whose power comes from segments: sets the requested power to 0 and empties the queue of
+    /// changes.
     pub fn switch_off(&mut self, output: &mut StepPins) {
         self.clear();
         let power = Power::wanted();
@@ -131,7 +135,7 @@ impl Beam {
         }
     }
 
-    /// Discards all changes ahead. Call when the output of events has ended.
+    /// Empties the queue of changes. Call when the output of events has ended.
     pub fn end_run(&mut self, output: &mut StepPins) {
         self.marks.clear();
         if self.armed {
@@ -140,8 +144,8 @@ impl Beam {
         }
     }
 
-    /// Sets the output to `level` at once, and disarms hardware. If there is a change ahead, the caller must arm it
-    /// again.
+    /// Sets the output to `level` at once. Hardware then makes no change that was armed; if changes are queued, the
+    /// caller must arm the first one again.
     #[inline(never)]
     fn set_power(&mut self, output: &mut StepPins, level: u16) {
         output.set_power(level);

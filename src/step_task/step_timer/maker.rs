@@ -18,8 +18,8 @@ use rtic_sync::channel::Receiver;
 /// How many events of a run's limit ([`MOST_EVENTS`]) an event or tick uses up if it is generated alone and not in a
 /// batch, because that takes longer.
 const SINGLE_SHARE: usize = 4;
-/// How many events of that limit the start of a segment uses up, with the loading of its messages. A run starts at most
-/// one segment.
+/// How many events of the limit [`MOST_EVENTS`] the start of a segment uses up, because it includes the loading of
+/// messages. A run starts at most one segment.
 const SEGMENT_SHARE: usize = 16;
 /// Value of `directions` if the directions at the outputs are unknown. An event that writes the directions is then
 /// inserted before the next tick.
@@ -50,18 +50,20 @@ pub enum Ended {
     No,
     /// The motion ended as planned.
     AtRest,
-    /// The motion ended because a segment was missing. The events ahead will still be output.
+    /// The motion ended because a segment was missing. The queued events will still be output.
     Underrun,
 }
 
-/// What comes before the events to be generated.
+/// State of the output when events are generated.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Onset {
-    /// Rest: the output of the motion has not started. It waits for further segments, and can still be delayed.
+    /// A motion begins from rest, and its output has not started. The motion waits for missing segments, and can still
+    /// be delayed.
     FromRest,
-    /// Late events: the motion is being resumed, but its output has not started again, and it can still be delayed.
+    /// After late events, a motion is to be resumed, and its output has not started again. The motion can still be
+    /// delayed.
     Resumed,
-    /// Events that are being output.
+    /// The output runs, and the generated events are appended to the queued ones.
     Joined,
 }
 
@@ -71,14 +73,16 @@ pub struct Maker {
     pub output: StepPins,
     segments: Receiver<'static, ToStep, SEGMENTS_DEPTH>,
     timing: StepTiming,
-    /// Whether all intervals between ticks of the running segment are long enough for a pulse and its pause, and short
-    /// enough to need no inserted events. Only then can ticks be generated in batches.
+    /// Whether all ticks of the running segment can be output as planned: each interval between them is long enough for
+    /// a pulse and the pause after it, and so short that no event must be inserted. Only then can ticks be generated in
+    /// batches.
     is_regular: bool,
     /// Whether events are output one by one, each by an interrupt of its own.
     pub one_by_one: bool,
-    /// Time of the event committed last.
+    /// Time of the event committed most recently.
     last: u32,
-    /// Earliest time of the next step, after the last pulse and its pause, or the set-up time of the directions.
+    /// Earliest time of the next step: after the previous pulse and the pause that must follow it, and after the set-up
+    /// time if the directions have changed.
     free_from: u32,
     directions: u8,
     pub begins: Begins,
@@ -142,7 +146,8 @@ impl Maker {
         self.one_by_one = StepPins::DEPTH == 1 || self.stepper.is_watching();
     }
 
-    /// Delays all generated events that have not begun, and everything after them, by `by` ticks.
+    /// Delays by `by` ticks: all ticks to come, and the start times and power changes of generated segments that have
+    /// not begun. Does not change the events in the queue of the output.
     pub fn put_off(&mut self, by: u32) {
         self.stepper.begin_at(self.stepper.moment().wrapping_add(by));
         self.last = self.last.wrapping_add(by);
@@ -157,15 +162,15 @@ impl Maker {
         self.begins.clear();
     }
 
-    /// Call when the output has been halted: the next event no longer depends on the time and the directions of the
-    /// last one.
+    /// Call when the output has been halted. Minimum times are then counted from now instead of from the most recent
+    /// event, and the directions are written again before the next step.
     pub fn break_off(&mut self) {
         self.last = self.output.now();
         self.directions = UNKNOWN;
     }
 
-    /// Generates events until enough of them are ahead of the time `from`, the run's limit is reached, or the motion
-    /// ends.
+    /// Generates events until the queued ones last long enough beyond the time `from` ([`Maker::is_far_ahead`]), the
+    /// limit of a run ([`MOST_EVENTS`]) is reached, or the motion ends.
     #[inline(never)]
     pub fn make(&mut self, from: u32, mut onset: Onset) -> Ended {
         // Ignore slots that become free during this call: they become free one at a time, which would make batches of
@@ -201,8 +206,8 @@ impl Maker {
         ended
     }
 
-    /// Returns whether enough events are ahead, and the deadline for committing the next event is at least
-    /// [`HORIZON_TICKS`] after the time `from`.
+    /// Returns whether at least [`LEAST_EVENTS`] events are queued, and the deadline for committing the next event is
+    /// at least [`HORIZON_TICKS`] after the time `from`.
     #[inline(always)]
     pub fn is_far_ahead(&self, from: u32) -> bool {
         let until = self.output.joins_until(self.stepper.moment());
@@ -211,7 +216,8 @@ impl Maker {
             && until.wrapping_sub(from) as i32 >= HORIZON_TICKS as i32
     }
 
-    /// Returns whether few events are ahead, or all of them will be output before two more runs could follow.
+    /// Returns whether fewer than [`LEAST_EVENTS`] events are queued, or all of them will have been output within
+    /// [`IN_TIME_TICKS`].
     #[inline(always)]
     fn is_short(&self) -> bool {
         self.output.ahead() < LEAST_EVENTS || self.last.wrapping_sub(self.output.now()) as i32 <= IN_TIME_TICKS as i32
@@ -269,8 +275,8 @@ impl Maker {
         if self.stepper.is_idle() || self.waits_for_segment(onset) {
             return Made::Nothing;
         }
-        // A tick without a step makes no edge, so it keeps its planned time, however short the time after the last
-        // pulse.
+        // Only a tick that is output as an event has to wait until the pause after the previous pulse is over. Any
+        // other tick keeps its planned time.
         let is_edge = self.one_by_one || self.stepper.steps_next();
         let at = if is_edge { self.soonest(later(moment, self.free_from)) } else { moment };
         // If this tick is delayed, all later ones are delayed by the same time: to catch up would change the speed
@@ -287,14 +293,14 @@ impl Maker {
             return Made::One;
         }
         if tick.underrun {
-            // Switch off the laser at once.
+            // Do not wait for the queued events: switch the laser off now.
             self.begins.clear();
             self.beam.switch_off(&mut self.output);
         }
         Made::Last { underrun: tick.underrun }
     }
 
-    /// Generates an event that writes the directions of the next steps. It follows the last pulse, and precedes the
+    /// Generates an event that writes the directions of the next steps. It follows the previous pulse, and precedes the
     /// next step by the set-up time (`$29`). Returns whether there was room.
     fn turn(&mut self) -> bool {
         self.directions = self.stepper.directions();
@@ -334,14 +340,15 @@ impl Maker {
         }
     }
 
-    /// Returns the latest time for a run in which the segment for the next tick can still be received without an
-    /// underrun.
+    /// Returns the latest time at which a run of the task can receive the segment for the next tick and still generate
+    /// its event in time. After that, this tick becomes an underrun.
     fn last_chance(&self) -> u32 {
         let margin = if self.one_by_one { StepPins::SOON + BEGIN_TICKS } else { 2 * RUN_TICKS };
         self.output.joins_until(self.stepper.moment()).wrapping_sub(margin)
     }
 
-    /// Returns whether to wait for a segment: the next tick would be an underrun, and there is still time.
+    /// Returns whether to wait for a segment: without it the next tick would be an underrun, and it can still arrive in
+    /// time.
     fn waits_for_segment(&self, onset: Onset) -> bool {
         let left = self.last_chance().wrapping_sub(self.output.now()) as i32;
         self.stepper.lacks_segment() && (left > 0 || onset == Onset::FromRest)
@@ -358,8 +365,8 @@ impl Maker {
         self.begins.is_full() || self.beam.is_full()
     }
 
-    /// Returns whether more events should be generated now: too little time after `from` is covered by events ahead,
-    /// there are more events to generate, and there is room for a batch.
+    /// Returns whether to generate more events now: those queued do not last long enough beyond the time `from`
+    /// ([`Maker::is_far_ahead`]), there are more to generate, and the queue has room for [`MOST_EVENTS`].
     #[inline(always)]
     fn wants_more(&self, from: u32, ahead: usize) -> bool {
         let has_room = ahead + MOST_EVENTS <= StepPins::DEPTH;
@@ -374,7 +381,8 @@ impl Maker {
         let ahead = self.output.ahead();
         let left = (ahead / 2).max(LEAST_EVENTS - 1);
         if self.wants_more(now, ahead) {
-            // One run was not enough, for example because segments are shorter than runs.
+            // The present run could not generate enough events, for example because segments are shorter than runs:
+            // call the task again at once.
             return Some(now);
         }
         if self.one_by_one {
@@ -383,14 +391,14 @@ impl Maker {
         if ahead <= left {
             return Some(self.last_chance());
         }
-        // When half of the events ahead are left, or earlier: a run that begins a segment and changes directions
-        // generates fewer events than are output meanwhile.
+        // Call the task when half of the queued events are left. `before_two_runs` can be earlier: a run that begins a
+        // segment and changes directions generates fewer events than are output meanwhile.
         let early = sooner(self.output.moment_before(left), self.before_two_runs());
         Some(sooner(early, self.last_chance()))
     }
 
-    /// Returns the time `IN_TIME_TICKS` (two runs, a pause and the start of the output) before the last event ahead, or
-    /// the time at which there will be room for a batch, if that is later.
+    /// Returns the time `IN_TIME_TICKS` (two runs, a pause and the start of the output) before the last queued event,
+    /// or the time at which the queue will have room for [`MOST_EVENTS`] more, if that is later.
     #[inline(never)]
     fn before_two_runs(&self) -> u32 {
         later(
@@ -399,7 +407,7 @@ impl Maker {
         )
     }
 
-    /// Returns the time at which the last event and its pulse are complete.
+    /// Returns the time at which the event committed most recently and its pulse are complete.
     pub fn out_at(&self) -> u32 {
         self.last.wrapping_add(self.timing.pulse + OUT_TICKS)
     }

@@ -1,5 +1,5 @@
 //! The step task: generates step events ahead of time (`Maker`) and feeds them to the outputs of the board. An event is
-//! "ahead" from its generation until it is output.
+//! queued ("ahead") from its generation until it is output.
 //!
 //! ```text
 //!            a message            after 1.55 ms          enough events ahead      nothing more to make
@@ -51,14 +51,16 @@ mod timing;
 enum State {
     /// Nothing is output.
     Rest,
-    /// Messages are collected before the motion starts. Contains the time of its first tick.
+    /// The first messages of a motion from rest have arrived, but no event is generated yet. Contains the time of the
+    /// motion's first tick.
     Starting(u32),
-    /// The first events are generated. Contains the time of the first tick, from rest or of a resumed motion.
+    /// The first events are generated, but their output has not started: of a motion from rest, or of one to be
+    /// resumed. Contains the time of the first tick.
     Preparing(u32),
-    /// Events are output.
+    /// Events are output, and more are generated.
     Running,
-    /// The events ahead are still output. After them the motion ends. Or it is resumed, if its next event was too late,
-    /// or if from there on events must be output one by one.
+    /// The queued events are still output, but no more are generated. Afterwards the motion ends, or it is resumed: if
+    /// its next event was too late, or if events must be output one by one from there on.
     Ending,
 }
 
@@ -119,7 +121,7 @@ impl Step {
         }
         match self.state {
             // The task was called before the scheduled time. Generate no events, so that other tasks get CPU time in
-            // the pause after the last run.
+            // the pause after the previous run.
             State::Running | State::Preparing(_) if !self.maker.one_by_one && !due.has(Due::MORE) => self.call_sooner(),
             State::Running => self.go_on(),
             State::Ending => self.end(),
@@ -129,7 +131,8 @@ impl Step {
         self.tell();
     }
 
-    /// At rest or before a start: applies new wiring, and starts a motion when its messages have arrived.
+    /// Runs the task while nothing is output. At rest, applies new pin settings (`Wiring`), and plans the first tick of
+    /// a motion when its first message has arrived. `PREPARE_TICKS` before this tick, begins to generate events.
     #[inline(never)]
     fn start(&mut self) {
         self.maker.receive();
@@ -162,7 +165,8 @@ impl Step {
         self.begin(moment);
     }
 
-    /// Generates more of the first events. Starts the output when there are enough of them, or no time is left.
+    /// Generates events in the state `Preparing`. Starts their output when there are enough of them, or no time is
+    /// left. `moment`: time of the first tick.
     #[inline(never)]
     fn begin(&mut self, moment: u32) {
         let before = self.maker.output.ahead();
@@ -170,8 +174,8 @@ impl Step {
             self.make(moment);
         }
         let (ahead, now) = (self.maker.output.ahead(), self.maker.output.now());
-        // While no event is ahead, the deadline is the next tick instead of the first: ticks without a step need no
-        // event, so the first event can come long after the first tick.
+        // The time left until the first tick. While no event is queued, it is the time until the next tick instead: the
+        // ticks before that had no step and needed no event.
         let left = if ahead > 0 { moment } else { self.maker.stepper.moment() }.wrapping_sub(now) as i32;
         let is_late = left <= IN_TIME_TICKS as i32;
         let is_time = left <= (IN_TIME_TICKS + SPARE_TICKS) as i32 && self.latest.is_none();
@@ -188,8 +192,8 @@ impl Step {
             self.count_anew();
             self.maker.beam.arm(&mut self.maker.output);
         } else if is_late && !is_all {
-            // No event is ahead yet. Delay the motion, so that the next run can generate an event, or more segments can
-            // arrive.
+            // No event is queued yet. Delay the motion, so that the next run can generate an event, or more segments
+            // can arrive.
             let waits = self.latest.is_none() && self.maker.stepper.lacks_segment();
             let by = if waits { START_TICKS } else { IN_TIME_TICKS };
             self.state = State::Preparing(moment.wrapping_add(by));
@@ -198,8 +202,9 @@ impl Step {
         self.call_again();
     }
 
-    /// Delays all generated events that have not begun, and everything after them, by `by` ticks. If the first tick,
-    /// due at `moment`, would then be too late for the motors, aborts the motion instead.
+    /// Delays the motion by `by` ticks: all ticks to come, and the times noted for the segments that have not begun.
+    /// (Events already queued have been delayed by [`StepOutput::begin`].) If the first tick, due at `moment`, would
+    /// then be too late for the motors, aborts the motion instead.
     fn put_off(&mut self, moment: u32, by: u32) {
         if self.latest.is_some_and(|latest| (latest.wrapping_sub(moment.wrapping_add(by)) as i32) < 0) {
             self.ran_dry();
@@ -216,7 +221,7 @@ impl Step {
         self.break_off(net, fault);
     }
 
-    /// Generates more events, if there is time to append them to the events ahead.
+    /// Generates more events, if there is time to append them to the queued ones.
     #[inline(always)]
     fn go_on(&mut self) {
         if self.maker.output.fault() {
@@ -228,7 +233,7 @@ impl Step {
         let left = self.maker.output.joins_until(self.maker.stepper.moment()).wrapping_sub(now) as i32;
         if !self.maker.one_by_one && (left < RUN_TICKS as i32 || self.maker.stepper.is_watching()) {
             // It is too late to append events, or from here on events must be output one by one. In both cases,
-            // generate no more until the events ahead have been output.
+            // generate no more until the queued events have been output.
             self.state = State::Ending;
         } else {
             self.make(now);
@@ -237,7 +242,8 @@ impl Step {
         self.call_again_here();
     }
 
-    /// Generates events until enough of them are ahead of the time `from`, or the motion ends.
+    /// Generates events until the queued ones last long enough beyond the time `from`, or the limit of a run is
+    /// reached. If the motion ends with them, changes to the state `Ending`.
     #[inline(always)]
     fn make(&mut self, from: u32) {
         let onset = match (self.is_preparing(), self.latest) {
@@ -247,7 +253,7 @@ impl Step {
         };
         let ended = self.maker.make(from, onset);
         if ended == Ended::Underrun {
-            // Report the position after the events ahead, because these will still be output.
+            // Report the position after the queued events, because these will still be output.
             self.reports.underrun = Some(self.maker.stepper.underrun_event());
         }
         if ended != Ended::No {
@@ -255,8 +261,8 @@ impl Step {
         }
     }
 
-    /// Clears the deadline if enough events are ahead again after a late event, so that the next late event gets a new
-    /// deadline.
+    /// Clears `latest`, the deadline of a resumed motion, once enough events are queued again. So the next late event
+    /// gets a deadline of its own.
     #[inline(always)]
     fn count_anew(&mut self) {
         if self.maker.output.ahead() >= LEAST_EVENTS {
@@ -271,8 +277,8 @@ impl Step {
         self.maker.output.halt(is_on)
     }
 
-    /// Aborts a running motion by [`Step::give_up`], and continues in the state `Ending`, so that the last pulse gets
-    /// its full length.
+    /// Aborts a running motion by [`Step::give_up`], and continues in the state `Ending`, so that a pulse that has
+    /// begun gets its full length.
     #[cold]
     fn break_off(&mut self, undone: [i32; AXES], miscounted: bool) {
         self.give_up(undone, miscounted);
@@ -285,7 +291,8 @@ impl Step {
     fn give_up(&mut self, undone: [i32; AXES], miscounted: bool) {
         self.maker.take_back_segments();
         if self.reports.underrun.is_some() {
-            // If an earlier underrun has not been reported yet, both count as one stop.
+            // An earlier underrun, not reported yet, has already stopped the stepper. Only correct its position, so
+            // that both are reported as one stop.
             self.maker.stepper.take_back(undone);
         } else {
             let _ = self.maker.stepper.stop(undone);
@@ -298,8 +305,9 @@ impl Step {
         self.maker.beam.switch_off(&mut self.maker.output);
     }
 
-    /// When all events ahead have been output: goes to rest if the motion has ended; otherwise resumes the motion,
-    /// because its next event was too late, or because events must be output one by one from here on.
+    /// Runs the task in the state `Ending`. When all queued events have been output, goes to rest if the motion has
+    /// ended; otherwise resumes the motion, because its next event was too late, or because events must be output one
+    /// by one from here on.
     #[inline(never)]
     fn end(&mut self) {
         let out_at = self.maker.out_at();
@@ -322,16 +330,17 @@ impl Step {
         }
     }
 
-    /// Resumes a motion after the events ahead. The next tick comes at its planned time or later, and the next step
-    /// after the set-up time of the directions.
+    /// Resumes a motion whose queued events have all been output. Its next tick comes at the planned time or later. The
+    /// next step also keeps the minimum times after the previous pulse and after a change of directions.
     #[cold]
     fn resume(&mut self) {
         let planned = self.maker.stepper.moment();
-        // If events are late again before enough events are ahead ([`Step::count_anew`]), the first deadline stays in
-        // force.
+        // If the motion was resumed before, and has not had enough events queued since ([`Step::count_anew`]), it keeps
+        // its earlier deadline.
         let latest = planned.wrapping_add(MOST_LATE_STEPS.wrapping_mul(self.maker.stepper.step_interval()));
         self.latest = Some(self.latest.unwrap_or(latest));
-        // The start of the output needs `IN_TIME_TICKS`. Add the time for one more run and a pause.
+        // The start of the output needs `IN_TIME_TICKS`. Add the time for one more run of this task and the pause after
+        // it.
         let soon = IN_TIME_TICKS + RUN_TICKS + PAUSE_TICKS;
         let moment = later(planned, self.maker.output.now().wrapping_add(soon));
         self.maker.beam.resume_at(moment);
@@ -350,8 +359,8 @@ impl Step {
         let is_still = self.is_before_motion() && !undone.fault;
         self.maker.beam.switch_off(&mut self.maker.output);
         if undone.fault {
-            // The position is lost, whatever the stop was requested for. So first report the loss, as a stop of its
-            // own.
+            // The counters of the output hardware disagree, so the position is lost. Report this first, as a stop of
+            // its own, whatever the reason of the requested stop.
             self.give_up(core::mem::take(&mut net), true);
         }
         self.maker.take_back_segments();
@@ -386,7 +395,7 @@ impl Step {
         self.latest.is_none() && matches!(self.state, State::Starting(_) | State::Preparing(_))
     }
 
-    /// Schedules the next run.
+    /// Schedules the next run of the task, at the time that its state requires. At rest, schedules none.
     #[inline(never)]
     fn call_again(&mut self) {
         self.call_again_here();
@@ -425,7 +434,8 @@ impl Step {
         Some(later(at, now.wrapping_add(PAUSE_TICKS)))
     }
 
-    /// Checks the probe after an event that was output by an interrupt of its own.
+    /// Reads the touch probe after an event, if a probing motion watches it, and notes its contact. Called only while
+    /// events are output one by one.
     #[inline(never)]
     fn look_at_probe(&mut self) {
         let Maker { stepper, output, .. } = &mut self.maker;

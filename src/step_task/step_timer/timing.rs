@@ -16,26 +16,28 @@ const fn in_ticks(cycles: u32) -> u32 {
 /// each, which is less than the step task needs to prepare the next segment. So several segments must be ready before
 /// the first begins.
 pub const START_TICKS: u32 = 2_000 * TICKS_PER_US;
-/// How far ahead events are generated, if the queue of events has room.
+/// How long in advance events are generated, if the queue of events has room.
 pub const HORIZON_TICKS: u32 = 300 * TICKS_PER_US;
 /// Time before a motion's first tick at which the generation of its events begins. An abrupt start has many short
 /// segments, so each of the first runs begins a segment and generates few events.
 pub const PREPARE_TICKS: u32 = 450 * TICKS_PER_US;
-/// Minimum number of events ahead, however long they last.
+/// Minimum number of queued events, even if fewer would last for [`HORIZON_TICKS`].
 pub const LEAST_EVENTS: usize = 4;
-/// Maximum number of events per run. A longer run would delay everything else, including a stop from the serial line.
+/// Maximum number of events that a run of the step task generates. A longer run would delay everything else, including
+/// a stop from the serial line.
 pub const MOST_EVENTS: usize = 32;
-/// Upper bound of the time from a run's reading of the clock to its last event.
+/// Maximum duration of a run of the step task that generates events. When a run has read the clock, it generates its
+/// last event at most this much later.
 pub const RUN_TICKS: u32 = in_ticks(RUN_CYCLES);
 /// Maximum duration of the start of the output.
 pub const BEGIN_TICKS: u32 = in_ticks(1_500);
-/// The output is started at least this long before its first event: time for two more runs, a pause, and the start
-/// itself.
+/// A run of the step task starts the output of a motion if it finds at most this much time left before the first tick:
+/// enough for two runs, a pause between them, and the start itself.
 pub const IN_TIME_TICKS: u32 = 2 * RUN_TICKS + BEGIN_TICKS + PAUSE_TICKS;
-/// Added to `IN_TIME_TICKS` for a motion that starts from rest, because masked interrupts can delay the run that starts
-/// its output.
+/// For a motion that starts from rest, added to `IN_TIME_TICKS`: masked interrupts can delay the run of the step task
+/// that starts its output.
 pub const SPARE_TICKS: u32 = 100 * TICKS_PER_US;
-/// Minimum pause between the end of a run and the next scheduled run: time for other tasks.
+/// Minimum pause between a run of the step task and its next scheduled run: time for other tasks.
 pub const PAUSE_TICKS: u32 = RUN_TICKS / 4;
 /// At rest: time until the next attempt to send a report to `control` for which the queue had no room.
 pub const RETRY_TICKS: u32 = 1_000 * TICKS_PER_US;

@@ -34,8 +34,8 @@ impl Model {
         }
     }
 
-    /// Toggles single block. When it is switched off, the line in progress is answered as if single block had never
-    /// been on.
+    /// Toggles single block (0x89). If it is switched off while the motion of a line is in progress, this line is
+    /// answered at once, and no pause follows.
     pub(super) fn toggle_single_block(&mut self, also: &mut Vec<Model>) {
         self.single_block = !self.single_block;
         self.say(if self.single_block { "[MSG:Single block on]" } else { "[MSG:Single block off]" });
@@ -101,7 +101,7 @@ impl Model {
             }
             Mode::Home(_) => self.fail_homing(6, also),
             Mode::Door { .. } => {
-                // The line in progress is answered after the door.
+                // The line in progress is not dropped: it is answered when the door state ends.
                 self.work = self.work.take().map(|_| Work::Pause);
                 if self.braking.is_some() {
                     self.forgets = true;

@@ -94,7 +94,8 @@ impl Model {
         }
         self.stop_dead();
         self.say(format!("ALARM:{alarm}"));
-        // Oxmill: a homing cycle is answered at once, any other line at the reset.
+        // Oxmill: a homing cycle that is interrupted is answered together with the alarm, any other line in progress
+        // only at the reset.
         if self.work == Some(Work::Homing) {
             self.work = None;
             self.say("ok");
@@ -112,7 +113,7 @@ impl Model {
     /// The host timeout has expired.
     pub(super) fn host_is_silent(&mut self, also: &mut Vec<Model>) {
         self.say("[MSG:The host is silent]");
-        // The timeout starts again. So the silence is reported only once, and lines after a jog have the whole timeout.
+        // Restart the timeout: so the silence is reported only once, and lines that follow a jog get the full timeout.
         self.heard = self.now;
         self.host_fails(also);
         if self.mode == Mode::Jog && self.braking.is_some_and(|rest| rest.from <= self.now.to) {

@@ -36,7 +36,8 @@ pub(super) struct Homing {
     /// 0: Z; 1: X and Y.
     cycle: usize,
     phase: Phase,
-    /// Whether the motion of the phase has ended and the controller waits for the switches to settle.
+    /// Whether the motion of the phase has ended and the controller waits until the switches no longer bounce
+    /// ([`DEBOUNCE`]).
     settles: bool,
     touched: [bool; 3],
     /// Time at which the phase's motion ends if no switch ends it, or at which the switches have settled.
@@ -81,8 +82,8 @@ impl Model {
             homing.settles = true;
             homing.time = now.plus(Span::length(DEBOUNCE, 0.0));
         } else if is_new {
-            // Oxmill: when one axis of the cycle has found its switch, the other may still move the whole distance from
-            // there.
+            // Oxmill: when one axis of the cycle has found its switch, the other may move the whole distance of the
+            // phase once more, from where it is then.
             homing.time = now.plus(homing.phase.length());
         }
     }

@@ -102,7 +102,7 @@ impl Model {
             },
             _ if matches!(self.mode, Mode::Alarm | Mode::Jog) => self.refuse(9),
             Line::Wrong(_, error) => self.refuse(error),
-            // Oxmill's dialect allows longer lines than Grbl's; this one repeats a word.
+            // In Oxmill's dialect the line is not too long, but it repeats the word X.
             Line::TooLong => self.refuse(25),
             Line::Move(axis, to, feed) => self.travel(axis, f64::from(to), feed, also),
             Line::Outside => self.travel(0, action::OUTSIDE, true, also),

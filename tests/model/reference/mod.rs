@@ -23,8 +23,8 @@ use std::collections::VecDeque;
 
 /// Pattern for any number of lines of a listing.
 pub const MANY: &str = "[listing]";
-/// Tolerance of all times, s. It is needed because a motion that is stopped still makes the segments that are already
-/// queued for the step task, the last one to its end.
+/// Tolerance of all times, s. When a motion is stopped, the step task still makes the segments that are already queued
+/// for it, and completes the last one.
 const SLACK: f64 = 0.035;
 /// Delays after a door has closed and the job is resumed, s: from spindle on to coolant on, and from coolant on to
 /// motion.
@@ -77,7 +77,7 @@ enum Work {
     Dwell { time: Span, held: bool },
     /// M0, until the next cycle start.
     Pause,
-    /// Oxmill: the motion of the line, after which single block pauses.
+    /// Oxmill: in single block, the motion of a line is in progress. The machine pauses when the motion ends.
     SingleBlock,
     /// Oxmill: M6 waits for the cycle start that confirms this tool. `spindle`: the same line then turns the spindle
     /// on.
@@ -127,8 +127,8 @@ pub struct Model {
     braking: Option<Span>,
     /// Whether the host is disconnected.
     absent: bool,
-    /// Start of the host timeout: the time of the host's most recent byte, or the latest time at which no timeout
-    /// applied.
+    /// Start of the host timeout, s: the time of the host's most recent byte or, if later, the time until which no
+    /// timeout applied.
     heard: Span,
     /// Time since when the spindle has been below its speed.
     slow: Option<Span>,
@@ -140,7 +140,7 @@ pub struct Model {
     /// Whether a door state will drop the motion and the lines that are still pending.
     forgets: bool,
     work: Option<Work>,
-    /// Lines that have not been read.
+    /// Lines that have arrived and that the controller has not yet read.
     waiting: VecDeque<Line>,
     /// Number of lines in `waiting` that arrived before a command that ends jogs.
     cancelled: usize,
@@ -148,7 +148,8 @@ pub struct Model {
     /// to rest.
     keeps_later_jogs: bool,
     place: Places,
-    /// Position to which the lines of check mode would have moved.
+    /// In check mode: the position at which the lines checked so far would have ended. `None` before the first line
+    /// that moves.
     checked: Option<Places>,
     pins: [bool; PINS.len()],
     /// Whether the counted position agrees with the machine.
@@ -159,7 +160,7 @@ pub struct Model {
     /// Whether the operator has requested to stop the spindle while the hold was still braking.
     stops_at_rest: bool,
     flood: bool,
-    /// Oxmill: 0x89, a pause after each line that moves.
+    /// Oxmill: whether single block (0x89) is on, in which the machine pauses after each line that moves.
     single_block: bool,
     /// Tool selected by T.
     selected: u8,
@@ -173,7 +174,7 @@ pub struct Model {
     pub said: Vec<String>,
     /// Whether a step may occur in this action.
     pub may_step: bool,
-    /// Whether steps must occur in this action.
+    /// Whether the machine must make at least one step during this action.
     pub must_step: bool,
 }
 
@@ -198,7 +199,7 @@ impl Model {
             place: [Some(0.0); 3],
             checked: None,
             pins: [false; PINS.len()],
-            // With switches, the position is trusted only after homing.
+            // If homing is enabled, the position is trusted only after a homing cycle.
             trusted: !setup.homing,
             spindle: false,
             spindle_stopped: false,
@@ -217,7 +218,7 @@ impl Model {
 
     // Visible behaviour
 
-    /// Returns the first field of a report.
+    /// Returns the state, the first field of a status report.
     pub fn state(&self) -> &'static str {
         let braking = self.braking.is_some();
         match &self.mode {
@@ -265,8 +266,8 @@ impl Model {
         (!self.moves()).then_some(self.place)
     }
 
-    /// Takes two facts that the model cannot predict from the machine: the position at which it came to rest, and
-    /// whether a step occurred.
+    /// Copies two facts from the machine that the model cannot predict: the position at which the machine came to rest,
+    /// and whether a step occurred.
     pub fn adopt(&mut self, place: [f64; 3], stepped: bool) {
         if let Some(motion) = &mut self.motion {
             motion.stepped |= stepped && !motion.held;
@@ -450,7 +451,8 @@ impl Model {
         self.motion.is_some() || self.work.is_some()
     }
 
-    /// Oxmill: returns the time at which a slow spindle becomes a fault of the job.
+    /// Oxmill: returns the time at which the controller stops the job because the spindle has been below its speed for
+    /// too long; `None` if it is not, or if no job needs its speed.
     fn next_slowness(&self) -> Option<Span> {
         let needs_speed = self.mode == Mode::Free && self.is_at_work() && self.turns() && self.setup.at_speed;
         let slow = self.slow.filter(|_| needs_speed)?;

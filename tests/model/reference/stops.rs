@@ -126,8 +126,8 @@ impl Model {
         self.read(also);
     }
 
-    /// Oxmill: a host that disconnects is a fault for a job, even for one that is being resumed after a door. A jog
-    /// ends.
+    /// Oxmill: if the host disconnects during a job, this is a fault, even while the job is being resumed after a door.
+    /// If it disconnects during a jog, the jog ends.
     pub(super) fn host_goes(&mut self, also: &mut Vec<Model>) {
         self.absent = matches!(self.mode, Mode::Door { restoring: Some(_) });
         if self.motion.is_some() && matches!(self.mode, Mode::Free | Mode::Jog) {
@@ -178,7 +178,7 @@ impl Model {
         self.switch_off();
     }
 
-    /// Stops the machine abruptly.
+    /// Ends all motion without braking. If the machine was moving, its position becomes unknown and is not trusted.
     pub(super) fn stop_dead(&mut self) {
         if self.moves() {
             self.place = [None; 3];
@@ -243,7 +243,8 @@ impl Model {
         }
     }
 
-    /// The part that all resets have in common.
+    /// Does what all resets have in common: switches outputs and overrides back, and sends the greeting. `locked`: the
+    /// machine starts in an alarm that `$X` or `$H` ends.
     pub(super) fn initialise(&mut self, mut locked: bool, also: &mut Vec<Model>) {
         self.switch_off();
         self.overrides = [100; 3];

@@ -19,9 +19,9 @@ use oxmill_boards::pac;
 
 /// Maximum number of edges recorded for a line (an input pin with its wire); later edges are lost.
 pub const DEPTH: usize = 2048;
-/// The lines' pins: their numbers on port B.
+/// Numbers of the three input pins on port B, one for each line.
 const PINS: [u32; 3] = [6, 7, 8];
-/// The lines' streams: their numbers in DMA1.
+/// Numbers of the three streams of DMA1, one for each line.
 const STREAMS: [usize; 3] = [0, 3, 7];
 /// Alternate function of these pins that connects them to TIM4.
 const FUNCTION: u32 = 2;
@@ -32,8 +32,8 @@ static EDGES: [[AtomicU16; DEPTH]; 3] = [const { [const { AtomicU16::new(0) }; D
 macro_rules! raw {
     ($register:expr, $bits:expr) => {{
         // SAFETY: unsafe because the device crate cannot know which numbers a register takes; safe because each number
-        // is explained where it is written, and the only address of memory among them is that of a static that is large
-        // enough.
+        // is explained where it is written, and the only address of memory among them is that of a static that has room
+        // for all counts that DMA writes.
         unsafe { $register.bits($bits) }
     }};
 }
@@ -44,7 +44,7 @@ pub struct Capture {
     dma: pac::DMA1,
 }
 
-/// Recorded edges of a line.
+/// The edges recorded on a line: for each, the 16-bit count of TIM4.
 #[derive(Clone, Copy)]
 pub struct Edges(&'static [AtomicU16]);
 
@@ -102,7 +102,7 @@ impl Capture {
             stream.cr().write(|w| raw!(w, 0));
             while stream.cr().read().bits() & 1 != 0 {}
         }
-        // All flags of all streams.
+        // Clears all flags of all streams.
         self.dma.lifcr().write(|w| raw!(w, 0x0F7D_0F7D));
         self.dma.hifcr().write(|w| raw!(w, 0x0F7D_0F7D));
         for ((stream, source), edges) in STREAMS.into_iter().zip(sources).zip(&EDGES) {

@@ -87,7 +87,8 @@ macro_rules! rows {
     ($($row:ident)*) => { $(
         #[unsafe(no_mangle)]
         #[unsafe(naked)]
-        // unsafe because the name is taken on trust; safe because it is unique, and the function only returns.
+        // unsafe because an exported name can clash with another, and the compiler does not check a naked function;
+        // safe because this name is unique, and the function only returns.
         extern "C" fn $row() {
             core::arch::naked_asm!("bx lr")
         }
@@ -107,7 +108,7 @@ static mut STEP: MaybeUninit<Step> = MaybeUninit::uninit();
 /// The interrupt handler as RTIC generates it: saves the priority threshold, runs the task and restores the threshold.
 #[unsafe(no_mangle)]
 #[inline(never)]
-// unsafe because of the name, as above.
+// unsafe because an exported name can clash with another; safe because this name is unique.
 extern "C" fn unit_step() {
     let before = cortex_m::register::basepri::read();
     // SAFETY: unsafe because a static is changed; safe because `main` has initialized it and nothing interrupts.
@@ -120,9 +121,9 @@ fn register(address: usize) -> *mut u32 {
     address as *mut u32
 }
 
-/// The memory in place of registers, and an emulation of the hardware that outputs events.
+/// The memory in place of registers, and an emulation of the hardware that outputs the step events.
 struct Registers {
-    /// Number of events that have been output, and the time of the most recent one.
+    /// Number of events that the emulated hardware has output, and the time of the most recent one.
     out: usize,
     last: u32,
 }
@@ -133,11 +134,11 @@ impl Registers {
     const CNT: usize = boards::Memory::TIM5 + 0x24;
     const CCR1: usize = boards::Memory::TIM5 + 0x34;
     const CCR2: usize = boards::Memory::TIM5 + 0x38;
-    /// NDTR of the stream of edges.
+    /// Transfers left (NDTR) of the DMA stream that starts the pulses.
     const EDGES_LEFT: usize = boards::Memory::DMA2 + 0x10 + 0x18 + 0x04;
-    /// NDTR of the stream that ends pulses.
+    /// Transfers left (NDTR) of the DMA stream that ends the pulses.
     const ENDS_LEFT: usize = boards::Memory::DMA2 + 0x10 + 4 * 0x18 + 0x04;
-    /// NDTR and M0AR of the stream of event times.
+    /// Transfers left (NDTR) and memory address (M0AR) of the DMA stream that loads the times of events.
     const MOMENTS_LEFT: usize = boards::Memory::DMA1 + 0x10 + 2 * 0x18 + 0x04;
     const MOMENTS_AT: usize = boards::Memory::DMA1 + 0x10 + 2 * 0x18 + 0x0C;
 
@@ -148,7 +149,7 @@ impl Registers {
     }
 
     fn write(&mut self, address: usize, value: u32) {
-        // SAFETY: as above.
+        // SAFETY: unsafe because of the raw address; safe because it is in the memory that only this type uses.
         unsafe { register(address).write_volatile(value) }
     }
 
@@ -161,7 +162,7 @@ impl Registers {
         cortex_m::asm::nop();
     }
 
-    /// Returns the time of an event in the ring.
+    /// Returns the time of an event, in ticks of the step clock, from the ring of times that the step task fills.
     fn moment(&self, event: usize) -> u32 {
         self.read(self.read(Self::MOMENTS_AT) as usize + 4 * (event % Self::RING))
     }
@@ -180,7 +181,7 @@ impl Registers {
             .count()
     }
 
-    /// Outputs events until only `left` events are ahead.
+    /// Emulates the output of queued events until only `left` of them have not been output.
     fn put_out(&mut self, left: usize) {
         for _ in left..self.ahead() {
             self.last = self.moment(self.out);
@@ -194,8 +195,8 @@ impl Registers {
     /// Starts the step task from rest, and calls it until its first events are queued.
     fn start(&mut self) {
         self.interrupt(Due::CALLED, 0);
-        // Until its output has started, the task schedules each next call in CCR2. `MOMENTS_AT` is cleared here and set
-        // when the output starts.
+        // Until the output of events has started, the step task writes the time of its next call to CCR2. `MOMENTS_AT`
+        // is cleared here; the step task sets it when it starts the output.
         self.write(Self::MOMENTS_AT, 0);
         let mut calls = 0;
         while self.read(Self::MOMENTS_AT) == 0 {
@@ -209,7 +210,8 @@ impl Registers {
         self.put_out(Self::RING);
     }
 
-    /// Outputs the events up to the time for which the task has scheduled its next call, and calls it.
+    /// Emulates the output of events up to the time in CCR2, at which the step task must be called next, and then calls
+    /// it.
     fn called(&mut self) {
         let now = self.read(Self::CCR2);
         let ahead = self.ahead();
@@ -262,8 +264,8 @@ fn step_task() {
     registers.interrupt(Due::CALLED, 0);
     shared::Power { level: 100, from_segments: true }.want();
 
-    // Runs of the step task that each generate 32 events while 31 events are ahead. X steps at each tick. If Y and Z
-    // move too, counters decide at which ticks these axes step.
+    // Runs of the step task that each generate 32 events while 31 earlier events have not been output. X steps at each
+    // tick. If Y and Z move too, counters decide at which ticks these axes step.
     let rows: [(extern "C" fn(), [u32; 3]); 2] = [(row_batch_3, [900, 700, 500]), (row_batch_1, [900, 0, 0])];
     for (row, steps) in rows {
         send(&mut to_step, &block(steps, 0, 900, 0, Segment::FLAG_LAST));
@@ -278,9 +280,9 @@ fn step_task() {
         registers.finish();
     }
 
-    // The longest runs: each starts a block with other directions and another power than before, receives both messages
-    // of the block, and generates as many events as it can. Before each run, 28 to 50 events are ahead, and messages
-    // for more than one run wait.
+    // The longest runs of the step task. In each run a block begins whose directions and power differ from those of the
+    // block before; the task receives the message of the block and that of its segment, and generates as many events as
+    // it can. Before each run, 28 to 50 events have not been output, and messages of several blocks wait.
     let mut turning = |turn: u8, last: u8| {
         let ticks = 17 + u16::from(turn) * 29 % 97;
         let [first, second] = block([ticks.into(), 15, 10], if turn & 1 == 0 { 0 } else { 7 }, ticks, 0, last);
@@ -326,7 +328,8 @@ fn step_task() {
         row_none();
     }
 
-    // Stops at full speed, with a full ring.
+    // Stops the step task at full speed, while its ring is full of events. The first stop, before the loop, only ends
+    // the events above.
     shared::ask_for_stop();
     registers.interrupt(Due::CALLED, registers.last);
     for stops in 1..10 {
@@ -383,14 +386,14 @@ type Planner = Motion<3>;
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-// unsafe because of the name, as above.
+// unsafe because an exported name can clash with another; safe because this name is unique.
 fn unit_plan(motion: &mut Planner, line: &Move<3>) -> bool {
     motion.line(line)
 }
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-// unsafe because of the name, as above.
+// unsafe because an exported name can clash with another; safe because this name is unique.
 fn unit_prepare(motion: &mut Planner, observed: &Observed) -> Option<ToStep> {
     motion.next(observed)
 }
@@ -429,8 +432,8 @@ fn planning(motion: &mut Planner) {
     let mut observed = Observed::default();
     let mut handed = 0;
     while let Some(message) = unit_prepare(motion, black_box(&observed)) {
-        // A block's first message is the block itself, and the others are its segments. The calls after the first block
-        // message count for the row.
+        // The planner's first message of a block is the block itself; the following ones are its segments. The calls
+        // after the first such message count for `row_prepare`.
         match message {
             ToStep::Segment(_) => {
                 handed += 1;
@@ -455,7 +458,7 @@ fn planning(motion: &mut Planner) {
             motion.line(&line_to(from + 100 * (k + 1), 0, 160.0));
         }
         motion.start();
-        // This is the message of the block itself; the first segment follows.
+        // Takes the message of the block itself, so that the measured call returns the first segment.
         motion.next(&observed);
         row();
         let segment = unit_prepare(motion, black_box(&observed));
@@ -480,21 +483,22 @@ type FarPlanner = Motion<3>;
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-// unsafe because of the name, as above.
+// unsafe because an exported name can clash with another; safe because this name is unique.
 fn unit_plan_far(motion: &mut FarPlanner, line: &Move<3>) -> bool {
     motion.line(line)
 }
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-// unsafe because of the name, as above.
+// unsafe because an exported name can clash with another; safe because this name is unique.
 fn unit_prepare_far(motion: &mut FarPlanner, observed: &Observed) -> Option<ToStep> {
     motion.next(observed)
 }
 
 /// The same as [`planning`], but with jerk limits that differ between the axes.
 fn planning_with_jerk(motion: &mut FarPlanner) {
-    // Shorter blocks than in [`planning`], because every instruction is traced.
+    // The blocks are shorter than those in [`planning`] and so have fewer segments, because QEMU logs every
+    // instruction.
     for k in 0..40 {
         let line = line_to(2_000 * (k + 1), if k & 1 == 0 { 600 } else { 0 }, 60.0);
         if k == 4 {
@@ -516,7 +520,8 @@ fn planning_with_jerk(motion: &mut FarPlanner) {
     observed.step_idle = true;
     motion.observe(&observed);
 
-    // Blocks of four steps on a wide curve, so that the speed changes in a single ramp over the whole queue.
+    // Blocks of four steps on a curve so wide that no corner limits the speed. So the speed changes in one ramp that
+    // extends over all queued blocks.
     let far = 400_000;
     let mut next = 0;
     let mut line = || {
@@ -537,7 +542,7 @@ fn planning_with_jerk(motion: &mut FarPlanner) {
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-// unsafe because of the name, as above.
+// unsafe because an exported name can clash with another; safe because this name is unique.
 fn unit_text(interpreter: &mut Interpreter<3>, line: &[u8], checked: &mut Action<3>) {
     if interpreter.check_into(line, Dialect::Oxmill, checked).is_ok() {
         interpreter.commit(black_box(checked));
@@ -546,7 +551,7 @@ fn unit_text(interpreter: &mut Interpreter<3>, line: &[u8], checked: &mut Action
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-// unsafe because of the name, as above.
+// unsafe because an exported name can clash with another; safe because this name is unique.
 fn unit_chord(arc: &mut Arc<3>) -> Option<PerAxis<Coordinate, 3>> {
     arc.next_chord()
 }
@@ -624,7 +629,7 @@ struct Outcome {
 /// no more.
 #[unsafe(no_mangle)]
 #[inline(never)]
-// unsafe because of the name, as above.
+// unsafe because an exported name can clash with another; safe because this name is unique.
 fn unit_line(controller: &mut Whole, line: &[u8], segments_begun: u32) -> Outcome {
     let now = Instant::from_ticks(0);
     let mut outcome = Outcome::default();
@@ -658,7 +663,7 @@ fn unit_line(controller: &mut Whole, line: &[u8], segments_begun: u32) -> Outcom
     }
 }
 
-/// A controller that receives lines, and the lines that wait in the step task.
+/// A controller that receives lines, and an account of the lines whose segments wait for the step task.
 struct Streaming {
     controller: &'static mut Whole,
     waiting: Waiting,
@@ -764,8 +769,8 @@ fn gentle_line(streaming: &mut Streaming) {
 /// Runs the lines of reliefs and of a spiral, whose turns are so tight that they can limit the speed. Each curve begins
 /// where the one before it ends.
 fn tight_lines(streaming: &mut Streaming) {
-    // Each of these lines lasts longer than a line of the gentle curve. With less time, segments would take precedence
-    // over lines; with more, the controller would not want the next block yet.
+    // At most 10 ms of motion may wait here, because a line lasts longer than one of [`gentle_line`]. With less, the
+    // controller would make segments before it takes the next line; with more, it would not send the next block yet.
     streaming.most_ms = 10;
     let micrometres = |mm: f32| libm::roundf(mm * 1000.0) as i32;
     let (x, y) = (600 * 98, 600 * 600 / 10);
@@ -785,7 +790,8 @@ fn tight_lines(streaming: &mut Streaming) {
         end = [x + micrometres(radius * sine), y + micrometres(2.0 - radius * cosine), z];
         end
     });
-    // A relief across the axes, with chords of 0.05 to 0.25 mm, as a CAM program divides a curve for a tolerance.
+    // A row over a relief at an angle to X and Y, with chords of 0.05 to 0.25 mm, as a CAM program divides a curve for
+    // a tolerance.
     streaming.line(format_args!("F3000\n"));
     let ([x, y, z], mut along) = (end, 0.0_f32);
     streaming.curve(row_uneven_line, 600, |k| {
@@ -797,10 +803,11 @@ fn tight_lines(streaming: &mut Streaming) {
 
 type Ring = Recorder<&'static mut [Page]>;
 
-/// Records a line: its text, which the control task passes on in one piece, its end, and that more bytes wait.
+/// Records a received line as the control task does: first its text, then its line end, then the fact that more bytes
+/// wait.
 #[unsafe(no_mangle)]
 #[inline(never)]
-// unsafe because of the name, as above.
+// unsafe because an exported name can clash with another; safe because this name is unique.
 fn unit_recorded_line(recorder: &mut Ring, now: Instant, text: &[u8], controller: &Whole) {
     recorder.record_text(now, 0, text, controller);
     recorder.record(now, &Event::Line(LineByte { byte: b'\n', epoch: 0, damaged: false }), controller);
@@ -810,21 +817,21 @@ fn unit_recorded_line(recorder: &mut Ring, now: Instant, text: &[u8], controller
 /// Records a message to the step task.
 #[unsafe(no_mangle)]
 #[inline(never)]
-// unsafe because of the name, as above.
+// unsafe because an exported name can clash with another; safe because this name is unique.
 fn unit_recorded_block(recorder: &mut Ring, message: &ToStep) {
     recorder.handed(message);
 }
 
-/// Records a pass of the control task at rest.
+/// Records that the control task has run while the machine is at rest.
 #[unsafe(no_mangle)]
 #[inline(never)]
-// unsafe because of the name, as above.
+// unsafe because an exported name can clash with another; safe because this name is unique.
 fn unit_recorded_rest(recorder: &mut Ring, now: Instant, controller: &Whole) {
     recorder.at_rest(now, controller);
 }
 
-/// Records enough lines to wrap around the ring of pages, each line at a different time. Some of the lines start a new
-/// page.
+/// Counts the cost of recording. The lines, each at a different time, are so many that they fill all pages and
+/// overwrite the oldest; some of them start a new page.
 fn recording(controller: &Whole) {
     // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses, and pages are
     // plain numbers.
@@ -868,7 +875,7 @@ fn main() -> ! {
     far.configure(MotionSettings { jerk: PerAxis([10_000.0, 8_000.0, 10_000.0]), ..motion_settings() });
     planning_with_jerk(far);
     text_and_arcs();
-    // SAFETY: as above.
+    // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses.
     let place = unsafe {
         (boards::CONTROLLER as *mut (MaybeUninit<Whole>, MaybeUninit<Storage<3, 256, 6144>>)).as_mut_unchecked()
     };

@@ -18,11 +18,11 @@ const HELD_BYTES: usize = 6144;
 pub const BLOCKS: usize = 32;
 const STEP_CLOCK_HZ: u32 = 25_000_000;
 
-/// Controller and step generator, with their results.
+/// A controller and a step generator, and what they have done: steps and answers.
 pub struct Rig {
     controller: Controller<AXES>,
     stepper: Stepper<AXES>,
-    /// Step-clock ticks during which the step generator was busy. This is the simulated time.
+    /// Time during which the step generator was busy, in ticks of the step clock. It is also the controller's clock.
     busy: u64,
     moving: bool,
     directions: u8,
@@ -186,7 +186,7 @@ impl Pump<AXES> for Rig {
         Some(LineByte { byte: *byte, epoch: 0, damaged: false })
     }
 
-    /// Gives at most as many bytes at a time as a message of the firmware holds.
+    /// Passes at most as many bytes to the controller at once as a message between the firmware's tasks holds.
     fn give_text(&mut self, _now: Instant) -> bool {
         let ahead = self.program.get(..LineBytes::MOST).unwrap_or(self.program);
         let taken = self.controller.take_text(0, ahead);

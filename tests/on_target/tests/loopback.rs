@@ -36,7 +36,7 @@ fn low_voltage() -> ! {
 /// A wire: function of the output, name of the output's pin, name of the input's pin.
 struct Wire(&'static str, &'static str, &'static str);
 
-/// The wires in the order of the recorder's lines.
+/// The wires in the order of the three lines that [`Capture`] records.
 #[cfg(any(feature = "blackpill_f411", feature = "blackpill_f401"))]
 const WIRES: [Wire; 3] = [Wire("STEP X", "A1", "B6"), Wire("DIR X", "A4", "B7"), Wire("STEP Y", "A2", "B8")];
 #[cfg(not(any(feature = "blackpill_f411", feature = "blackpill_f401")))]
@@ -55,8 +55,8 @@ const LATEST_PULSE_END_US: i32 = 1;
 const EDGE_NS: i32 = 250;
 /// Maximum error of the period between two pulses, because their edges can be delayed.
 const PERIOD_ERROR_US: i32 = 1;
-/// Maximum error of the time of the last pulse but one of a train (a series of evenly spaced pulses). It is small,
-/// because errors must not accumulate.
+/// Maximum error of the time of a train's last pulse but one, compared with the step rate. (A train is a series of
+/// evenly spaced pulses.) It is small, because errors must not accumulate.
 const DRIFT_US: i32 = 1;
 /// Maximum time between the pulses of one tick, because ports are written one after the other.
 const SKEW_NS: i32 = 500;
@@ -285,7 +285,8 @@ fn widths(edges: &Edges) -> Seen {
     seen
 }
 
-/// Returns the errors of a train's periods, and the error of the time of its last pulse but one.
+/// Returns the errors of the periods of a train (a series of evenly spaced pulses), and the error of the time of its
+/// last pulse but one, both in ticks and compared with `interval`.
 fn periods(edges: &Edges, interval: u32) -> (Seen, i32) {
     let whole = interval >> INTERVAL_FRACTION_BITS;
     let (mut errors, mut sum) = (Seen::NOTHING, 0);

@@ -7,7 +7,7 @@ use std::fs;
 use std::io::Write;
 use std::path::Path;
 
-/// A file of an archive.
+/// A file that is packed into an archive: its path in the archive, its permissions and its contents.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Entry {
     name: String,

@@ -13,7 +13,8 @@ const MDBOOK: &str = "0.5.4";
 /// The folder in the book for linked files from outside `docs/`.
 const FILES: &str = "files";
 
-/// Returns the kind of the book and its files: HTML pages, or the Markdown pages on a machine without mdBook.
+/// Returns the kind of book, which becomes a part of its file name, and its files: `book` with HTML pages, or
+/// `book-markdown` with Markdown pages on a machine without mdBook.
 pub fn make() -> Result<(&'static str, Vec<Entry>), Failure> {
     let pages = root().join("target/book-pages");
     prepare(&pages)?;

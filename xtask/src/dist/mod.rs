@@ -16,11 +16,11 @@ use std::process::Command;
 
 pub use reproducible::check;
 
-/// Version of all parts.
+/// Version of the release, which all its parts have.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// Text files in every archive.
 const TEXTS: [&str; 4] = ["README.md", "CHANGELOG.md", "LICENSE-APACHE", "LICENSE-MIT"];
-/// File name of the page.
+/// File name of the web page.
 const PAGE: &str = "oxmill.html";
 /// File name of the program on this system.
 const PROGRAM: &str = if cfg!(windows) { "oxmill.exe" } else { "oxmill" };

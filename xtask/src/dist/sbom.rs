@@ -151,7 +151,7 @@ fn placed(line: &str) -> Option<(usize, Name)> {
     Some((depth.parse().ok()?, format!("{}@{}", words.next()?, words.next()?.strip_prefix('v')?)))
 }
 
-/// Properties of the linked crates.
+/// The linked crates: their metadata and dependencies by name and version, and the checksums of `Cargo.lock`.
 struct Crates {
     packages: BTreeMap<Name, Value>,
     needs: BTreeMap<Name, BTreeSet<Name>>,

@@ -37,8 +37,8 @@ pub fn generate(name: &str, out: &mut dyn Write) -> Result<bool> {
     Ok(true)
 }
 
-/// Returns sine and cosine of an angle in turns, exact to the last digits of an `f64`. The power series get only the
-/// angle to the nearest quarter turn, which is at most an eighth of a turn.
+/// Returns sine and cosine of an angle in turns, exact to the last digits of an `f64`. The power series are computed
+/// for the difference to the nearest quarter turn, which is at most an eighth of a turn.
 pub fn sine_cosine(turns: f64) -> (f64, f64) {
     let turns = turns - turns.floor();
     let quarter = (turns * 4.0 + 0.5).floor();

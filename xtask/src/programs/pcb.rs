@@ -125,7 +125,7 @@ fn isolate_pad(w: &mut Writer, [x, y]: [i64; 2], distance: i64) -> Result<()> {
 fn isolate_trace(w: &mut Writer, trace: &Trace, distance: i64) -> Result<()> {
     let half = TRACE_HALF + distance;
     let r = PAD_RADIUS + distance;
-    // Distance from the pad along the trace at which the outlines of pad and trace meet.
+    // Distance, along the trace, from the centre of the pad to the point at which the outlines of pad and trace meet.
     let meet = square_root(r * r - half * half);
     let [first, second, third, last] = *trace;
     let out = direction(first, second);
@@ -149,8 +149,8 @@ fn isolate_trace(w: &mut Writer, trace: &Trace, distance: i64) -> Result<()> {
     let line = |w: &mut Writer, [x, y]: [i64; 2]| w.line_to("G1", [Some(x), Some(y), None], Some(FEED));
     line(w, corner(second, out, across, half))?;
     line(w, corner(third, across, opposite(back), half))?;
-    // The trace arrives at its last pad in the direction opposite to `back`, so the trace's left side is on the right
-    // of `back`.
+    // `back` points from the last pad back along the trace, against the direction of this cut. So the left side of the
+    // cut is the right side of `back`, and `side` is negative.
     let arrive = at(last, back, meet, -half);
     line(w, arrive)?;
     let leave = at(last, back, meet, half);

@@ -34,7 +34,7 @@ struct Reader {
 /// Limit for `timeout`, s: an endless program would fill the memory.
 const LONGEST: &str = "20";
 
-/// Options of a run.
+/// Settings of a run of `rs274`, and which events it returns.
 pub struct Settings<'a> {
     /// Contents of the tool table of `rs274`.
     pub tools: &'a str,
@@ -60,9 +60,10 @@ pub fn interpret(home: &Path, file: &Path, settings: &Settings) -> Result<Outcom
         .map_err(|e| format!("rs274: {e}"))?;
     let mut reader = Reader { plane: [0, 1, 2], ..Reader::default() };
     for line in String::from_utf8_lossy(&output.stdout).lines() {
-        // Format: the number of the call, the line's number or dots, the call.
+        // A line of the output has the number of a call, then N with the number of the program's line or dots, then the
+        // call.
         let Some((_, numbered)) = line.trim_start().split_once(" N") else {
-            // A line without a call can be the text of a (PRINT, ...).
+            // A line without a call can be what `(PRINT, ...)` in the program outputs.
             if settings.is_told_all && line.starts_with(super::STATE) {
                 reader.events.push(Event::Message(line.into()));
             }
@@ -102,7 +103,8 @@ impl Reader {
 
     fn call(&mut self, call: &str) -> Option<()> {
         let (name, arguments) = call.strip_suffix(')')?.split_once('(')?;
-        // For a program in inches, `lengths` converts all numbers. That of A is in degrees and must be converted back.
+        // For a program in inches, `lengths` converts all numbers to mm. The number of A is in degrees, so its
+        // conversion is undone here.
         let unit = if self.inches { 25.4 } else { 1.0 };
         let place =
             |numbers: &[f64]| Some([*numbers.first()?, *numbers.get(1)?, *numbers.get(2)?, *numbers.get(3)? / unit]);

@@ -3,10 +3,11 @@
 //! Functions whose value jumps (`FIX`, `MOD`, `ROUND`, comparisons) must not jump because of rounding: LinuxCNC
 //! computes with binary numbers, in which `0.29 * 100` is below 29. So a number is an integer, a half, or has five
 //! random decimals, of which the last is odd: sums and products of such numbers do not fall on a jump by chance. An
-//! angle is never an integer: in LinuxCNC sine, cosine and tangent of some integers are slightly off 0, 0.5 and 1. The
-//! `y` of `ATAN` is never 0: for a binary -0 the angle of half a turn is negative. Arguments are within the range of
-//! their function, and powers and exponents are small, for two reasons: only Oxmill rejects a result that is too large,
-//! and large binary numbers have no digits after the point.
+//! angle is never an integer: where the exact sine, cosine or tangent of an integer is 0, 0.5 or 1, LinuxCNC's result
+//! can be slightly different. The `y` of `ATAN` is never 0: binary numbers have a -0, for which `ATAN` returns -180
+//! instead of 180 degrees. Arguments are within the range of their function, and powers and exponents are small, for
+//! two reasons: only Oxmill rejects a result that is too large, and large binary numbers have no digits after the
+//! point.
 
 use oxmill_test_support::Random;
 
@@ -81,7 +82,8 @@ fn function(random: &mut Random, depth: u32) -> String {
     }
 }
 
-/// Returns operands and operators, as within a bracket.
+/// Returns an expression without the brackets around it: operands with operators between them, nested at most `depth`
+/// deep.
 pub fn chain(random: &mut Random, depth: u32) -> String {
     let mut text = operand(random, depth);
     for _ in 0..random.below(4) {
@@ -138,7 +140,8 @@ pub fn value(random: &mut Random) -> String {
         9 => format!("[{}]", random.below(20)),
         10 => format!("[[{}] MOD 13.71317]", chain(random, 2)),
         11 => format!("FIX[10 * SIN[{} + 0.01357]]", chain(random, 1)),
-        // Truncated to millionths, because a loop would amplify rounding errors. LinuxCNC's `ROUND` is limited to 2^31.
+        // `FIX` truncates the value to millionths, because a loop would amplify rounding errors. `ROUND` is not used,
+        // because LinuxCNC limits it to 2^31.
         _ => format!("[FIX[[{}] * 1000000 + 0.31713] / 1000000 MOD 913.31713 - {}]", chain(random, 2), plain(random)),
     }
 }

@@ -18,10 +18,10 @@ use std::path::{Path, PathBuf};
 const MOST_LINES: usize = 200_000;
 /// Files with this ending are programs.
 const ENDING: &str = "ngc";
-/// Tools that are defined on both sides, without offsets.
+/// Numbers of the tools that are entered into the tool tables of both interpreters, without offsets.
 const TOOLS: std::ops::RangeInclusive<u32> = 1..=30;
 
-/// Result of a program in Oxmill.
+/// Events of a program in Oxmill's interpreter, and the line that it has rejected, if any.
 struct Ours {
     events: Vec<Event>,
     /// The line of the file that was rejected, and the reason.
@@ -120,7 +120,7 @@ fn interpret(text: &[u8]) -> Ours {
         let entered = program.mill.run(&format!("G10 L1 P{tool} X0 Y0 Z0"));
         assert!(entered.is_ok(), "the table has room for tool {tool}");
     }
-    // LinuxCNC starts in this mode.
+    // LinuxCNC starts in G99, so Oxmill is set to it, too.
     assert!(program.mill.run("G99").is_ok());
     let rules = || LineRules {
         length: line_filter::LENGTH,

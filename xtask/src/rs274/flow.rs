@@ -38,7 +38,8 @@ use super::{Event, Outcome, PLACES_MARK};
 use oxmill_controller::error::Error;
 use oxmill_test_support::Random;
 
-/// Start of every program.
+/// First lines of every program. They reset what the previous program has changed, and set the parameters that
+/// expressions use.
 const BEGIN: &[&str] = &[
     "G49",
     "G21 G90 G17 G94 G98 G40 G80 G61 G91.1",
@@ -100,7 +101,8 @@ const PLACES: [&str; 12] =
 const MORE: usize = 60;
 /// Positions beyond this, mm, can be out of Oxmill's range.
 const FAR: f64 = 10_000.0;
-/// Maximum line length: longer lines are omitted, because `rs274` truncates lines at another length than Oxmill.
+/// Maximum line length: statements with longer lines are not generated, because `rs274` truncates lines at another
+/// length than Oxmill.
 const LONGEST: usize = 200;
 /// Maximum message length: longer messages are omitted, because Oxmill truncates them.
 const LONGEST_MESSAGE: usize = 80;
@@ -122,7 +124,8 @@ struct Writer {
     runner: Runner,
     batch: Batch,
     refused: Option<Refused>,
-    /// Whether there are `do` loops, and therefore no `break` in a `while`.
+    /// Whether the batch may have `do` loops. If so, it has no `break` in a `while`, because in `rs274` such a `break`
+    /// also ends the next `do`.
     has_do: bool,
     /// Number of labels used so far.
     labels: u64,
@@ -454,7 +457,7 @@ impl Writer {
         let retract = random.of(&["G98 ", "G99 ", ""]);
         let (x, r, z) = (expressions::length(random), expressions::plain(random), expressions::plain(random));
         let times = random.of(&["", "", " L2", " L[1 + 2]"]);
-        // A word that a cycle cannot have.
+        // Rarely, an A word is added. A cycle cannot have one, so Oxmill rejects such a line.
         let turn = if random.below(40) == 0 { " A#1" } else { "" };
         vec![
             "G17".into(),

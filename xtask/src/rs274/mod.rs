@@ -30,11 +30,11 @@ const RATE_TOLERANCE: f64 = 2e-4;
 /// Minimum rate in G93: `rs274` replaces lower rates by 0.1 units of the program per minute. Here in mm/min, for
 /// programs in mm and in inches.
 const LEAST_RATES: [f64; 2] = [0.1, 2.54];
-/// First word of the messages that programs send, except those with stored positions ([`PLACES_MARK`]).
+/// First word of the messages in generated programs, except those that show stored positions ([`PLACES_MARK`]).
 const STATE: &str = "state";
 /// First word of messages that show stored positions, which are in inches in `rs274`.
 const PLACES_MARK: &str = "places";
-/// Moves shorter than this, mm, are ignored on both sides.
+/// Moves shorter than this, mm, are left out of the events of both interpreters.
 const NO_MOVE: f64 = 0.0075;
 /// Number of lines printed before one that differs.
 const BEFORE: usize = 8;
@@ -59,7 +59,8 @@ pub enum Event {
     Dwell(f64),
     /// A program output: whether it is analog, its number, its value, and whether it changes with the next motion.
     Output(bool, i64, f64, bool),
-    /// Feed rate of the preceding feed move or arc, mm/min, that G93 derives from its time.
+    /// While G93 is active, after a feed move or an arc: its feed rate, mm/min, which follows from its length and its
+    /// programmed time.
     Rate(f64),
     /// A message to the operator.
     Message(String),
@@ -103,7 +104,7 @@ impl Event {
     }
 }
 
-/// Result of a batch.
+/// Events of a batch in one of the interpreters, and the line that it has rejected, if any.
 pub struct Outcome {
     pub events: Vec<Event>,
     /// For each event, the index of the line that caused it; empty for `rs274`.
@@ -162,7 +163,8 @@ struct Totals {
     differences: Vec<String>,
 }
 
-/// Findings of one batch.
+/// Comparison of one batch: the numbers of its lines and of Oxmill's events, whether it ends with a rejected line, and
+/// the first difference.
 struct Found {
     lines: usize,
     events: usize,

@@ -19,7 +19,7 @@ pub struct Mill {
     interpreter: Interpreter<AXES>,
     /// End position of the most recent event, machine coordinates.
     place: [f64; AXES],
-    /// Whether this position is missing in the events, because the most recent event was a spline.
+    /// Whether no event has this position, because the most recent event was a spline.
     is_place_untold: bool,
     /// Whether a move of the most recent line is so short that rounding decides if there is a move at all.
     is_doubtful: bool,
@@ -64,7 +64,8 @@ impl Mill {
         &mut self.interpreter
     }
 
-    /// Carries out a line, and the held lines that it runs (by a call or a loop). Blanks in the line are ignored.
+    /// Carries out a line, and the stored lines that it runs if it is a call or the end of a loop. Blanks in the line
+    /// are ignored.
     pub fn run(&mut self, line: &str) -> Result<Vec<Event>, Error> {
         self.is_doubtful = false;
         match self.interpreter.direct(line.replace(' ', "").to_uppercase().as_bytes(), &[], 0)? {
@@ -139,8 +140,8 @@ impl Mill {
                 let mut is_first = true;
                 while let Some(step) = cycle.step(CLEARANCE) {
                     match step {
-                        // `rs274` outputs no rise if the tool is already at R. If a spline came before the cycle, the
-                        // next move then shows where the spline ended.
+                        // If the tool is already at R, the rise at the start of a cycle has no event, because `rs274`
+                        // does not output it. After a spline, the next move then shows where the spline ended.
                         CycleStep::Rapid(place) if std::mem::take(&mut is_first) && mm(&place) == self.place => {}
                         CycleStep::Rapid(place) => self.go(&place, true, &mut events),
                         CycleStep::Feed(place, _) => self.go(&place, false, &mut events),
@@ -228,8 +229,8 @@ mod tests {
             ];
             let found = run("G99 G86 X2 Y1 Z-2 R-1 P0.5");
             assert!(found.len() == expected.len() && found.iter().zip(&expected).all(|(a, b)| a.is_as(b)), "{found:?}");
-            // A rise that is needed has an event. In G91, R counts from the height at which the series of cycles
-            // started.
+            // If the tool is not at R, the rise has an event. In G91, R counts from the height at which the series of
+            // cycles started.
             let rises = run("G81 X1 Z-2 R3");
             assert!(rises[0].is_as(&Event::Rapid(way(6.0, 8.0))), "{rises:?}");
         }

@@ -48,7 +48,7 @@ struct Writer {
     /// Whether M61 has set the tool in the spindle. Then no G43 without H is generated, because the machine stub of
     /// `rs274` looks up a tool's offset only at M6.
     is_tool_named: bool,
-    /// Number of subroutines so far.
+    /// Number of subroutines written so far; each is named after its number.
     subroutines: usize,
     batch: Batch,
     refused: Option<String>,
@@ -123,7 +123,7 @@ impl Writer {
         all[self.below(all.len() as u64) as usize]
     }
 
-    /// Returns a length from `least` to `most` mm as the number of a word.
+    /// Returns a random length from `least` to `most` mm, as a number in the program's unit.
     fn length(&mut self, least: f64, most: f64) -> String {
         let share = self.below(2001) as f64 / 2000.0;
         let mm = least + (most - least) * share;
@@ -174,8 +174,8 @@ impl Writer {
                 self.refused = None;
                 true
             }
-            // Not a rejected line for the comparison: `rs274` accepts arcs and cycles in another plane than that of a
-            // rotation.
+            // This line cannot end the batch as a line that both must reject, because `rs274` accepts arcs and cycles
+            // in another plane than that of a rotation.
             Err(Error::NotInRotatedPlane) => false,
             Err(_) => {
                 self.refused = Some(line);
@@ -184,7 +184,8 @@ impl Writer {
         }
     }
 
-    /// Call before a possible change of rotation: clears G92 if it is active while a system is rotated.
+    /// Clears G92 if it is active while a coordinate system is rotated. Called before a line that can change the
+    /// rotation, because LinuxCNC loses its position if G92 is active then.
     fn before_rotation(&mut self) {
         if self.mill.is_rotated_under_g92() {
             self.put("G92.1".into());

@@ -20,7 +20,7 @@ use oxmill_sqrt::square_root;
 /// Letters that give the centre of an arc.
 pub(super) const CENTRE: Letters = Letters::of(b"IJK");
 
-/// Kind of line that is checked.
+/// Origin of the line that is checked: a program, or a jog (`$J=`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::gcode) enum Purpose {
     Program,
@@ -45,7 +45,7 @@ fn inverse_time(feed: Decimal) -> Feed {
     Feed::InverseTime(60.0 / feed.to_f32())
 }
 
-/// A line while it is checked.
+/// A line during its check: its words, those of them that are still unused, and the result so far.
 pub(super) struct Draft<'a, const N: usize> {
     pub(super) state: &'a Interpreter<N>,
     pub(super) line: &'a Parsed<N>,
@@ -155,7 +155,8 @@ impl<'a, const N: usize> Draft<'a, N> {
         along(&self.state.position, axis)
     }
 
-    /// Returns the present position along an axis in program coordinates after scaling.
+    /// Returns the present position along an axis in work coordinates, without the rotation. With G51 these are the
+    /// scaled coordinates, not the ones that the program wrote.
     pub(super) fn program_coordinate(&self, axis: Axis) -> Coordinate {
         if FULL_IMAGE && let Some(rotated) = self.rotated {
             let [first, second] = self.state.in_program(rotated, rotated.part_of(&self.state.position));
@@ -200,9 +201,9 @@ impl<'a, const N: usize> Draft<'a, N> {
         }
     }
 
-    /// Returns the feed of a straight move. F is the speed along the path of X, Y and Z, and the rotary axes take the
-    /// same time. If only rotary axes move, F is in degrees per minute (RS274NGC, 2.1.2.5). The result is the speed
-    /// along the path of all axes.
+    /// Returns the feed of a straight move as the speed along its path in all axes, rotary axes included. F is the
+    /// speed along the path of X, Y and Z alone; rotary axes start and end with them. If only rotary axes move, F is in
+    /// degrees per minute (RS274NGC, 2.1.2.5).
     pub(super) fn feed_to(&self, target: &PerAxis<Coordinate, N>) -> Feed {
         match self.feed_of_motion() {
             Feed::PerMinute(feed) if N > LINEAR => {

@@ -274,8 +274,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Sets the program flow, whether the line uses a machine position, and whether the work offset changes. M2 and M30
-    /// also reset modal state, rotation and scaling.
+    /// Completes the action: sets `flow` (what the program does after the motion), `uses_machine_place` and
+    /// `work_offset_changed`. M2 and M30 also reset modal state, rotation and scaling.
     fn finish(self) {
         let action = self.action;
         action.flow = match self.line.flow {

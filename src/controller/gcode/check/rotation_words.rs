@@ -167,8 +167,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G10 L10 and L11 in a rotated system: sets the offset of the tool. `present` is its offset before the line.
-    /// Returns whether the system is rotated; if not, nothing is set.
+    /// G10 L10 and L11 in a rotated system: sets the offset of the tool. `present` is the offset in the tool table so
+    /// far. Returns whether the system is rotated; if not, nothing is set.
     pub(super) fn sets_rotated_tool(&mut self, l: i32, present: &PerAxis<Coordinate, N>) -> Result<bool, Error> {
         self.needs_no_rotation()?;
         let offsets = &self.state.offsets;

@@ -65,8 +65,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(Scaling::new(factors, centre))
     }
 
-    /// Returns the scaling that acts on the line. Incremental jogs are not scaled, because they move along the
-    /// machine's axes, as the jog buttons show.
+    /// Returns the scaling that acts on the line. Incremental jogs are not scaled, because jog buttons refer to
+    /// distances along the machine's axes.
     fn scaling_of(&self, incremental: bool) -> Option<&Scaling> {
         self.scaled.filter(|_| FULL_IMAGE && !(incremental && self.purpose == Purpose::Jog))
     }
@@ -89,10 +89,11 @@ impl<const N: usize> Draft<'_, N> {
         self.scaled_word(axis, value, incremental).0
     }
 
-    /// Stores the remainders that are left from rounding a scaled target.
+    /// Stores for each scaled axis what rounding its target has cut off, so that incremental lines do not add up
+    /// rounding errors.
     #[inline(never)]
     pub(super) fn keep_rest(&mut self, incremental: bool) {
-        // A jog changes only the position.
+        // A jog changes only the position, not the remainders that a program continues with.
         if self.scaling_of(incremental).is_none() || self.purpose == Purpose::Jog {
             return;
         }

@@ -28,8 +28,8 @@ impl<const N: usize> Draft<'_, N> {
         })
     }
 
-    /// Returns the target in scaled or rotated coordinates. An axis without a word keeps its program coordinate.
-    /// Incremental jogs move along the machine's axes, which jog buttons and position reports show.
+    /// Returns the target of a line with scaling or rotation. An axis without a word keeps its program coordinate.
+    /// Incremental jogs ignore both, because jog buttons and position reports refer to the machine's axes.
     #[inline(never)]
     fn transformed_target(&mut self) -> PerAxis<Coordinate, N> {
         let incremental = self.action.modal.distance == Distance::Incremental;
@@ -44,8 +44,9 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Rotates `target`, which was computed without the rotation. Also stores the target in the action as the program
-    /// wrote it.
+    /// Replaces the coordinates of `target` in the rotated plane: `target` was computed without the rotation, the
+    /// result includes it. Also stores in the action the target's position in this plane, both without and with the
+    /// rotation, so that the next line can start from it without rounding.
     fn rotated_target(
         &mut self,
         rotated: RotatedPlane,

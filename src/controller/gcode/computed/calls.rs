@@ -1,5 +1,5 @@
-//! Begins calls of subroutines and subprograms. Also stops the running text, and abandons a program with its open
-//! blocks.
+//! Begins calls of subroutines and subprograms. Also stops the execution of held text (recorded lines), and abandons a
+//! program with its open blocks.
 
 use super::Computed;
 use super::flow::{FlowState, FrameKind, Keyword, OWord, STREAM};
@@ -9,8 +9,8 @@ use crate::gcode::state::{Interpreter, ProgramPlace};
 
 impl<const N: usize> Interpreter<N> {
     /// Begins a call. `back`: the position in the held text to which the call returns, or [`STREAM`] for a call in a
-    /// line of the host. If a call from the stream cannot begin, stops the held text that the caller has already
-    /// started.
+    /// line of the host. Such a line has already started the subroutine's text (`FlowControl::run`); if the call fails,
+    /// this function stops the text again.
     pub(super) fn call(
         &mut self,
         kind: FrameKind,
@@ -29,13 +29,14 @@ impl<const N: usize> Interpreter<N> {
         pushed
     }
 
-    /// Stops the running text after one of its lines was refused, and ends the modal call.
+    /// Stops executing the held text after one of its lines was refused, and ends the modal call.
     pub fn abandon_held(&mut self) {
         self.computed.flow.modal.end();
         self.stop_held();
     }
 
-    /// Stops the running text, ends its calls, and drops the states saved in them.
+    /// Stops executing the held text, ends its calls, and drops the modal states that M70 and M73 have saved in these
+    /// calls.
     pub(super) fn stop_held(&mut self) {
         self.computed.flow.stop();
         self.computed.parameters.leave_calls();
@@ -44,8 +45,8 @@ impl<const N: usize> Interpreter<N> {
 
     /// Abandons the program. Call this when its remaining lines will not run, or when another host has taken over.
     /// Forgets open conditions and loops, and all recorded lines except macros. Ends G68 and G51, because no other
-    /// program expects them. If a program is held, or the host is sending subprograms, the lines that follow are
-    /// refused until another program begins.
+    /// program expects them. If the program waits for a subprogram that it has called, or the host is sending
+    /// subprograms, the lines that follow are refused until another program begins.
     pub fn abandon_program(&mut self) {
         if self.is_held() || self.place == ProgramPlace::Subprogram {
             self.place = ProgramPlace::Refused;
@@ -67,7 +68,7 @@ impl<const N: usize> Interpreter<N> {
         Error::OutOfPlace
     }
 
-    /// Whether a program is held, or a subprogram recorded.
+    /// Whether a program waits for a subprogram that it has called, or a subprogram is being recorded.
     pub fn is_held(&self) -> bool {
         let flow = &self.computed.flow;
         match flow.state {

@@ -86,7 +86,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Explains M98, M99, G65 and G66.
+    /// Writes why a line with M98, M99, G65 or G66 was refused.
     #[inline(never)]
     fn explain_call(&self, line: &[u8], order: &OWord, error: Error, out: &mut Reason) {
         let name: &[u8] = match order.keyword {
@@ -127,8 +127,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Explains M words that call macros, `IF [..] THEN` and GOTO. Returns `false` if the words of the line are the
-    /// cause.
+    /// Writes why a line with a call of an M macro, `IF [..] THEN` or GOTO was refused. Returns `false` if it has
+    /// written nothing: the M word has no macro, so the other words of the line explain the error.
     #[inline(never)]
     fn explain_jump(&self, line: &[u8], order: &OWord, error: Error, out: &mut Reason) -> bool {
         let name: &[u8] = match order.keyword {

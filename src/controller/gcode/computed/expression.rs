@@ -307,8 +307,8 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         self.wait(Waiting::Operator(*operator, left))
     }
 
-    /// Computes the waiting operators whose level is `level` or higher, with `value` as right operand. Returns the
-    /// result.
+    /// Computes the waiting operators whose precedence is `level` or higher, the most recent one first. `value` is the
+    /// right operand of this one. Returns the result.
     fn left_sides(&mut self, value: Real, level: u8) -> Result<Real, Error> {
         let mut value = value;
         while let Some(Waiting::Operator(operator, left)) = self.waiting.last().copied() {

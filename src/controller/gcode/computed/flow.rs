@@ -36,8 +36,9 @@ pub(super) const MOST_HELD: usize = 12_288;
 pub const LEAST_HELD: usize = 6144;
 /// Maximum number of bytes of the held text that macros may take; the rest is for programs.
 pub(super) const MOST_MACROS: usize = 3072;
-/// Size of the part of the held text that is reserved for the first line of a subroutine or loop, in bytes. With this
-/// reserve, the label is recorded and the end is recognized, even if the other lines do not fit.
+/// Number of bytes that every line leaves free in the held text, except the first line of a subroutine or loop and the
+/// `ENDSUB` that replaces M99. So even if the other lines do not fit, the label is recorded, by which the last line of
+/// the block is recognized.
 pub(super) const SPARE: usize = 64;
 /// Maximum nesting of conditions, loops and calls: enough for 16 nested calls, each within two conditions.
 const DEPTH: usize = 48;
@@ -50,7 +51,7 @@ pub(super) const PASSES: u32 = 100_000;
 /// Return position of a call from the stream: after the call, the program continues with the host's next line.
 pub(super) const STREAM: u16 = u16::MAX;
 
-/// A line of held text: its words, followed by its message with the mark (see `split_remark`).
+/// A line of held text: its words, followed by its message, which begins with a mark (`(` or `;`, see `split_remark`).
 pub type HeldLine = heapless::Vec<u8, 256>;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -145,7 +146,8 @@ impl<'a> OWord<'a> {
         Some(OWord { label, keyword: *keyword, arguments: text.get(name.len()..)? })
     }
 
-    /// Reads a word at the beginning of a line that acts like an O word.
+    /// Reads, at the beginning of a line, a word other than O that controls the flow: a call or M99, IF, WHILE, END or
+    /// GOTO.
     fn without_o(line: &'a [u8]) -> Option<OWord<'a>> {
         match line.first()? {
             b'M' | b'G' => Self::of_call(line),
@@ -251,8 +253,8 @@ impl<'a> OWord<'a> {
         if self.is_well_formed() { Ok(()) } else { Err(Error::FlowSyntax) }
     }
 
-    /// Whether the line can still belong to the program after an M2 or M30 within a block. Calls, M99, THEN and GOTO
-    /// cannot.
+    /// Whether this O word can follow an M2 or M30 of the same program that was only skipped or recorded, because a
+    /// block is open or the program is held. Calls, M99, THEN and GOTO cannot.
     pub(super) fn may_follow_end(&self) -> bool {
         !matches!(
             self.keyword,
@@ -363,12 +365,12 @@ pub(super) enum FlowState {
     Holding,
     /// The recorded program has ended, and waits for the definition of a subprogram.
     Waiting,
-    /// Held text runs. With a position: the text is that of a loop or another line of the stream. It begins at this
-    /// position and is dropped when it has run.
+    /// Held text is executed. The position is the start of a text that was stored only for this execution (a loop, or a
+    /// line of the host with a call), and that is removed afterwards. `None` for a subroutine, which remains.
     Running(Option<u16>),
 }
 
-/// Buffer of the held text, with the capacity for hosts.
+/// Buffer of the held text in programs on a PC, where its capacity is fixed.
 #[cfg(feature = "alloc")]
 pub(super) type HeldText = heapless::Vec<u8, MOST_HELD>;
 /// Buffer of the held text. The type is a view without a fixed capacity, because the capacity differs from board to
@@ -376,7 +378,7 @@ pub(super) type HeldText = heapless::Vec<u8, MOST_HELD>;
 #[cfg(not(feature = "alloc"))]
 pub(super) type HeldText = heapless::vec::VecView<u8>;
 
-/// Held text, and the open blocks and calls.
+/// State of the O words: the held text, the open blocks and calls, and how the next line is treated.
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[derive(Debug, PartialEq)]
 pub(super) struct FlowControl {
@@ -390,24 +392,25 @@ pub(super) struct FlowControl {
     pub(super) state: FlowState,
     /// Whether lines are skipped, up to the next O word with the label of the innermost frame.
     pub(super) skipping: bool,
-    /// Position of the next line to run.
+    /// Position in the held text of the line that is executed next.
     pub(super) next: u16,
-    /// Number of frames that lines of the host have opened. The frames after them belong to the running text.
+    /// Number of frames that lines of the host have opened. The frames after them were opened by held text that is
+    /// running.
     pub(super) below: u8,
     passes: u32,
     pub(super) skipped: u32,
     /// Number of the host's present line; the first received line is 1.
     pub(super) line: u32,
-    /// Number of the host's line with which the recording began.
+    /// Number of the host's line with which the present recording of a block, held program or subprogram began.
     pub(super) recorded_from: u32,
     /// Whether the previous line was an M2 or M30 that was skipped or recorded.
     pub(super) after_end: bool,
     /// If a block was still open at the end of the program: the number of the host's line at which this block began.
     pub(super) cut: Option<u32>,
-    /// Position of a call whose subprogram is not known yet. When the subprogram is known, the program continues with
-    /// this call.
+    /// Position in the held text of the call for whose subprogram the program waits, because the host has not sent it
+    /// yet. When the subprogram is complete, the program continues with this call.
     pub(super) waiting: Option<u16>,
-    /// Start of the text that is held for the call at `waiting`.
+    /// Start of the held text that runs when the call at `waiting` continues; when it has run, it is removed.
     held_from: u16,
     /// Number of the subprogram in the most recent call of an unknown subprogram.
     pub(super) missing: u32,
@@ -421,7 +424,7 @@ pub(super) struct FlowControl {
 }
 
 impl FlowControl {
-    /// `most`: maximum number of bytes of the text.
+    /// `text`: empty buffer for the held text. `most`: maximum number of bytes of the text.
     pub fn new(text: Lent<HeldText>, most: usize) -> Self {
         Self {
             text,
@@ -605,7 +608,7 @@ impl FlowControl {
         self.last_label() == label
     }
 
-    /// Returns the labels of all frames, one after the other.
+    /// Returns the labels of all frames without separators, the innermost last. [`Frame::label`] is the length of each.
     pub(super) fn labels(&self) -> &[u8] {
         &self.labels
     }
@@ -647,7 +650,8 @@ impl FlowControl {
         self.held_from = if let FlowState::Running(Some(from)) = self.state {
             from
         } else {
-            // The call from the stream returns to the lines that are held from here on.
+            // The outermost call is that of a host's line. It returns to the lines that the program sends from now on:
+            // they are held at the end of the text.
             if let Some(call) = self.frames.get_mut(usize::from(self.below)) {
                 call.at = end;
             }
@@ -659,8 +663,8 @@ impl FlowControl {
             self.after_end = false;
         }
         self.waiting = Some(at);
-        // The lines of the program after the call are held, and all open conditions belong to these lines. So the
-        // stream has no frames left.
+        // From here on the program's lines are held text, too. So all open frames, even conditions that lines of the
+        // host have opened, belong to the text that runs next.
         self.below = 0;
     }
 
@@ -674,7 +678,8 @@ impl FlowControl {
         true
     }
 
-    /// Stops the running text, whether or not it has reached its end, and closes the blocks and calls within it.
+    /// Stops executing the held text, whether or not it has reached its end, and closes the blocks and calls within it.
+    /// Removes the text if it was stored only for this execution.
     pub fn stop(&mut self) {
         if let FlowState::Running(of_loop) = self.state {
             if let Some(at) = of_loop {

@@ -29,7 +29,7 @@ impl<const N: usize> Interpreter<N> {
         Ok(Held::Line)
     }
 
-    /// Executes GOTO in the running text.
+    /// Executes GOTO in held text: if its condition is true or absent, continues with the line that has this N number.
     #[inline(never)]
     pub(super) fn go_to(&mut self, order: &OWord) -> Result<(), Error> {
         if !order.arguments.is_empty() && !self.condition(order.arguments)? {
@@ -99,12 +99,13 @@ impl FlowControl {
         {
             let (first, end) = match frame.kind {
                 FrameKind::Call | FrameKind::Program(_) => return,
-                // The first line of a `while` pushes its frame again, so a jump to that line leaves the loop.
+                // A jump to the first line of a `while` leaves the loop, because this line pushes the frame again. So
+                // the range of the loop begins after the start of this line.
                 FrameKind::While => (frame.at + 1, Keyword::EndWhile),
                 FrameKind::Do => (frame.at, Keyword::While),
                 FrameKind::Repeat(_) => (frame.at, Keyword::EndRepeat),
-                // A condition has no position, so it is always closed. If the target is within the condition, the
-                // `endif` of the condition is an error.
+                // The frame of a condition does not store where the condition is in the text, so the condition is
+                // always closed. If the target is within it, its `endif` becomes an error.
                 FrameKind::If(_) => {
                     self.pop();
                     continue;

@@ -14,7 +14,8 @@ use crate::messages::SpindleDirection;
 use crate::number;
 use crate::units::{Coordinate, DECIMAL_ONE, DECIMAL_PLACES, Decimal};
 
-/// Letters of words that select something. Computed values of these words are rounded (see `to_hundredths`).
+/// Letters of words whose value is usually a number of something, such as a G code, a tool or a line. Computed values
+/// of these words are rounded (see `to_hundredths`).
 const SELECTORS: &[u8] = b"DGHLMNOPT";
 
 impl<const N: usize> Interpreter<N> {

@@ -33,7 +33,7 @@ pub use flow::HeldLine;
 #[cfg(feature = "alloc")]
 pub use flow::LEAST_HELD;
 
-/// References to the memory of one [`Computed`]; on hosts, boxes.
+/// Memory of one [`Computed`]: references to static storage on boards, boxes in programs on a PC.
 #[derive(Debug)]
 pub(super) struct ComputedMemory {
     cells: Lent<Cells>,
@@ -66,7 +66,7 @@ impl ComputedMemory {
     }
 }
 
-/// The part of the interpreter's state that expressions, parameters and O words need.
+/// The interpreter's state for expressions, parameters and O words.
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[derive(Debug, PartialEq)]
 pub(super) struct Computed<const N: usize> {
@@ -99,7 +99,7 @@ impl<const N: usize> Computed<N> {
         }
     }
 
-    /// Forgets parameters, results and held text, except the macros.
+    /// Forgets parameters and held text, except the macros, and the results of subroutines, probing and M66.
     pub fn reset(&mut self) {
         self.parameters.reset();
         self.flow.reset();
@@ -109,7 +109,8 @@ impl<const N: usize> Computed<N> {
         self.input_read = 0;
     }
 
-    /// Ends the modal call of G66.
+    /// Ends the modal call of G66, if there is one. Called after a refused line, by `$X`, and when another program
+    /// begins.
     pub fn end_modal_call(&mut self) {
         self.flow.modal.end();
     }
@@ -147,12 +148,12 @@ impl<const N: usize> Computed<N> {
         self.parameters.drop_staged();
     }
 
-    /// Whether the line sets a parameter.
+    /// Whether the line being checked assigns a parameter.
     pub fn assigns(&self) -> bool {
         self.parameters.has_staged()
     }
 
-    /// Applies the assignments of the checked line.
+    /// Puts the assignments of the checked line into force.
     pub fn commit(&mut self) {
         self.parameters.commit();
     }

@@ -44,7 +44,7 @@ impl ModalCall {
         kept
     }
 
-    /// Returns the call if it comes next, and marks it as done.
+    /// Returns the call, as a line with G65, if it is due, and clears `is_due`; `None` if no call is due.
     pub fn take_due(&mut self) -> Option<heapless::Vec<u8, LONGEST>> {
         core::mem::take(&mut self.is_due).then(|| self.line.clone())
     }
@@ -54,14 +54,15 @@ impl ModalCall {
         self.level
     }
 
-    /// Ends the modal call.
+    /// Forgets the stored call, even if it is due.
     pub fn end(&mut self) {
         self.line.clear();
         self.is_due = false;
     }
 
-    /// Examines the line that runs next, at this level of calls. Ends the modal call if the line has G67, or if `level`
-    /// is lower than that of G66. Makes the call due if the line moves an axis.
+    /// Called for each line before it runs; `level` is the present level of calls. Ends the modal call if the line has
+    /// G67, or if `level` is lower than that of G66. If the line moves an axis, the call becomes due: it runs after the
+    /// line.
     #[inline(never)]
     pub fn look_at(&mut self, line: &[u8], level: u8) {
         if level < self.level || level == self.level && has_g_word(line, &[670]) {

@@ -151,7 +151,7 @@ impl<const N: usize> Interpreter<N> {
         false
     }
 
-    /// Does nothing: there are no lines in the running text.
+    /// Does nothing: this build has no held text of which a line could be refused.
     pub fn refused_in_run(&mut self, _: &[u8]) {}
 
     /// Returns `None`: no program waits.

@@ -17,7 +17,7 @@ use core::fmt::Write;
 /// The label of a call: a name or digits.
 type Label = heapless::Vec<u8, LABELS>;
 
-/// The line that restores a saved state.
+/// Line that runs when a call ends in which M73 has saved the modal state: M72 restores this state.
 const RESTORE: &[u8] = b"M72";
 
 impl<const N: usize> Interpreter<N> {
@@ -63,7 +63,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Returns the number of lines that conditions have skipped.
+    /// Returns the number of lines of the present program that conditions have skipped.
     pub fn skipped(&self) -> u32 {
         self.computed.flow.skipped
     }
@@ -95,9 +95,9 @@ impl<const N: usize> Interpreter<N> {
         Err(error)
     }
 
-    /// Detects that a program has ended within a block. After an M2 or M30 that was skipped or recorded, only O words
-    /// other than calls can belong to the same program. Any other line belongs to the next program; for such a line,
-    /// drops the open blocks and refuses the line.
+    /// Detects that a program has ended although a block is open: its M2 or M30 was only skipped or recorded. After
+    /// such an M2 or M30, only O words other than calls can still belong to the program. Any other line belongs to the
+    /// next program; for such a line, drops the open blocks and refuses the line.
     fn look_for_end(&mut self, line: &[u8], order: Option<OWord>) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         let left_out = flow.leaves_lines_out();
@@ -239,8 +239,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Writes the next line of the running text to `line`. `line` is empty if the next line is skipped. An error stops
-    /// the running text.
+    /// Writes the next line of the held text that is running to `line`, or an empty line if conditions or loops skip
+    /// it. An error stops the text.
     pub fn next_held(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         self.computed.begin();
         let next = self.next_line(line);
@@ -442,7 +442,8 @@ impl<const N: usize> Interpreter<N> {
         if again { flow.go_back(frame.at) } else { Ok(()) }
     }
 
-    /// Executes `break` and `continue`: closes the blocks within the loop, and skips the rest of the pass.
+    /// Executes `break` and `continue`: closes the blocks within the loop, and skips lines up to the last line of the
+    /// loop. After `break` the loop ends there, after `continue` the next pass can begin.
     fn cut_pass(&mut self, order: OWord) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         while !flow.is_of_last(order.label) {
@@ -498,7 +499,7 @@ impl<const N: usize> Interpreter<N> {
                 && passes.left > 1
             {
                 flow.next_pass()?;
-                // A state that M73 has saved in this pass is restored before the next one.
+                // If M73 has saved the modal state in this pass, M72 restores it before the next pass.
                 if passes.is_macro && self.saved.leave(parameters.level().saturating_sub(1)) {
                     line.clear();
                     line.extend_from_slice(RESTORE).map_err(|_| Error::OutOfMemory)?;

@@ -9,18 +9,20 @@ use crate::gcode::program_number::{number_of, subprogram_number};
 /// Length of `O` and `ENDSUB`. With the number between them, they replace M99 in the held text.
 const END_OF_SUBPROGRAM: usize = 7;
 
-/// A held program that did not fit.
+/// Count of the bytes of a held program that did not fit into the held text.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Excess {
-    /// Length that the held text would have by now, in bytes.
+    /// Length that the held text would have in bytes if every line so far had been stored.
     held: usize,
-    /// Number of bytes by which the text and its spare bytes exceed the memory.
+    /// Number of bytes by which `held`, with [`SPARE`] bytes left free, exceeds the capacity of the held text.
     lacking: usize,
-    /// Number of digits of the present subprogram's number; 0 in the program.
+    /// Number of digits in the O number of the subprogram whose lines are being counted; 0 for lines of the main
+    /// program.
     digits: usize,
-    /// Whether the present subprogram is the one for which the program waited.
+    /// Whether the lines being counted belong to the subprogram for which the program waits.
     is_awaited: bool,
-    /// Whether further lines are counted, because they still belong to the program or its subprograms.
+    /// Whether the next refused line is counted; `false` after the awaited subprogram, and when another program has
+    /// begun.
     counts: bool,
 }
 
@@ -29,8 +31,8 @@ struct Excess {
 pub(super) struct Overflow([Excess; REASONS as usize]);
 
 impl Overflow {
-    /// Begins with a line of `length` bytes that did not fit into `flow`. `subprogram`: the number of the subprogram to
-    /// which the line belongs, and whether the program waits for this one.
+    /// Starts the count with the first line that did not fit into `flow`, of `length` bytes. `subprogram`: the number
+    /// of the subprogram to which the line belongs, and whether the program waits for this one.
     pub fn begin(&mut self, flow: &FlowControl, length: usize, subprogram: Option<(&[u8], bool)>) {
         for excess in &mut self.0 {
             let (number, is_awaited) = subprogram.unwrap_or_default();
@@ -39,7 +41,8 @@ impl Overflow {
         }
     }
 
-    /// Counts a further line. The count ends at the number of the subprogram that follows the awaited one.
+    /// Adds a further refused line to the count. After the awaited subprogram the program would continue, so the count
+    /// ends at the number of the subprogram that follows it.
     pub fn count(&mut self, flow: &FlowControl, line: &[u8]) {
         for excess in self.0.iter_mut().filter(|excess| excess.counts) {
             match subprogram_number(line) {
@@ -49,26 +52,27 @@ impl Overflow {
                     excess.digits = number.len();
                     excess.add(1 + line.len() + PROGRAM.len(), flow.most);
                 }
-                // M99 does not raise `lacking`, because the text that replaces it may use the spare bytes.
+                // M99 does not raise `lacking`: it is stored as `O`, number and `ENDSUB`, which may use the `SPARE`
+                // bytes.
                 None if has_m_word(line, &[b"99"]) => excess.held += 1 + END_OF_SUBPROGRAM + excess.digits,
                 None => excess.add(1 + line.len(), flow.most),
             }
         }
     }
 
-    /// Ends the count: another program begins.
+    /// Ends the count of missing bytes, because another program begins. [`Self::lacking`] still returns the sum.
     pub fn end(&mut self) {
         self.0.iter_mut().for_each(|excess| excess.counts = false);
     }
 
-    /// Returns by how many bytes the program is too long so far; `None` if no lines are being counted.
+    /// Returns by how many bytes the program is too long so far; `None` if no count of refused lines is in progress.
     #[cfg(feature = "reasons")]
     pub fn so_far(&self) -> Option<usize> {
         self.0.first().filter(|excess| excess.counts).map(|excess| excess.lacking)
     }
 
-    /// Returns by how many bytes the most recent program that did not fit was too long; `None` if all programs have
-    /// fit.
+    /// Returns how many bytes of memory were missing for the most recent held program that did not fit; `None` if all
+    /// programs have fit.
     pub fn lacking(&self) -> Option<usize> {
         self.0.first().map(|excess| excess.lacking).filter(|lacking| *lacking > 0)
     }

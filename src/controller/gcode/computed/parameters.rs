@@ -20,13 +20,14 @@ use crate::lent::Lent;
 const CAPACITY: usize = 4096;
 /// Maximum size of the parameters that one line may set, in bytes: 19 numbered parameters.
 const OF_A_LINE: usize = 256;
-/// Maximum length of a name.
+/// Maximum length of a parameter's name, in bytes.
 pub(super) const NAME_LENGTH: usize = 32;
-/// Size of the part of a cell before its key, in bytes.
+/// Size of the part of a cell before its key, in bytes: the length of the key, and the level of the call to which the
+/// parameter belongs.
 const HEAD: usize = 2;
-/// Size of the part of a cell after its key, in bytes.
+/// Size of the part of a cell after its key, in bytes: the parameter's value (mantissa and exponent).
 const TAIL: usize = 9;
-/// Level in the cells of global parameters, which all calls share.
+/// Level stored in the cell of a global parameter, in place of the call to which a local parameter belongs.
 const GLOBAL: u8 = u8::MAX;
 /// Highest number of a local parameter.
 const LOCAL_END: i64 = 30;
@@ -37,10 +38,12 @@ const NUMBER_MAX: i64 = 5999;
 /// The key of a parameter in its cell: two bytes of a number, or a name.
 type Key = heapless::Vec<u8, NAME_LENGTH>;
 
-/// Buffer of cells.
+/// Memory of all parameters: one cell for each value in force, then one for each value that the line being checked
+/// assigns.
 pub(super) type Cells = heapless::Vec<u8, { CAPACITY + OF_A_LINE }>;
 
-/// The parameters of a program.
+/// The numbered and named parameters that programs have set. (Parameters that show the machine's state are in
+/// `machine_values`.)
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[derive(Debug, PartialEq)]
 pub(super) struct Parameters {
@@ -54,7 +57,7 @@ pub(super) struct Parameters {
     level: u8,
 }
 
-/// A decoded cell.
+/// A parameter's value as stored in a cell, with the parameter's number or name (`key`) and the level of its call.
 struct Cell<'a> {
     level: u8,
     key: &'a [u8],
@@ -118,7 +121,7 @@ impl Parameters {
         Ok(())
     }
 
-    /// Whether the line sets a parameter.
+    /// Whether the line being checked assigns a parameter.
     pub fn has_staged(&self) -> bool {
         self.cells.len() > self.in_force
     }
@@ -129,7 +132,7 @@ impl Parameters {
         self.growth = 0;
     }
 
-    /// Applies the assignments of the line, from left to right.
+    /// Puts the assignments of the line being checked into force, from left to right.
     #[inline]
     pub fn commit(&mut self) {
         if self.has_staged() {
@@ -185,14 +188,14 @@ impl Parameters {
         Ok(())
     }
 
-    /// Ends the present call.
+    /// Ends the innermost call: forgets its local parameters.
     pub fn leave_call(&mut self) {
         self.drop_staged();
         self.forget_locals();
         self.level = self.level.saturating_sub(1);
     }
 
-    /// Ends all calls.
+    /// Ends all calls, and forgets the local parameters of each.
     pub fn leave_calls(&mut self) {
         while self.level > 0 {
             self.leave_call();

@@ -16,7 +16,7 @@ use crate::error::Error;
 use crate::units::{Coordinate, DECIMAL_PLACES, Decimal, integer_root};
 use core::cmp::Ordering;
 
-/// Number of digits of a mantissa.
+/// Maximum number of digits of a mantissa.
 const DIGITS: u32 = 18;
 /// Exclusive upper limit of a mantissa.
 const MANTISSA_END: i64 = 1_000_000_000_000_000_000;
@@ -277,7 +277,8 @@ impl Real {
         Ok(if none_is_left { Real::ZERO } else { rest })
     }
 
-    /// Rounds down to a whole number.
+    /// Rounds down to a whole number. A number that is within the rounding error of a whole number counts as that
+    /// number.
     #[inline(never)]
     pub fn floor(self) -> Real {
         let nearest = self.round();
@@ -552,8 +553,8 @@ impl Real {
         if Self::known(100, 0).is_below(self) {
             return Err(Error::InvalidResult);
         }
-        // The result would be below 10^-40, so it becomes 0. It cannot be computed: for a slightly smaller `self`,
-        // `scale` would be 2^137, which exceeds the range of numbers (10^41).
+        // Below -94 the result is less than 10^-40, so it becomes 0. The steps below could not compute it: for `self`
+        // below about -94.3, `scale` is 2^137, which exceeds the maximum of a number (10^41).
         if self.is_below(Self::known(-94, 0)) {
             return Ok(Real::ZERO);
         }

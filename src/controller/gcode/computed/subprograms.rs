@@ -69,8 +69,8 @@ impl<const N: usize> Interpreter<N> {
         flow.waiting.map(|_| flow.missing)
     }
 
-    /// Handles a line of a held program or of a subprogram, or a part of such a line. Returns `None` for all other
-    /// lines.
+    /// Decides on a line, or part of a line (see `split_call`), of a held program or of a subprogram: records it,
+    /// refuses it, or begins a subprogram. Returns `None` for all other lines, which the caller handles.
     #[inline(never)]
     pub(super) fn direct_subprogram(
         &mut self,
@@ -158,7 +158,8 @@ impl<const N: usize> Interpreter<N> {
     pub(in crate::gcode) fn look_among_subprograms(&mut self, line: &[u8]) -> bool {
         let flow = &self.computed.flow;
         let belongs = match flow.state {
-            // `hold_line` decides on this line. It refuses an O number before the end of the program.
+            // Whether this line belongs to the held program, `hold_line` decides later. It refuses an O number before
+            // the end of the program.
             FlowState::Holding => return true,
             FlowState::Recording(..) => self.is_held(),
             FlowState::Waiting => subprogram_number(line).is_some(),
@@ -321,7 +322,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Makes the program wait for the subprogram of the call at `at`. Returns `false`.
+    /// Makes the program wait until the host has sent the subprogram of the call at `at`. Returns `false`, because the
+    /// call has not been executed. Fails in a startup line, which cannot wait.
     pub(super) fn await_subprogram(&mut self, call: &Call, at: u16) -> Result<bool, Error> {
         let flow = &mut self.computed.flow;
         flow.missing = call.number;
@@ -504,7 +506,7 @@ pub(super) fn split_call(line: &[u8]) -> Option<(&[u8], &[u8])> {
     line.split_at_checked(find_m_word(line, &[b"98", b"99"]).filter(|at| *at > 0)?)
 }
 
-/// Returns the line of an O word without values.
+/// Returns a line that consists of `O`, the label and the keyword.
 #[inline(never)]
 fn line_of(label: &[u8], keyword: &[u8]) -> ShortLine {
     let mut line = ShortLine::new();

@@ -246,7 +246,7 @@ impl Estimate {
     /// Returns `None` if the result is not a number, or if its error is too large for a comparison.
     fn new(value: f64, error: f64) -> Option<Estimate> {
         let error = error + ROUNDING * value.abs();
-        // Much smaller values become 0 in `Real`.
+        // `Real` turns values far below this range into 0, and values far above it are an error.
         let in_range = value == 0.0 || (1e-25..1e30).contains(&value.abs());
         (in_range && error < 1e-3 * value.abs().max(1e-6)).then_some(Estimate { value, error })
     }
@@ -298,9 +298,10 @@ impl Tree {
                 let Estimate { value: x, error } = of.estimate()?;
                 let radians = x.to_radians();
                 let per_degree = 1_f64.to_radians();
-                // Includes the error that `f64` makes with a large angle.
+                // Includes the error of `f64`, which grows with the angle.
                 let turned = error * per_degree + radians.abs() * 3e-16;
-                // Within 10⁻¹⁴ of a turn, an angle counts as the nearest multiple of 90 degrees.
+                // `Real` replaces an angle by a multiple of 90 degrees if it is within 10⁻¹⁴ of a turn (360 × 10⁻¹⁴
+                // degrees) of it. A result near 0 can be wrong by that.
                 let rounding = |value: f64| if value.abs() < 1e-10 { 360e-14 * per_degree } else { ROUNDING };
                 match *name {
                     "SIN" => Estimate::new(radians.sin(), turned + rounding(radians.sin())),

@@ -1,5 +1,5 @@
-//! Second half of the explanations: words that can be read, but do not fit together or do not fit the present modal
-//! state.
+//! Explains refused lines whose words can all be read, but do not fit together or do not fit the present modal state.
+//! (Other refusals are explained in `words`.)
 
 use super::sentence::{digits, millimetres, name, say};
 use super::words::{Text, say_limit};
@@ -33,8 +33,8 @@ struct ReadableLine<'a, const N: usize> {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// Explains a line whose words do not fit each other or the present modal state. `action` is the result of the
-    /// failed check.
+    /// Explains a line whose words do not fit each other or the present modal state. `action` is what the check had
+    /// filled in before it failed.
     #[inline(never)]
     pub(super) fn explain_meaning(
         &self,

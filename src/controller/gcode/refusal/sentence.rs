@@ -4,7 +4,8 @@ use crate::gcode::Reason;
 use crate::number::{self, Digits};
 use crate::units::{DECIMAL_ONE, Decimal};
 
-/// Maximum length of a name. Longer names are cut, because an expression can fill a line.
+/// Maximum length in bytes of a word or name that is inserted into a sentence. Longer ones are cut, because an
+/// expression can fill a line.
 const NAME: usize = 24;
 
 /// Appends `template`, in which each `%` is replaced by the next of `others`.

@@ -1,4 +1,5 @@
-//! First half of the explanations: words that cannot be read, and words that conflict with earlier words of the line.
+//! Explains words of a refused line that cannot be read, or that conflict with earlier words of the line. (All other
+//! refusals are explained in `meaning`.)
 
 use super::sentence::{digits, millimetres, name, plain_number, say};
 use crate::axes::Axis;
@@ -93,7 +94,7 @@ pub(super) fn end_of(line: &[u8], start: usize) -> usize {
             b'A'..=b'Z' => {
                 let rest = line.get(at..).unwrap_or_default();
                 match beginning(rest, &FUNCTIONS).filter(|_| is_operand) {
-                    // Skip the name of the function.
+                    // Skip the function's name up to its last letter; the bracket is the next byte.
                     Some(function) => at += function.len() - 2,
                     None => break,
                 }
@@ -171,8 +172,8 @@ impl<const N: usize> Interpreter<N> {
         parsed.read_apart(line, dialect, self)
     }
 
-    /// Explains a word that is refused alone or because of earlier words. `told` is the error with which the line was
-    /// refused.
+    /// Explains a refused word: it is wrong by itself, or it conflicts with an earlier word of the line. Writes nothing
+    /// unless its error is `told`, the error with which the line was refused.
     #[inline(never)]
     pub(super) fn explain_word(&mut self, text: &Text, found: RefusedWord, told: Error, out: &mut Reason) {
         let line = text.line;
@@ -227,7 +228,7 @@ impl<const N: usize> Interpreter<N> {
             Error::ReadOnlyParameter => {
                 say(out, "% belongs to the machine: set one of your own, such as #100", &[word_name(word)]);
             }
-            // Errors of words that this build lacks.
+            // The text of the error is sufficient, for example for a word that this build lacks.
             error => {
                 say(out, "%: ", &[word_name(word)]);
                 let _ = out.extend_from_slice(error.text().as_bytes());
@@ -396,7 +397,7 @@ fn last_word(before: &[u8]) -> &[u8] {
 pub(super) fn word_name(word: &[u8]) -> &[u8] {
     let end = word.iter().position(|byte| matches!(byte, b'=' | b'[')).unwrap_or(word.len());
     let name = word.get(..end).unwrap_or_default();
-    // A sign or a function before the bracket is left out, too.
+    // In `X-ABS[..]`, a sign and the name of a function precede the bracket. Only the letter is the name of the word.
     if end < word.len() && name.first().is_some_and(u8::is_ascii_uppercase) {
         return name.get(..1).unwrap_or_default();
     }
@@ -451,7 +452,8 @@ fn points(number: &[u8]) -> bool {
     plain.filter(|byte| **byte == b'.').count() > 1
 }
 
-/// Returns the position of an operator outside of brackets.
+/// Returns the position of the first operator outside of brackets. At the beginning it would be a sign, so that byte
+/// does not count.
 #[inline(never)]
 fn operator_at(value: &[u8]) -> Option<usize> {
     let mut depth = 0_usize;
@@ -565,7 +567,7 @@ fn explain_argument(word: &[u8], out: &mut Reason) {
     let _ = out.extend_from_slice(takes.as_bytes());
 }
 
-/// Appends the limit of lengths, in mm.
+/// Appends the limit of coordinates, such as `50000.000mm`. `limit` is in units of 0.1 nm.
 #[inline(never)]
 pub(super) fn say_limit(out: &mut Reason, limit: i64) {
     millimetres(out, limit);

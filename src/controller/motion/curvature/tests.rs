@@ -1,5 +1,5 @@
-//! Compares the limits that are found with those of the complete rule, and with those that are found if no limit is
-//! left out.
+//! Checks the shortcuts of the module: the limits that it finds must be those of the complete rule, and limits that it
+//! leaves out because the machine cannot exceed them must hardly make a difference.
 
 use super::*;
 
@@ -41,7 +41,8 @@ impl Random {
         TurnRule::new(acceleration, deviation, curve_share)
     }
 
-    /// Returns the unit vector of a displacement, rounded as in the queue or as in the scales.
+    /// Returns the unit vector of a displacement, computed by divisions, as for single moves, or by multiplications
+    /// with the inverse of the length, as for spans of several moves.
     fn unit<const N: usize>(&mut self, way: [f32; N]) -> [f32; N] {
         let length = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
         let shortness = 1.0 / length;
@@ -84,7 +85,8 @@ impl Random {
     }
 }
 
-/// Returns the limits between a new span and the previous ones by the complete rule.
+/// Returns the limits (speed²) of the turns from the previous spans to a new one, by the complete rule without
+/// shortcuts.
 fn limits<const N: usize>(history: &History<N>, new: &Span<N>, rule: &TurnRule<N>) -> Vec<f32> {
     let (mut between, mut fast2, mut speeds2) = (0.0, new.attainable2, Vec::new());
     for (index, old) in history.iter().enumerate() {
@@ -110,8 +112,8 @@ fn limits<const N: usize>(history: &History<N>, new: &Span<N>, rule: &TurnRule<N
     speeds2
 }
 
-/// For many turns, compares the limits that are found with those of the complete rule, at speeds close to these limits.
-/// Returns how many turns are limited, and how many are excluded in advance.
+/// For many turns, checks that the limits found are those of the complete rule, at speeds close to these limits.
+/// Returns in how many cases a limit was found, and in how many `surely_allows` excluded all limits in advance.
 fn ask<const N: usize>(random: &mut Random, count: u32) -> (u32, u32) {
     let (mut limited, mut left_out) = (0, 0);
     for _ in 0..count {
@@ -176,8 +178,8 @@ fn no_turn_that_limits_is_left_out_in_advance() {
     }
 }
 
-/// Returns the ratio of a piece's path length to its straight length. It exceeds 1 for some pieces, as if moves without
-/// a step preceded them.
+/// Returns the ratio of path length to straight length for the piece with number `place`. It exceeds 1 for some pieces,
+/// as for blocks that moves without a step have preceded.
 fn winding(place: usize) -> f32 {
     if place % 50 < 15 { 1.0 + 0.3 * (place % 50) as f32 } else { 1.0 }
 }
@@ -295,8 +297,8 @@ fn only_limits_that_the_machine_cannot_exceed_are_left_out() {
             slower += usize::from(*attainable < all * 0.999);
         }
     }
-    // Some limits do not apply if one of the entries is slow (`Bend::once`). If the limit of that entry was omitted,
-    // such a limit applies, and the machine can be slower. That must be rare.
+    // Some limits do not apply if one of the entries in a range is already slow (`Bend::once`). If the limit that makes
+    // this entry slow was left out, they do apply, and the machine can be slower. That must be rare.
     assert!(slower < places / 200, "{slower} of {places}");
     assert!(of_attainable < of_all * 4 / 5 || !LEAVES_OUT, "{of_attainable} bends instead of {of_all}");
 }

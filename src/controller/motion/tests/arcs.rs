@@ -257,8 +257,8 @@ fn steps_of_an_arc_stay_within_tolerance_and_four_fifths_of_a_step() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 150, ..ProptestConfig::default() })]
 
-    /// The limit holds wherever between two steps the arc starts and ends, and at any feed (at low feeds the ticks are
-    /// finer than steps).
+    /// No step is farther from the arc than `MOST_OFF`, wherever between two steps the arc starts and ends, and at any
+    /// feed (at low feeds the ticks are finer than steps).
     #[test]
     fn steps_of_any_arc_stay_near_it(
         plane in 0_usize..3, log in -1.5_f64..1.7, from in -3.2_f64..3.2, sweep in 0.001_f64..6.27, left in any::<bool>(),
@@ -368,7 +368,7 @@ fn six_axes_have_their_ends() {
         turns: 0,
     };
     let arc = Arc::new(&geometry, 0.002);
-    // Six steps and 5/7 are seven steps less 2/7.
+    // 0.671 mm is 6 5/7 steps, which is 2/7 of a step before the nearest step, the seventh.
     let ends = [0.611, -0.611, 0.671, -0.671, 0.0, 0.029];
     motion.chord(&to(ends, Speed::Feed(10.0)), arc.curvature());
     motion.chord(&to([0.0; 6], Speed::Feed(10.0)), arc.curvature());

@@ -24,7 +24,8 @@ fn a_square_corner_is_cut_off() {
     assert_eq!(job(0.0), [[1000, 0, 0], [0, 1000, 0]]);
     // A tolerance of 0.05 mm shortens either move by 0.0707 mm, which is seven steps.
     assert_eq!(job(0.05), [[993, 0, 0], [7, 7, 0], [0, 993, 0]]);
-    // The blend uses only as much of a large tolerance as the acceleration needs. There are four vertices.
+    // The corner is cut off only as far as the acceleration requires, not as far as the large tolerance permits. Four
+    // vertices replace it.
     let far = job(1.0);
     assert!(far.len() == 5 && far[0][0] > 900, "{far:?}");
 }

@@ -1,4 +1,4 @@
-//! Compares the planner's bounds for braking with those of each single block.
+//! Checks `Planner::bounds_within`: its bounds for braking must not exceed those of any block on the way.
 
 use super::super::block::{Block, CurveLoad, OverrideFactors};
 use super::super::planner::Planner;
@@ -49,8 +49,8 @@ proptest! {
     }
 }
 
-/// If a wide bend of a slow axis follows a narrow bend of a fast axis, the bound is not above the limit of the slow
-/// axis.
+/// If a wide bend of a slow axis follows a narrow bend of a fast axis, `bounds_within` returns no more than the
+/// acceleration limit of the slow axis.
 #[test]
 fn a_wider_bend_of_a_slower_axis_counts() {
     let mut ring = planner(64);

@@ -191,7 +191,7 @@ fn noise_of_the_last_digit_costs_no_time() {
 
 #[test]
 fn a_corner_between_long_chains_is_no_bend() {
-    // Rows of short pieces with sharp turns must be as fast as rows of one piece each.
+    // Rows that meet in sharp corners must take as long if each row consists of many short moves as if it is one move.
     let row = |pieces: u32| {
         let mut rig = Rig::<3, 512>::new(settings(80.0, 500.0, 200.0));
         for k in 1..=pieces * 4 {
@@ -202,8 +202,8 @@ fn a_corner_between_long_chains_is_no_bend() {
         rig.run();
         rig.seconds()
     };
-    // A span that contains a part of the corner can look like a gentle bend. The slowdown must cost less than 1 % of
-    // the time.
+    // In short moves, a span that contains a part of the corner can look like a gentle bend. That must cost less than 1
+    // % of the time.
     let (short, long) = (row(400), row(1));
     assert!((short / long - 1.0).abs() < 0.01, "{short} and {long}");
 }

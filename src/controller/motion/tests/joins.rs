@@ -265,7 +265,8 @@ proptest! {
         }
     }
 
-    /// A stop within joined moves discards them: the position is exact, and the next move begins there.
+    /// A stop while moves are being joined discards them: the position is where the motors have stopped, and the next
+    /// move begins there.
     #[test]
     fn after_a_stop_nothing_is_joined_to_what_was_forgotten(points in polylines(), ticks in 1_usize..3000) {
         let mut rig = Rig::<3, 512>::new(settings(250.0, 100.0, 500.0));

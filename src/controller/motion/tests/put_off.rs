@@ -1,5 +1,5 @@
-//! The reverse pass is postponed until the planner needs an entry that the pass could change. These tests check that
-//! this entry is the same as if each block had been planned immediately.
+//! Without a jerk limit, the reverse pass is postponed until the planner needs an entry speed that the pass could
+//! change. These tests check that this speed is the same as if each block had been planned immediately.
 
 use super::super::block::{Block, CurveLoad, OverrideFactors};
 use super::super::curvature::Bend;
@@ -16,7 +16,7 @@ type Queue = Planner<3>;
 enum Change {
     /// Appends this many equal blocks.
     Append(Block<3>, usize),
-    /// Limits some of the last blocks, as if a turn was found.
+    /// Limits some of the last blocks, as if a new block had completed a bend.
     Limit {
         nearest: usize,
         farthest: usize,
@@ -30,30 +30,30 @@ enum Change {
     /// Ends a block without running the postponed pass first. This happens if blocks are appended during the wait for
     /// its last tick.
     Leave,
-    /// Sets a feed override while the machine has a speed.
+    /// Sets a feed override (factor) while the machine moves at a speed (mm/s).
     Overrides(f32, f32),
     Clear,
     /// Switches the jerk limit on or off.
     Configure(bool),
 }
 
-/// Kinds of blocks in a path.
+/// On which bends the blocks of a generated path lie.
 #[derive(Clone, Copy, Debug)]
 enum Path {
     Straight,
     /// Bends so gentle, with blocks so short, that no block is steep (`Block::is_steep`).
     Gentle,
-    /// Straight until a turn is found, then with the tightest bends.
+    /// Straight blocks when they are appended; `Change::Limit` then puts them on the tightest bends.
     Turning,
     Any,
 }
 
-/// Generates the bend of an appended block.
+/// Generates the bend on which an appended block lies.
 fn curve(path: Path) -> BoxedStrategy<CurveLoad> {
     if matches!(path, Path::Turning) { Just(CurveLoad::NONE).boxed() } else { bend(path) }
 }
 
-/// Generates the bend of a turn that is found.
+/// Generates the bend of a `Change::Limit`.
 fn bend(path: Path) -> BoxedStrategy<CurveLoad> {
     let bend = |speed2: std::ops::Range<f32>, across| {
         let bend = (speed2, across).prop_map(|(speed2, across)| CurveLoad::new(speed2, across));
@@ -108,7 +108,7 @@ fn changes() -> impl Strategy<Value = Vec<Change>> {
         .prop_flat_map(|path| prop::collection::vec(change(path), 1..150))
 }
 
-/// Runs the postponed pass. With a jerk limit nothing is postponed.
+/// Runs the postponed reverse pass. With a jerk limit no pass is postponed.
 fn settle(queue: &mut Queue) {
     if !queue.jerk_limited {
         queue.settle();
@@ -162,8 +162,8 @@ proptest! {
                     queue.clear();
                 }
             }
-            // Run the pass only after some of the changes: the more changes a pass covers, the more errors it can
-            // reveal.
+            // Run the postponed pass only after every few changes: the more changes a pass covers, the more errors it
+            // can reveal.
             if number % seldom == 0 {
                 settle(&mut ring);
             }
@@ -203,8 +203,8 @@ fn straight(speed2: f32) -> Block<3> {
     }
 }
 
-/// A block turns out to lie in such a tight bend that a faster exit leaves less deceleration. The result is the same
-/// whether or not a pass has processed the block, and at whichever slot of the ring the queue begins.
+/// A block turns out to lie in a tight bend, where a faster exit requires a slower entry. The planned speeds are the
+/// same whether or not a reverse pass had reached the block before, and at whichever slot of the ring the queue begins.
 #[test]
 fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
     for (begin, walked_over) in (0..48).map(|case| (case / 2, case % 2 == 0)) {
@@ -230,8 +230,8 @@ fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
     }
 }
 
-/// A turn is found, and limits the entries of the last two blocks. The entry of the last block does not change, but the
-/// settled entry depends on the entry of the last block but one.
+/// A bend limits the entries of the last two blocks. The entry speed of the last block stays the same, but that of the
+/// block before falls, and an entry that counts as settled (final) depends on it.
 #[test]
 fn what_counts_on_a_lowered_entry_is_lowered() {
     let mut ring = planner(24);
@@ -247,7 +247,8 @@ fn what_counts_on_a_lowered_entry_is_lowered() {
     assert_eq!(queue.exit2(), 80.0);
 }
 
-/// Entries that were settled before the jerk limit was switched on have no effect afterwards.
+/// Entries that were settled (final, whatever is appended) before the jerk limit was switched on have no effect
+/// afterwards.
 #[test]
 fn with_a_jerk_limit_nothing_is_settled() {
     let mut ring = planner(24);
@@ -268,8 +269,8 @@ fn with_a_jerk_limit_nothing_is_settled() {
     assert_eq!(queue.block(1).unwrap().entry2, 49.0);
 }
 
-/// A turn is found, and limits the speed of the last blocks. Then a block leaves the queue before the next pass. That
-/// pass must not process the slots after the queue: they hold old blocks, which would change the entries.
+/// A bend limits the last blocks. Then a block leaves the queue before the next reverse pass. That pass must not
+/// process the slots after the end of the queue: they hold old blocks, which would change the entries.
 #[test]
 fn what_has_been_lowered_moves_up_with_the_queue() {
     for begin in 0..24 {

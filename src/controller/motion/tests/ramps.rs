@@ -7,7 +7,7 @@ use crate::axes::PerAxis;
 use crate::messages::{Observed, Segment, ToStep};
 use proptest::prelude::*;
 
-/// The state at the end of a segment.
+/// Speed, acceleration and their limits at the end of a segment.
 #[derive(Clone, Copy, Debug)]
 struct Point {
     time: f64,
@@ -141,10 +141,11 @@ impl<const B: usize> Course<B> {
         for pair in self.points.windows(2) {
             let [a, b] = pair else { continue };
             let jerk = a.jerk.max(b.jerk);
-            // Changes of speed within one step need not be smooth.
+            // Speed below which the machine can stop within about a step. There, changes of speed need not be smooth,
+            // because they have no effect on the motor.
             let crawl = (2.25 * jerk * b.pitch * b.pitch).cbrt() * 1.3;
             if b.last && !a.last && a.speed > crawl && a.speed > 1.1 * (4.5 * jerk * b.way.powi(2)).cbrt() {
-                // The speed is too high to reach rest with constant jerk in the last segment.
+                // The machine is too fast to come to rest in the last segment with the permitted jerk.
                 faults.push(format!("end {a:?}\n  {b:?}"));
             }
             if a.last || b.last {
@@ -223,8 +224,8 @@ fn a_slow_axis_in_one_block_does_not_spoil_the_ramp() {
     assert!(course.faults(false).is_empty(), "{:?}", course.faults(false));
 }
 
-/// The second block loads an axis that has a hundredth of the jerk. The machine enters this block so slowly that it can
-/// still come to rest at the end of the block.
+/// The second block moves an axis whose jerk limit is a hundredth of the others'. The machine enters this block so
+/// slowly that it can still come to rest at the end of the block.
 #[test]
 fn a_crawl_knows_the_jerk_of_the_next_block() {
     let mut config = machine(1.0e4);
@@ -362,8 +363,9 @@ fn an_override_raised_in_a_bend_leaves_the_braking() {
     }
 }
 
-/// A host sends a bend just in time, with only two decimals, and then stops sending. The bend is only detected on long
-/// spans, after the stop at the end of the queue was planned with all of the acceleration.
+/// A host sends moves on a bend just in time, with only two decimals, and then stops sending. Because of the rounding,
+/// the bend is only detected on long spans, after the stop at the end of the queue was planned with all of the
+/// acceleration, including the part that the bend needs.
 #[test]
 fn a_bend_that_is_seen_late_leaves_the_stop_at_the_end() {
     let rounded = |mm: f64| (mm * 100.0).round() / 100.0;

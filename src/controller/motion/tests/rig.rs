@@ -19,7 +19,7 @@ pub fn planner(blocks: usize) -> Box<Planner<3>> {
 pub struct Record {
     /// Time of the tick, step-clock ticks.
     pub time: u64,
-    /// Time since the previous tick that advanced, waits included, step-clock ticks.
+    /// Time since the previous record, step-clock ticks. Waits in between are included.
     pub interval: u64,
     pub steps: u8,
     /// Direction levels that were output before this tick.
@@ -143,7 +143,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         }
     }
 
-    /// Fills the look-ahead and the queue to the step task.
+    /// Queues moves as long as there is room, and fills the queue to the step task with messages.
     pub fn pump(&mut self) {
         loop {
             while let Some(m) = self.moves.front() {
@@ -345,9 +345,9 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         self.check_acceleration(false);
     }
 
-    /// Checks the acceleration as in [`Rig::check_limits`]. `cut_short`: whether overrides or holds at very low speed
-    /// can drop or hurry a pending tick of one unit. In that case the speed is also allowed to jump by as much as can
-    /// be reached within one unit.
+    /// Checks the acceleration as in [`Rig::check_limits`]. `cut_short`: whether there were overrides or holds at very
+    /// low speed. They can drop a pending tick of one unit or make it earlier, so the speed is also allowed to jump by
+    /// as much as can be reached within one unit.
     pub fn check_acceleration(&self, cut_short: bool) {
         let hz = f64::from(self.hz);
         let mut window: Option<(f64, f64, f64)> = None; // middle, speed, acceleration limit
@@ -368,12 +368,13 @@ impl<const N: usize, const B: usize> Rig<N, B> {
                 if let Some((before, old, old_limit)) = window {
                     let most = limit.max(old_limit);
                     let seen = (speed - old).abs() / (middle - before);
-                    // Allows for a window of 2 ms that is wrong by one clock tick.
+                    // Allows for an error of one clock tick in the duration of a window of 2 ms.
                     let rounding = speed.max(old) / (0.002 * hz) / (middle - before);
                     let short = if cut_short { (2.0 * most * unit).sqrt() / (middle - before) } else { 0.0 };
-                    // A phase of the curve ends on a whole step, so the last segment of a phase contains a part with
-                    // another acceleration. If the speed is constant for the time t of a segment that lasts T, the
-                    // segment's first speed is wrong by a·t·(T - t)/2T, at most a·T/8.
+                    // A phase of the speed curve (accelerating, cruising or braking) ends on a whole step, so its last
+                    // segment contains a part of the next phase, with another acceleration. If the speed is constant
+                    // for the time t of a segment that lasts T, the segment's first speed is wrong by a·t·(T - t)/2T,
+                    // at most a·T/8.
                     let edge = most * (step / speed / 2.0).min(0.002 / 8.0) / (middle - before);
                     assert!(
                         seen <= most * 1.015 + rounding * 2.0 + short + edge,

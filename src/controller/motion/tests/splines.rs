@@ -278,8 +278,8 @@ fn speed_where_a_curve_comes_to_a_point() {
             }
         }
         let seconds = (end - begin.unwrap()) as f64 / f64::from(rig.hz);
-        // Braking to rest within 0.05 mm at 500 mm/s² takes 14 ms, and so does the way back. Without a stop, both
-        // together would take 1 ms.
+        // Braking to rest within 0.05 mm at 500 mm/s² takes 14 ms, and so does speeding up on the way back. Without a
+        // stop at the cusp, both together would take 1 ms.
         assert!(seconds > 0.02, "{seconds} s");
     }
 }

@@ -202,7 +202,7 @@ fn a_second_stop_keeps_the_gate_shut_for_the_first_resume() {
     rig.moves.push_back(to([1.0, 1.0, 1.0], Speed::Rapid));
     rig.run();
     assert_eq!(rig.position, [80; 3]);
-    // A stale Resume changes nothing at an open gate.
+    // A Resume that belongs to an earlier stop changes nothing while no stop is in force.
     rig.queue.push_back(ToStep::Resume { stops: 1 });
     rig.moves.push_back(to([0.0, 1.0, 1.0], Speed::Rapid));
     rig.run();

@@ -37,8 +37,8 @@ fn a_cut_goes_before_the_first_line_of_each_host_that_comes() {
     assert_eq!(both.text(), "G4P0\n|G0\n|G0\n");
 }
 
-/// The start of the line is in the queue, and its end waits in the link. That end is dropped, because after the cut it
-/// would be a line of its own.
+/// The start of the line is in the queue, and its end waits in the link. That end is dropped, because after the
+/// [`HOST_CHANGED`] it would be a line of its own.
 #[test]
 fn of_a_line_sent_before_the_port_is_opened_nothing_is_read() {
     let mut both = Both::<16>::new(8, 4);
@@ -58,8 +58,8 @@ fn a_host_that_leaves_with_a_full_queue_makes_room_for_the_next() {
     assert_eq!(both.usb.held(), 7);
     both.usb.went(&mut both.arbiter);
     assert_eq!(both.usb.room(), 16);
-    // The cut precedes the first byte of the next host, whichever link that host uses. The byte waits until there is
-    // room for both.
+    // A [`HOST_CHANGED`] precedes the first byte of the next host, whichever link that host uses. The byte waits until
+    // the queue has room for both.
     both.uart(b"$");
     both.queues.most_lines = 100;
     both.pass_on();
@@ -118,7 +118,8 @@ fn a_line_in_which_another_host_resets_is_refused_to_its_end() {
     }
 }
 
-/// On 0x19 the link must keep whole lines, including those that wait, because Grbl's dialect ignores 0x19.
+/// On 0x19 the link must keep complete lines, even those that wait for room in the queue, because Grbl's dialect
+/// ignores 0x19.
 #[test]
 fn a_stop_by_another_host_keeps_whole_lines() {
     let mut both = Both::<16>::new(8, 4);
@@ -163,8 +164,8 @@ fn cr_lf_is_refused_once() {
     assert_eq!((both.text().as_str(), both.refusals()), ("G0\n|G5\r|G6", (5, 0)));
 }
 
-/// A command that waits for room has not opened its epoch yet, because a command of the other host can still precede
-/// it.
+/// A command that waits for room has not advanced the epoch yet, because a command of the other host can still be
+/// queued before it.
 #[test]
 fn epochs_are_counted_in_the_order_of_the_queue() {
     let mut both = Both::<16>::new(1, 100);

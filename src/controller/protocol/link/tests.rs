@@ -490,7 +490,7 @@ proptest! {
         prop_assert_eq!(commands, commands_of(&bytes));
     }
 
-    /// A run of text and line ends has the same effect as its bytes one by one.
+    /// Text and line ends passed as a whole have the same effect as each byte passed separately.
     #[test]
     fn a_run_is_taken_as_its_bytes(events in proptest::collection::vec(event(), 1..80)) {
         let [mut by_run, mut by_byte] = [0; 2].map(|_| Both::<40>::new(8, 100));

@@ -81,7 +81,8 @@ pub(crate) struct Opening {
 }
 
 impl Opening {
-    /// The reaction to the door itself.
+    /// The reaction to the open safety door and to `$SLP`: the tool is parked if the settings allow it, the spindle is
+    /// switched off, and no alarm follows.
     pub const BY_DOOR: Opening = Opening { retract: true, spindle_on: false, alarm: None };
 }
 
@@ -316,7 +317,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Ends a soft stop. The door may have been opened during the stop.
+    /// Ends a soft stop (0x19, or a refused line that ends the job) once the machine is at rest. If the door was opened
+    /// during the stop, handles the open door now.
     pub(crate) fn finish_soft_stop(&mut self, lock: bool) {
         self.end_soft_stop(lock);
         if self.m.inputs.signals().door {

@@ -22,7 +22,7 @@ use crate::units::{Coordinate, per_second};
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
 pub struct Parking<const N: usize> {
-    /// The ends of the parking moves; `None` while the tool is at the job.
+    /// The three points of the parking moves; `None` while the tool is at the job.
     route: Option<Route<N>>,
     motion: Lent<Motion<N>>,
 }
@@ -34,23 +34,23 @@ struct Route<const N: usize> {
     left: PerAxis<Coordinate, N>,
     /// The end of the slow pull-out.
     clear: PerAxis<Coordinate, N>,
-    /// Where the tool parks.
+    /// Parking position: that of the job, with the parking axis at the parking target (`$58`) or the end of the travel.
     park: PerAxis<Coordinate, N>,
 }
 
-/// Where a parking move leads.
+/// The target of a parking move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ParkingPoint {
-    /// Where the job was left.
+    /// The position at which the job was interrupted.
     Left,
-    /// The end of the slow pull-out.
+    /// The end of the slow pull-out from the cut.
     Clear,
-    /// Where the tool parks.
+    /// The parking position.
     Park,
 }
 
 impl<const N: usize> Parking<N> {
-    /// Returns the state with the tool at the job.
+    /// Returns the value for a tool that is at the job. `motion` will make the parking moves.
     pub fn new(motion: Lent<Motion<N>>) -> Self {
         Self { route: None, motion }
     }
@@ -103,8 +103,8 @@ impl<const N: usize> Parking<N> {
         true
     }
 
-    /// Makes the current move end on the side of the backlash where the job left each axis. `lead`: how many steps each
-    /// motor was ahead of its axis there.
+    /// Makes the current move end with each motor `lead` steps ahead of its axis (because of backlash), as it was where
+    /// the job was left.
     pub fn end_with_lead(&mut self, lead: [i32; N]) {
         self.motion.end_with_lead(lead);
     }
@@ -129,13 +129,14 @@ impl<const N: usize> Parking<N> {
         self.motion.next_message()
     }
 
-    /// Takes the counters of the step task.
+    /// Passes the step task's counters to the motion of the parking moves.
     pub fn observe(&mut self, observed: &Observed) {
         self.motion.observe(observed);
     }
 
-    /// Takes the position at which the step task has stopped. If the tool is away from the job, the job's `motion`
-    /// takes the position from the parking motion, and with it the side of the backlash on which each axis is.
+    /// Sets the motion of the parking moves to the `position`, in motor steps, at which the step task has stopped. If
+    /// the tool is away from the job, the job's `motion` gets this position too, and how far each motor is ahead of its
+    /// axis because of backlash.
     pub fn stopped(&mut self, position: &PerAxis<i32, N>, motion: &mut Motion<N>) {
         self.motion.stopped(position);
         if self.is_away() {

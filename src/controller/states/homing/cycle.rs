@@ -22,9 +22,10 @@ use crate::units::{Coordinate, Duration};
 
 /// Length of a seek, as a multiple of the longest travel among the axes of the cycle.
 const SEEK_TRAVELS: f32 = 1.5;
-/// Travel that a seek assumes for a rotary axis without ends (`$133` = 0), degrees. Its switch is met within one turn.
+/// Travel that a seek (the fast search for a switch) assumes for a rotary axis without ends (`$133` = 0), degrees. Such
+/// an axis meets its switch within one turn.
 const TURN: f32 = 360.0;
-/// Length of a locate, as a multiple of the pull-off.
+/// Maximum length of a locate (the slow second approach to a switch), as a multiple of the pull-off.
 const LOCATE_PULL_OFFS: f32 = 5.0;
 
 /// The settings that homing needs, lengths in mm and rates in mm/s.
@@ -36,9 +37,9 @@ pub(crate) struct HomingSettings<const N: usize> {
     pub passes: u32,
     /// `$23`: axes whose switch is at the negative end.
     pub to_negative: AxisMask,
-    /// Rate of a seek (`$25`).
+    /// Rate of a seek, the fast search for a switch (`$25`), mm/s.
     pub seek_rate: f32,
-    /// Rate of a locate (`$24`).
+    /// Rate of a locate, the slow second approach to a switch (`$24`), mm/s.
     pub locate_rate: f32,
     /// Length of a pull-off (`$27`).
     pub pull_off: f32,
@@ -95,18 +96,18 @@ pub(crate) struct HomingCycle<const N: usize> {
     cycles: heapless::Deque<AxisMask, 8>,
     homed: AxisMask,
     pass: Pass,
-    /// Number of locates that the current cycle has yet to make.
+    /// How often the current cycle has yet to locate its switches.
     locates_left: u32,
     /// Switches of the current seek or locate that have not closed.
     approaching: AxisMask,
-    /// Switches of `approaching` that the current move can reach.
+    /// Switches that can end the current move: all of `approaching`, or only the switch of the motor that moves alone.
     watched: AxisMask,
-    /// Whether the last order was a move; otherwise it was a wait.
+    /// Whether the order returned last was a move; otherwise it was a wait.
     moving: bool,
 }
 
 impl<const N: usize> HomingCycle<N> {
-    /// Homes the axes of all cycles, or only the axis `only`.
+    /// Plans the homing of the axes of all cycles, or only of the axis `only`.
     pub fn new(settings: HomingSettings<N>, only: Option<Axis>) -> Self {
         let mut cycles = heapless::Deque::new();
         let only = only.map(|axis| AxisMask::NONE.with(axis));
@@ -135,8 +136,8 @@ impl<const N: usize> HomingCycle<N> {
         self.approach_anew(Pass::Seek, switches)
     }
 
-    /// Returns the next order. Call it when the last order is complete, or when a watched switch has ended its move.
-    /// `switches` are the limit switches that are closed now.
+    /// Returns the next order. Call it when the previous order has been carried out, or when a watched switch has ended
+    /// its move. `switches` are the limit switches that are closed now.
     pub fn next(&mut self, switches: AxisMask) -> Order<N> {
         match (self.moving, self.pass) {
             (true, Pass::Seek | Pass::Locate) => {

@@ -35,8 +35,8 @@ pub(crate) struct Homing<const N: usize> {
 }
 
 impl<const N: usize> Homing<N> {
-    /// Starts homing of the axes of all cycles, or only of the axis `only`. Returns the state, and the result of its
-    /// first order.
+    /// Starts homing of the axes of all cycles, or only of the axis `only`. Carries out the first order of the cycle,
+    /// and returns the homing state together with what follows from that order.
     pub(crate) fn begin(only: Option<Axis>, m: &mut Machine<N>) -> Result<(Self, Next), Error> {
         let cycles = m.settings.homing_cycles().0.map(AxisMask);
         if only.is_none() && cycles.iter().all(|cycle| cycle.is_empty()) {
@@ -72,8 +72,8 @@ impl<const N: usize> Homing<N> {
         }
     }
 
-    /// Carries out the next order if the event that homing waits for has happened. Call it only while no stop is
-    /// awaited.
+    /// Carries out the next order of the cycle if the event that homing waits for has happened. Call it only while no
+    /// stop of the step task is pending.
     pub(crate) fn advance(&mut self, m: &mut Machine<N>) -> Next {
         let over = match self.wait {
             Wait::Motion(_) => m.motion.is_idle(),

@@ -69,8 +69,8 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Braking { then });
     }
 
-    /// Continues when the machine is at rest after a controlled stop: ends the soft stop, orders the alarm, or retracts
-    /// the tool.
+    /// Called when the machine is at rest after a controlled stop. Ends the soft stop, orders the stop of the step task
+    /// that raises the alarm, or retracts the tool.
     pub(crate) fn settle_braking(&mut self, then: AfterBraking) {
         match then {
             AfterBraking::Continue => self.finish_soft_stop(false),

@@ -1,5 +1,5 @@
-//! What follows a stop of the step task. Depending on the reason, the machine is locked, reset, or continues from its
-//! position. A stop at speed may have lost steps, so the position is no longer trusted afterwards.
+//! What follows a stop of the step task. Depending on the reason of the stop, the machine is locked or reset, or homing
+//! or probing continues. A stop at speed may have lost steps, so the position is no longer trusted afterwards.
 
 mod faults;
 pub(crate) mod orders;

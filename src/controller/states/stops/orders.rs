@@ -1,5 +1,5 @@
 //! Counts the stops of the step task, those expected and those reported, and keeps the most serious reason among them.
-//! The step task is opened again only when all expected stops have happened.
+//! The step task is told to run again only when all expected stops have happened.
 //!
 //! ```text
 //!  order ──▶ Output::Stop ──▶ step task ──▶ StepEvent::Stopped ──▶ finish ──▶ ToStep::Resume
@@ -11,7 +11,7 @@
 
 use crate::error::Alarm;
 
-/// Why a stop is awaited.
+/// Why the step task is stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StopReason {
     /// 0x18 or the reset button.
@@ -33,8 +33,8 @@ impl StopReason {
         if other.weight() > self.weight() { other } else { self }
     }
 
-    /// Severity. A reset outranks everything, and an alarm outranks a homing switch, because work that one reason ends
-    /// must not continue for a less serious reason.
+    /// Severity. A reset outranks everything. An alarm outranks a homing switch and a probe contact, because homing or
+    /// probing must not continue after it.
     const fn weight(self) -> u8 {
         match self {
             StopReason::Nothing => 1,
@@ -52,7 +52,7 @@ impl StopReason {
 /// A completed stop: all requested stops have happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Finished {
-    /// Why the stop was awaited.
+    /// Why the step task was stopped.
     pub reason: StopReason,
     /// Whether the machine was stepping when it was stopped.
     pub moving: bool,
@@ -64,7 +64,7 @@ pub struct Finished {
 #[derive(Clone, Copy, Debug)]
 pub struct Stops {
     awaited: Option<StopReason>,
-    /// Number of stops that must have happened before the awaited stop is over (wrapping).
+    /// Number of stops that must have happened before the pending stop is complete (wrapping).
     expected: u16,
     /// Number of stops that have happened (wrapping).
     seen: u16,
@@ -74,31 +74,31 @@ pub struct Stops {
     line: u32,
     /// A stop order has not been sent to the step task yet.
     ordered: bool,
-    /// The order that reopens the step task has not been sent yet.
+    /// `ToStep::Resume`, which lets the step task run again, has not been sent yet.
     resume: bool,
 }
 
 impl Stops {
-    /// The counts at power-up: no stop is awaited, and none has happened.
+    /// The value at power-up: no stop is pending, and none has happened.
     pub const NONE: Stops =
         Stops { awaited: None, expected: 0, seen: 0, moving: false, line: 0, ordered: false, resume: false };
 
-    /// Why a stop is awaited, if one is.
+    /// Returns the reason of the pending stop; `None` if no stop is pending.
     pub fn awaited(&self) -> Option<StopReason> {
         self.awaited
     }
 
-    /// Whether a stop is awaited.
+    /// Whether a stop is pending: it has a reason, and [`Stops::finish`] has not completed it yet.
     pub fn is_awaited(&self) -> bool {
         self.awaited.is_some()
     }
 
-    /// Whether no stop is awaited and all orders have been sent to the step task.
+    /// Whether no stop is pending, and no stop order and no `ToStep::Resume` has yet to be sent to the step task.
     pub fn is_idle(&self) -> bool {
         self.awaited.is_none() && !self.ordered && !self.resume
     }
 
-    /// Whether the step task takes messages: no stop is awaited, and every stop that has been reported was also
+    /// Whether the step task takes messages: no stop is pending, and every stop that has been reported was also
     /// expected.
     pub fn is_open(&self) -> bool {
         self.awaited.is_none() && self.seen == self.expected
@@ -109,12 +109,14 @@ impl Stops {
         self.expected = self.expected.wrapping_add(u16::from(stops));
     }
 
-    /// Awaits a stop for this reason, without counting it.
+    /// Makes a stop with this reason pending, without changing the number of expected stops. If a stop is already
+    /// pending, keeps the more serious of the two reasons.
     pub fn wait_for(&mut self, reason: StopReason) {
         self.awaited = Some(self.awaited.map_or(reason, |awaited| awaited.heavier(reason)));
     }
 
-    /// Counts and awaits a stop that needs no order, because its cause (a reset) has already stopped the step task.
+    /// Makes a stop pending that needs no order, because its cause (a reset) has already stopped the step task. Adds it
+    /// to the number of expected stops.
     pub fn begin(&mut self, reason: StopReason) {
         self.count(1);
         self.wait_for(reason);
@@ -134,7 +136,7 @@ impl Stops {
         self.ordered
     }
 
-    /// Returns whether an order has to be sent to the step task, and marks it as sent.
+    /// Returns whether a stop order has to be sent to the step task, and marks it as sent.
     pub fn take_order(&mut self) -> bool {
         let ordered = self.ordered;
         if ordered {
@@ -143,45 +145,47 @@ impl Stops {
         ordered
     }
 
-    /// If the step task has to be reopened now, returns the number of stops that have happened, to be sent with the
-    /// order. Returns it only once.
+    /// If `ToStep::Resume` has to be sent to the step task now, returns the number of stops that have happened, which
+    /// this message carries. Returns it only once.
     pub fn take_resume(&mut self) -> Option<u16> {
         core::mem::take(&mut self.resume).then_some(self.seen)
     }
 
-    /// Takes the step task's report of a stop that was requested.
+    /// Records the step task's report of a stop that a command, an input or the controller has caused. `stops` is the
+    /// step task's count of stops, `line` the N word of the move in execution.
     pub fn happened(&mut self, stops: u16, moving: bool, line: u32) {
         self.seen = stops;
         self.moving |= moving;
         self.line = line;
     }
 
-    /// Takes the step task's report that it has stopped at speed without a request, because it had no segments or
-    /// because its outputs have failed.
+    /// Records the step task's report that it has stopped at speed by itself, because it had no segments or because its
+    /// outputs have failed.
     pub fn failed(&mut self, stops: u16, alarm: Alarm) {
         self.count(1);
         self.seen = stops;
         self.moving = true;
         if alarm == Alarm::Miscounted {
-            // The position is unknown, so homing or a probe must not continue. This alarm replaces the reason of the
-            // stop that they await.
+            // The position is unknown, so homing or a probe must not continue. If one of them waits for a stop, this
+            // alarm replaces the reason of that stop.
             self.wait_for(StopReason::Alarm(alarm));
         } else {
             self.awaited.get_or_insert(StopReason::Alarm(alarm));
         }
     }
 
-    /// Returns the awaited stop once all requested stops have happened. After that the step task has to be reopened
-    /// ([`Stops::take_resume`]).
+    /// Completes the pending stop and returns it, once all expected stops have happened. After that the step task has
+    /// to be sent `ToStep::Resume` ([`Stops::take_resume`]).
     pub fn finish(&mut self) -> Option<Finished> {
         let reason = self.awaited?;
-        // An order that has not been sent cannot have been executed, even if enough other stops have happened
-        // meanwhile.
+        // A stop order that has not been sent yet cannot have been executed, even if other stops have made the counts
+        // equal meanwhile.
         if self.ordered || (self.seen.wrapping_sub(self.expected) as i16) < 0 {
             return None;
         }
         let finished = Finished { reason, moving: self.moving, line: self.line };
-        // A stop that has happened but is not counted as expected yet keeps the step task closed: see `is_open`.
+        // If a stop has happened that is not counted as expected yet, the step task takes no messages until it is
+        // counted: see `is_open`.
         *self = Stops { expected: self.expected, seen: self.seen, resume: true, ..Stops::NONE };
         Some(finished)
     }

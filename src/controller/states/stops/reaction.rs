@@ -8,7 +8,7 @@ use crate::settings::{Key, Settings};
 pub enum Braking {
     /// At once, without braking. At speed the position is lost.
     AtOnce,
-    /// Along the path, within the accelerations; the position is kept.
+    /// The machine brakes along the path, within the accelerations. The position is kept.
     Controlled,
     /// As `Controlled`, then the tool is parked as by the safety door.
     Retract,

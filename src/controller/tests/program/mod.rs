@@ -8,7 +8,7 @@ use oxmill_controller::units::{Coordinate, DECIMAL_ONE};
 
 pub const DIALECTS: [Dialect; 3] = [Dialect::Grbl, Dialect::Oxmill, Dialect::Seed];
 
-/// Returns a program in millimetres, with a feed, after the lines of `setup`.
+/// Returns a program in Oxmill's dialect, in millimetres and with a feed, that has run the lines of `setup`.
 pub fn ready(setup: &str) -> Program {
     let mut program = Program::new(Dialect::Oxmill);
     program.run_all("G21 G90 F300");

@@ -34,8 +34,8 @@ impl<const N: usize> Controller<N> {
         true
     }
 
-    /// Orders a stop once the step task has braked for a contact. The report of that stop brings the position, and
-    /// after it the step task is reopened.
+    /// Orders a stop once the step task has braked for a contact. The report of that stop brings the position at rest.
+    /// Only after the stop does the step task take messages again.
     pub(crate) fn settle_probe(&mut self) {
         if self.m.probe.is_braking() && self.m.step_supply.observed().step_idle && !self.m.stops.is_awaited() {
             self.m.stops.order(StopReason::Contact);
@@ -68,7 +68,8 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// Returns a straight, exact move without spindle power. The operator's overrides do not change it.
+/// Returns a straight move to `target` that follows its path exactly and has no spindle power. The operator's overrides
+/// do not change it.
 pub(crate) fn seek<const N: usize>(target: PerAxis<Coordinate, N>, speed: Speed, line_number: u32) -> Move<N> {
     Move {
         target,

@@ -5,8 +5,8 @@
 //!               └──── end of the move without a contact ──────────▶ finish
 //! ```
 //! The step task checks the input at each tick, and brakes after the contact without an order. Once the step task is at
-//! rest, the controller orders a stop, because the report of the stop gives the position. Then it reopens the step
-//! task.
+//! rest, the controller orders a stop, because the report of the stop gives the position. Then it lets the step task
+//! run again.
 
 use crate::axes::PerAxis;
 use crate::messages::ToStep;
@@ -55,14 +55,14 @@ impl<const N: usize> Probe<N> {
         self.watch_again();
     }
 
-    /// Ends the watch while the tool is parked, because contacts in that time do not count.
+    /// Makes the step task ignore the probe while the tool is parked, because contacts in that time do not count.
     pub fn look_away(&mut self) {
         if self.is_seeking() {
             self.watch = Some(WATCH_ENDS);
         }
     }
 
-    /// Resumes the watch after parking.
+    /// Makes the step task watch the probe, at the start of the move and again after parking.
     pub fn watch_again(&mut self) {
         if let Some(Phase::Seeking(Watched { level, braking })) = self.phase {
             self.watch = Some(ToStep::Watch { probe: Some(level), braking });

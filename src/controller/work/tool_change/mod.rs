@@ -117,7 +117,8 @@ impl<const N: usize> Controller<N> {
         self.carry_out_change(order)
     }
 
-    /// Carries out the next order and returns the next stage; `None` while the last order is still being carried out.
+    /// Carries out the next step of the tool change and returns the next stage of the line; `None` while the previous
+    /// step is still being carried out.
     #[inline(never)]
     pub(crate) fn advance_tool_change(&mut self) -> Option<Stage> {
         let touched = match self.line.change().is_probing() {

@@ -34,9 +34,9 @@ pub struct ChangePlan<const N: usize> {
     pub setter: PerAxis<Coordinate, N>,
     /// `$342`: how far below the height of G30 a probing move goes to find the setter.
     pub depth: Coordinate,
-    /// Rate of the first pass (`$344`).
+    /// Rate of the first, fast approach to the setter (`$344`), mm/s.
     pub seek_rate: f32,
-    /// Rate of the second pass (`$343`).
+    /// Rate of the second, slow approach to the setter (`$343`), mm/s.
     pub locate_rate: f32,
     /// Whether the machine measures the new tool.
     pub measures: bool,
@@ -61,12 +61,12 @@ impl<const N: usize> ChangePlan<N> {
         (self.change != nowhere || zero_is_clear) && self.setter != nowhere && self.depth > Coordinate::ZERO
     }
 
-    /// The height of all moves between positions.
+    /// Machine coordinate Z of all moves between the work, the change position and the setter.
     pub fn height(&self) -> Coordinate {
         along(&self.change).max(along(&self.left))
     }
 
-    /// Ends of the moves. If these points are within the travel, so are all moves.
+    /// The points between which the tool moves. If these points are within the travel, so are all moves.
     pub fn corners(&self) -> [PerAxis<Coordinate, N>; 4] {
         let at_setter = self.over(&self.setter, self.height());
         let down = self.over(&self.setter, self.lowest());
@@ -107,7 +107,7 @@ fn along<const N: usize>(place: &PerAxis<Coordinate, N>) -> Coordinate {
 /// The next action of the tool change.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ChangeOrder<const N: usize> {
-    /// A rapid.
+    /// A rapid to this machine position.
     Rapid(PerAxis<Coordinate, N>),
     /// A move at a rate in mm/s. Unlike [`ChangeOrder::Probe`], it always reaches its target.
     Move(PerAxis<Coordinate, N>, f32),
@@ -129,9 +129,9 @@ pub enum ChangeOrder<const N: usize> {
 /// What the machine waits for the operator to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ToolWait {
-    /// Put the tool in.
+    /// Put the new tool into the spindle.
     Change,
-    /// Set the work zero with the first tool that was measured.
+    /// Set the work zero with the new tool, because it is the first one that was measured.
     Confirm,
 }
 
@@ -176,7 +176,8 @@ impl<const N: usize> ToolChange<N> {
         self.is_first = true;
     }
 
-    /// Returns the moves down to the work, see `ChangePlan::way_back`. The first measured tool stays up.
+    /// Returns the ends of the two moves down to the work (see `ChangePlan::way_back`). For the first measured tool
+    /// both are at the height of the moves between positions, because that tool stays up.
     pub fn way_back(&self, longer: Coordinate, clear: Coordinate) -> [PerAxis<Coordinate, N>; 2] {
         match self.is_first {
             true => [self.plan.over(&self.plan.left, self.plan.height()); 2],
@@ -184,18 +185,18 @@ impl<const N: usize> ToolChange<N> {
         }
     }
 
-    /// Returns the first order.
+    /// Starts the tool change. Returns the first order, which retracts the tool.
     pub fn begin(&mut self) -> ChangeOrder<N> {
         self.phase = ChangePhase::Retract;
         ChangeOrder::Rapid(self.plan.over(&self.plan.left, self.plan.height()))
     }
 
-    /// Whether the last order was a probing move.
+    /// Whether the order returned last was a probing move.
     pub fn is_probing(&self) -> bool {
         matches!(self.phase, ChangePhase::Seek | ChangePhase::Locate)
     }
 
-    /// Returns what the operator has to do, if the last order was for the operator.
+    /// Returns what the operator has to do; `None` if the tool change does not wait for the operator.
     pub fn waits_for(&self) -> Option<ToolWait> {
         match self.phase {
             ChangePhase::Prompt => Some(ToolWait::Change),
@@ -204,7 +205,8 @@ impl<const N: usize> ToolChange<N> {
         }
     }
 
-    /// Returns the next order when the last one has been carried out. `contact` is where a probing move made contact.
+    /// Returns the next order. Call it when the previous order has been carried out. `contact` is where a probing move
+    /// made contact; `None` if it made none.
     pub fn next(&mut self, contact: Option<PerAxis<Coordinate, N>>) -> ChangeOrder<N> {
         let plan = &self.plan;
         let height = plan.height();
