@@ -456,7 +456,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
                     });
                     pins.probe = match told {
                         Some((at, level)) if at <= time + self.hz() / SLACK_PARTS => level,
-                        // An entry that is much later is not of this contact: the pin had its level before probing.
+                        // The inputs change only much later, so this contact has changed none: the pin keeps its level.
                         Some(_) => pins.probe,
                         None => !pins.probe,
                     };

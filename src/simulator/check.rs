@@ -330,12 +330,13 @@ impl Check {
         self.look_for_feeds_in_inches();
     }
 
-    /// Notes a small job in millimetres whose comments mention inches, and whose feeds are as slow as those of a program in
-    /// inches.
+    /// Notes a small job in millimetres whose comments mention inches, and whose feeds are as slow as those of a program
+    /// in inches.
     fn look_for_feeds_in_inches(&mut self) {
-        /// Millimetres per minute, on average. Programs in mm mostly have 100 or more, and those in inches 5 to 100.
+        /// Only a job with a lower average feed, in mm/min, is noted. Programs in mm mostly have 100 or more, and those
+        /// in inches 5 to 100.
         const SLOW: f64 = 50.0;
-        /// Size of the job, mm. Parts of 100 inches are rare.
+        /// Only a job of less than this size in X and Y, in mm, is noted: parts of 100 inches are rare.
         const SMALL: f64 = 100.0;
         let simulator = &self.simulator;
         let (measured, feed_s) = (simulator.meter().measured(), simulator.meter().times().sum().feed_s);

@@ -49,7 +49,7 @@ pub(crate) struct Incoming {
     pub(crate) place: Taken,
 }
 
-/// The socket of a connection, by the port that accepted it.
+/// The socket of a connection, and who is at its other end.
 pub(crate) enum Connection {
     /// A program, at the port of `--tcp`.
     Program(TcpStream),

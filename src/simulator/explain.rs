@@ -3,7 +3,7 @@
 
 use oxmill_controller::settings::{AxisKey, Key};
 
-/// Sentences for the settings that exist once, in the order of the controller's table.
+/// Explanations of the settings that exist once, not per axis, in the order of the controller's table.
 const ONCE: [(Key, &str); Key::COUNT] = [
     (
         Key::StepPulse,
@@ -239,7 +239,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
 ];
 
-/// Sentences for the settings that exist per axis, in the order of the controller's table.
+/// Explanations of the settings that exist per axis, in the order of the controller's table.
 const PER_AXIS: [(AxisKey, &str); AxisKey::COUNT] = [
     (
         AxisKey::HomingCycle,

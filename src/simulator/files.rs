@@ -114,7 +114,7 @@ pub fn read_machine(path: &Path) -> Result<(Fittings, String)> {
     Ok((fittings, text))
 }
 
-/// A file with its role in the run, such as `the job`.
+/// A file, and what a run uses it for.
 #[derive(Clone, Copy, Debug)]
 pub struct Role<'a> {
     /// Path of the file.

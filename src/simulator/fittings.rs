@@ -87,9 +87,9 @@ struct Fitted {
 /// Limit switches that match a controller's homing settings, one per axis.
 #[derive(Clone, Debug)]
 pub struct HomeSwitches {
-    /// Steps per mm of each motor; used if there is no description.
+    /// Steps per mm of each motor; used if there is no [`Description`] of the machine.
     pub steps_per_mm: [f64; AXES],
-    /// How the motors move the carriages; used if there is no description.
+    /// How the motors move the carriages; used if there is no [`Description`] of the machine.
     pub arrangement: Arrangement,
     /// Switch positions in mm from where the carriages are now. The sign is the direction in which the carriage closes
     /// the switch.

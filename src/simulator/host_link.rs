@@ -118,7 +118,7 @@ impl HostLink {
         self.port.extend(bytes);
     }
 
-    /// Sets whether more bytes wait after those that are sent next.
+    /// For a replay: sets whether the board had more bytes waiting after those that are sent next.
     pub fn follow(&mut self, more: bool) {
         self.more = more;
     }

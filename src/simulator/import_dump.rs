@@ -61,7 +61,7 @@ struct Line<'a> {
     at: usize,
 }
 
-/// Imports a dump; `None` if the text has no line `$n=v`.
+/// Imports the output of `$$`; `None` if the text has no line `$n=v`.
 pub fn import(text: &str) -> Option<Import> {
     let (mut found, mut others) = (Vec::new(), Vec::new());
     for (index, written) in text.split('\n').enumerate() {

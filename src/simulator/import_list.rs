@@ -14,7 +14,7 @@ use std::fmt;
 /// Maximum length of an entry's text, in characters. Longer ones are cut off.
 const LONGEST: usize = 100;
 
-/// Reason for a setting number that Oxmill does not have.
+/// Why an entry is not taken if Oxmill has no setting with its number.
 pub const NO_SETTING: &str = "no such setting";
 
 /// The result of importing a file.

@@ -44,7 +44,7 @@ const JOB: usize = 1 << 30;
 /// Error message for a recorded machine that stops because the recording cannot be written.
 pub const UNRECORDED: &str = "cannot write the recording";
 
-/// Returns an error if the ordered power cut has happened.
+/// Returns an error if the power cut of `--cut-power` has happened.
 pub fn check_power(simulator: &Simulator) -> Result<()> {
     if simulator.power_is_gone() {
         bail!("the power was cut, as ordered, at operation {} of the flash", simulator.store().operations());
@@ -79,7 +79,8 @@ pub fn power_up_as_board(options: &MachineOptions, recorded: bool) -> Result<(Si
     let (mut simulator, machine) = fitted(options)?;
     let settings = settings(options)?;
     apply_settings(&mut simulator, &mut None, &settings)?;
-    // Do not power up again while an ordered power cut can still happen, or if the user must first confirm damage.
+    // Do not power up again if the power cut of `--cut-power` is still to come, or if the user must first confirm
+    // damage.
     if !(settings.is_empty() || options.cut_power.is_some() || simulator.controller().is_store_damaged()) {
         simulator = simulator.powered_again().context("the settings are lost")?;
     }

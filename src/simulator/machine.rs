@@ -26,8 +26,8 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Applies the wiring from here on: which axis is ganged, and which of its two motors follow the pulses of the
-    /// axis.
+    /// From here on, steps are counted by this wiring: which axis is ganged, and which of its two motors follow the
+    /// pulses of the axis.
     pub fn wire(&mut self, wiring: &Wiring) {
         self.ganged = wiring.ganged;
         self.ganged_motors = wiring.ganged_motors;

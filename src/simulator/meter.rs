@@ -185,7 +185,7 @@ pub struct Meter {
     hz: f64,
     steps_per_mm: [f64; AXES],
     arrangement: Arrangement,
-    /// Steps of A, B and C for the next block.
+    /// Steps of A, B and C; they arrive before the block to which they belong. `None` if they are 0.
     rest: Option<[AxisSteps; 3]>,
     next_block: Option<Coming>,
     upcoming: VecDeque<(Segment, Option<Coming>)>,

@@ -86,7 +86,7 @@ pub enum SettingRefused {
     NoAssignment,
     /// The controller answered `error:N`, after messages such as ` [MSG:Values of $22: 0 or 1]`.
     Error(u8, String),
-    /// A power cut that the user ordered has happened.
+    /// The power cut of `Store::cut_power_after` has happened.
     PowerGone,
 }
 

@@ -156,7 +156,7 @@ impl Store {
 pub enum Failure {
     /// The power was cut.
     PowerCut,
-    /// The copy could not be written.
+    /// The copy of the flash (see [`Store::kept`]) could not be written.
     Copy(std::io::Error),
 }
 
@@ -169,7 +169,7 @@ impl fmt::Display for Failure {
     }
 }
 
-/// The simulated flash: the words of both sectors, and the ordered power cut.
+/// The simulated flash: the words of both sectors, and the power cut of [`Store::cut_power_after`].
 #[derive(Clone)]
 struct Image {
     sectors: [Vec<u32>; 2],

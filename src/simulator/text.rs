@@ -118,7 +118,7 @@ const OF_STATE: [u8; 6] = [
     Error::DamagedLine.code(),
 ];
 
-/// A line that may have opened a block.
+/// A line that may have opened a subroutine, loop or condition.
 struct Opener {
     /// Number of this line among those given to the controller, from 1.
     given: u64,
@@ -200,7 +200,7 @@ impl JobText {
         of_file + self.marks.partition_point(|before| *before < of_file) as u64
     }
 
-    /// Forgets the lines that may have opened a block. Call while no block is open.
+    /// Forgets the lines that may have opened a subroutine, loop or condition. Call while none is open.
     pub fn forget_openers(&mut self) {
         self.openers.clear();
     }
@@ -274,7 +274,8 @@ impl JobText {
         std::mem::take(&mut self.said)
     }
 
-    /// Returns the number of bytes that are ready, at most the size of a receive queue; 0 at the end.
+    /// Returns the number of bytes that are ready for the controller, at most the size of a receive queue; 0 at the
+    /// end.
     pub fn waiting(&mut self) -> usize {
         self.fill();
         self.bytes.len().min(AHEAD)
@@ -440,7 +441,7 @@ fn mentions_inches(line: &str) -> bool {
         || words.windows(2).any(|pair| is_number(pair[0]) && pair[1] == "IN")
 }
 
-/// Returns an answer without the header with the checksum that it has after `$LC=ON`.
+/// Returns an answer without the header (line number and checksum) that precedes it after `$LC=ON`.
 pub fn without_header(reply: &str) -> &str {
     reply.strip_prefix(':').and_then(|answer| answer.get(ANSWER_HEADER - 1..)).unwrap_or(reply)
 }
@@ -541,7 +542,7 @@ mod tests {
         };
         assert_eq!(end("(a)\n%\nG0 X1\n%\nG0 X2\n\nX3\n%\nX4\n", &b"ok\r\n".repeat(8)), Some((4, true, 3)));
         assert_eq!(end("%\nG0 X1\n%\n(a)\n", &b"ok\r\n".repeat(2)), None);
-        // If a program has two ends, the first one counts.
+        // If a program has both M30 and a tape mark at its end, it ends at the first of them.
         assert_eq!(end("%\nM30\n%\nX4\n", b"[MSG:Pgm End]\r\nok\r\nok\r\nok\r\n"), Some((2, false, 1)));
         assert_eq!(end("X1\n%\nM30\nX4\n", b"ok\r\nok\r\n[MSG:Pgm End]\r\nok\r\nok\r\n"), Some((2, true, 2)));
     }

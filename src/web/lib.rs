@@ -152,7 +152,7 @@ pub extern "C" fn oxmill_describe() -> u32 {
     answer(|_, _| json(&engine::describe()))
 }
 
-/// Starts checking a job. The input is an order, a 0 byte and the job; the output is the `name` of the order.
+/// Starts checking a job. The input is an order (JSON), a 0 byte and the job; the output is the `name` of the order.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_check_begin() -> u32 {
     answer(|instance, input| {

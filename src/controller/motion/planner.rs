@@ -108,8 +108,8 @@ pub(super) struct Planner<const N: usize> {
     lowered: Lowered,
     /// Whether ramps have bounded jerk.
     pub jerk_limited: bool,
-    /// Whether the planned speed at some entries exceeds the overrides: they were lowered while the machine was faster,
-    /// and it has to slow down first ([`Fall`]).
+    /// Whether the planned speed at some entries exceeds what the overrides allow: they were lowered while the machine
+    /// was faster, and it has to slow down first ([`Fall`]).
     pub raised: bool,
     blocks: Lent<[Block<N>]>,
     /// One summary for each group of neighbouring slots whose blocks are all in the queue. Only with a jerk limit.

@@ -33,7 +33,7 @@ impl Bounds {
     }
 }
 
-/// Colours for the speeds or heights of feeds.
+/// A colour scale for the speeds or the heights of feeds.
 pub(super) struct Scale {
     pub(super) low: f64,
     pub(super) high: f64,

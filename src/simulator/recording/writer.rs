@@ -10,7 +10,7 @@ use std::rc::Rc;
 
 /// Writes a recording while the machine runs.
 pub struct Recorder {
-    /// Bytes that have not been written yet.
+    /// Bytes of the recording that have not been written to `out` yet.
     held: Vec<u8>,
     out: Option<Box<dyn Write>>,
     begin: u64,

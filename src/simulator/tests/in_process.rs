@@ -355,7 +355,7 @@ fn a_flood_of_resets_tears_no_welcome() {
 fn what_finds_no_room_waits_in_the_port() {
     for (lines, passes) in [(80, true), (100, false)] {
         let mut mill = mill();
-        // The dwell (five bytes) is in progress, so no later line is taken.
+        // The dwell (five bytes) is in progress, so the controller reads no later line.
         mill.send("G4P9\n");
         mill.send("G21F\n".repeat(lines));
         mill.send("?");

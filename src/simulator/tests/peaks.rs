@@ -1,5 +1,5 @@
-//! Compares the measured peaks with the values in the program: circles, lines and chords of several lengths, on coarse
-//! and fine steps.
+//! Compares the measured peaks with the values in the program: circles and lines, each as one move or as many short
+//! straight moves, on coarse and fine steps.
 
 use oxmill_simulator::meter::Measured;
 use oxmill_simulator::{JobText, Options, Simulator};
@@ -100,7 +100,8 @@ fn a_line_in_chords_has_the_speed_of_its_program() {
             let m = measured(resolution, &program);
             let what = format!("a line at {angle:.2} rad in chords of {chord} mm at {resolution} steps/mm");
             assert_near(m.speed * 60.0, feed * 0.985, feed * 1.01, &what);
-            // The speed of an axis does not exceed its share of the feed, whatever the directions of the chords are.
+            // The speed of an axis does not exceed its share of the feed, whatever the directions of the short moves
+            // are.
             for (axis, part) in [angle.cos(), angle.sin()].into_iter().enumerate() {
                 assert_near(m.axis_speed[axis] * 60.0, feed * part * 0.97 - 15.0, feed * part * 1.01 + 15.0, &what);
             }
