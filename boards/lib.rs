@@ -134,8 +134,25 @@ mod chosen {
                 count(Role::ProgramOutput, Role::SecondProgramOutput),
                 count(Role::ProgramInput, Role::SecondProgramInput),
             ],
+            has_loader: HAS_LOADER && !starts_in_loader(table),
             ..PROFILE
         }
+    }
+
+    /// Returns whether a load of this board could start in the boot loader, which switches pull-ups on at the pins of its
+    /// UARTs and of CAN (AN2606; the other chips' pins are not on their packages).
+    fn starts_in_loader(table: &PinTable) -> bool {
+        /// Port B: 5, 10, 11 and 13. Port C: 10 and 11.
+        const PULLED_UP: [(u8, u16); 2] = [(1, 0x2C20), (2, 0x0C00)];
+        use Role::{
+            Flood, Mist, MotorPower, ProgramOutput, SecondProgramOutput, SpindleDirection, SpindleOn, SpindlePwm,
+        };
+        let loads =
+            [SpindleOn, SpindleDirection, SpindlePwm, Flood, Mist, ProgramOutput, SecondProgramOutput, MotorPower];
+        let is_pulled_up =
+            |pin: Pin| PULLED_UP.iter().any(|(port, pins)| pin.port == *port && pins >> pin.number & 1 != 0);
+        cfg!(any(feature = "stm32f407", feature = "stm32f446"))
+            && loads.into_iter().filter_map(|role| table.pin(role)).any(is_pulled_up)
     }
 }
 #[cfg(feature = "stm32f4")]
@@ -143,7 +160,7 @@ pub use chosen::*;
 #[cfg(feature = "stm32f4")]
 use {
     oxmill_controller::Profile,
-    pin_table::{PinTable, Role},
+    pin_table::{Pin, PinTable, Role},
 };
 
 #[cfg(feature = "board")]
@@ -171,6 +188,6 @@ const fn profile_of(board: &profiles::Board, has_second_motor: bool) -> oxmill_c
         most_baud: board.most_baud,
         oscillator_mhz: 0,
         has_store: true,
-        has_loader: HAS_LOADER,
+        has_loader: false,
     }
 }

@@ -230,6 +230,7 @@ impl<const N: usize> Controller<N> {
     /// Returns whether the board must restart now (`$REBOOT`, `$DFU`), and whether into the boot loader of the chip. The
     /// platform asks for this after its rounds; the answer to the command has been sent some time before.
     pub fn reboot_due(&self) -> Option<bool> {
+        // Any change of the state cancels the restart (`Controller::enter`), so here nothing moves.
         match self.task {
             Task::Rebooting { into_loader, at } if self.m.now >= at => Some(into_loader),
             _ => None,

@@ -45,7 +45,8 @@ impl<const N: usize> Controller<N> {
 
     /// Whether a job is in progress. A laser that burns at rest counts as a job.
     pub(crate) fn is_at_work(&self) -> bool {
-        self.m.step_supply.is_running() || !self.m.motion.is_idle() || !self.task.is_none() || self.burns()
+        let has_task = !matches!(self.task, Task::None | Task::Rebooting { .. });
+        self.m.step_supply.is_running() || !self.m.motion.is_idle() || has_task || self.burns()
     }
 
     /// Whether the laser burns at rest.

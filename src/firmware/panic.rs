@@ -21,8 +21,11 @@ core::arch::global_asm!(
     ".section .text.__pre_init, \"ax\"",
     ".global __pre_init",
     ".type __pre_init, %function",
+    ".p2align 1",
     ".thumb_func",
     "__pre_init: b {before_start}",
+    ".size __pre_init, . - __pre_init",
+    ".previous",
     before_start = sym before_start,
 );
 

@@ -32,7 +32,7 @@ const INSTEAD: [(&[&str], &str); 12] = [
     (&["G87"], "Write the back boring cycle as single moves."),
     (
         &["M82", "M83", "M84", "M104", "M106", "M107", "M109", "M117", "M140", "M190"],
-        "The program is for the firmware of a 3D printer: choose a post-processor for Grbl. Spindle and laser are M3 or M4 with S, and M5.",
+        "The program was made for a 3D printer. Do not repair it: make it again for a mill, with a post-processor for Grbl.",
     ),
     (&["M19"], "Remove the word: the spindle cannot be turned to an angle."),
 ];
@@ -79,7 +79,7 @@ pub fn beside(sentence: &str, code: u8, line: &str) -> &'static str {
         let verb = part.split_whitespace().next().unwrap_or_default().to_lowercase();
         IMPERATIVES.contains(&verb.as_str())
     });
-    let is_enough = says_what_to_write || sentence.contains("such as") || sentence.ends_with("fits both");
+    let is_enough = says_what_to_write || sentence.contains("such as");
     if is_enough && advice == for_code(code) { "" } else { advice }
 }
 
@@ -109,7 +109,7 @@ fn is_of(word: &str, letter: char) -> bool {
 }
 
 /// Returns the words of a line, without comments and parameter names.
-fn words(line: &str) -> Vec<String> {
+pub fn words(line: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut depth = 0_usize;
     for character in line.split(';').next().unwrap_or_default().chars().filter(|c| !c.is_whitespace()) {
@@ -338,7 +338,7 @@ mod tests {
         for sentence in [
             "#<DEPTH> is not set above this line: set it, or correct the name",
             "Q is missing in G83: the step of a peck, above 0, such as Q2",
-            "the radii of G2 differ by 2.000 mm: 4.000 at its start, 6.000 at its end. I5.000 J0.000 fits both",
+            "the radius of G2 is 4.000 mm at its start, 6.000 at its end. Write I5.000 with J0.000",
         ] {
             assert_eq!(beside(sentence, 33, "G2 X10 I4"), "", "{sentence}");
         }

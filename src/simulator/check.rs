@@ -19,9 +19,6 @@ use oxmill_controller::messages::Realtime;
 const AWAITS: &str = "[MSG:Program waits for subprogram ";
 /// Start of the controller's message about G43 while no tool is in the table.
 pub const NO_TOOLS: &str = "[MSG:No tool is in the table";
-/// Text of the warning that the report adds for [`NO_TOOLS`].
-const WITHOUT_LENGTH: &str = "no tool has a stored length, so G43 has no effect. That is right if Z zero was set with this tool. \
-     Otherwise store the length: G10 L1 P(tool) Z(length), above the line or once in the machine";
 /// Maximum number of errors, and of warnings, that the report lists. Further ones are only counted.
 const KEPT_ERRORS: usize = 1000;
 /// Maximum number of controller messages, and of simulator notes, that the report lists. Further ones are only counted.
@@ -50,15 +47,17 @@ impl Outcome {
                 Said::Error { line, code, text, reason: Some(reason) } => {
                     self.unsay(&reason);
                     let reason = reason.trim_start_matches("[MSG:").trim_end_matches(']');
-                    self.refused(line, code, reason, text);
+                    self.refused(line, code, reason, text, job);
                 }
-                Said::Error { line, code, text, reason: None } => self.refused(line, code, error_text(code), text),
+                Said::Error { line, code, text, reason: None } => {
+                    self.refused(line, code, error_text(code), text, job);
+                }
                 Said::Warning(warning) => self.warn(warning),
                 // The controller can send this message several times in a row: list it once.
                 Said::Message { text, .. } if self.messages.last() == Some(&text) && text.starts_with(AWAITS) => {}
-                Said::Message { line, text } if self.messages.len() < KEPT_MESSAGES => {
+                Said::Message { line, text, source } if self.messages.len() < KEPT_MESSAGES => {
                     if text.starts_with(NO_TOOLS) {
-                        self.warn(Warning { line, text: WITHOUT_LENGTH.into() });
+                        self.warn(Warning { line, text: without_length(&source) });
                     }
                     self.messages.push(text);
                     self.message_lines.push(line);
@@ -79,35 +78,44 @@ impl Outcome {
         }
     }
 
-    fn refused(&mut self, line: u64, code: u8, text: &str, source: String) {
-        if self.errors.len() < KEPT_ERRORS {
-            let (column, advice) = (column::of_word(text, &source), self.advice(line, code, text, &source));
-            self.errors.push(LineError { line, code, column, text: text.into(), advice, source });
-        } else {
+    fn refused(&mut self, line: u64, code: u8, text: &str, source: String, job: &JobText) {
+        if self.errors.len() >= KEPT_ERRORS {
             self.more_errors += 1;
+            return;
         }
+        let column = column::of_word(text, &source);
+        let (text, advice) = self.explained(line, code, text, &source, job);
+        self.errors.push(LineError { line, code, column, text, advice, source });
     }
 
-    /// Returns what to do about a refused line. Also detects three causes that the error alone does not show: an earlier
-    /// line with F was refused, the line before an arc was refused, or one line contains several points.
-    fn advice(&self, line: u64, code: u8, text: &str, source: &str) -> String {
-        let before = self.errors.last().filter(|before| before.line + 1 == line && moves(&before.source));
+    /// Returns what is wrong with a refused line, and what to do about it. Detects causes that the controller cannot
+    /// know: an earlier line was refused, several lines have run together, or a name is misspelt.
+    fn explained(&self, line: u64, code: u8, text: &str, source: &str, job: &JobText) -> (String, String) {
         let refused_feed = self.errors.iter().rev().find(|error| advice::count(&error.source, 'F') > 0);
-        match refused_feed {
-            Some(LineError { line, .. }) if code == Error::UndefinedFeed.code() => {
-                format!("Line {line} has an F and was refused: correct that line first.")
-            }
-            _ if code == Error::InvalidTarget.code()
-                && let Some(LineError { line, .. }) = before =>
-            {
-                format!("Line {line} was refused, so this arc starts at another point: correct that line first.")
-            }
-            _ if code == Error::LineTooLong.code() && advice::count(source, 'X') > 1 => {
-                "X stands in this line several times, and a line takes it once: write each point in a line of its own."
-                    .into()
-            }
-            _ => advice::beside(text, code, source).into(),
+        if let Some(LineError { line, .. }) = refused_feed
+            && code == Error::UndefinedFeed.code()
+        {
+            return (text.into(), format!("Line {line} has an F and was refused: correct that line first."));
         }
+        if let Some(LineError { line: before, source, .. }) = self.errors.last()
+            && code == Error::InvalidTarget.code()
+            && before + 1 == line
+            && moves(source)
+        {
+            // The centre that the controller suggests would be right only for this wrong start.
+            let fault = text.split(". ").next().unwrap_or(text);
+            let advice =
+                format!("Line {before} was refused, so this arc starts at another point: correct that line first.");
+            return (fault.into(), advice);
+        }
+        if code == Error::LineTooLong.code() && advice::count(source, 'X') > 1 {
+            return ("several moves have run together in this line: begin a new line for each".into(), String::new());
+        }
+        let unset = text.strip_prefix("#<").and_then(|rest| rest.split_once("> is not set"));
+        if let Some(name) = unset.and_then(|(name, _)| job.name_like(name)) {
+            return (text.into(), format!("The file sets #<{name}>: is that the name?"));
+        }
+        (text.into(), advice::beside(text, code, source).into())
     }
 
     fn warn(&mut self, warning: Warning) {
@@ -124,18 +132,32 @@ impl Outcome {
         if let Some((line, source)) = since.and_then(|line| job.opener(line)) {
             let source = source.to_owned();
             if is_call(&source) && !source.trim_start().starts_with(['o', 'O']) {
-                let awaited = self.messages.iter().rev().find_map(|message| message.strip_prefix(AWAITS));
-                let text = match awaited {
-                    Some(number) => missing(number.trim_end_matches(']'), job.program_numbers()),
-                    None => "a subprogram that is called here is not in the file: write it after M30, as O1001 .. M99"
-                        .to_owned(),
-                };
-                self.refused(line, Error::OutOfPlace.code(), &text, source);
+                let text = self.missing_program(line, job);
+                self.refused(line, Error::OutOfPlace.code(), &text, source, job);
             } else {
                 let text = "the program ended within the block that begins here";
-                self.refused(line, Error::FlowSyntax.code(), text, source);
+                self.refused(line, Error::FlowSyntax.code(), text, source, job);
             }
         }
+    }
+
+    /// Returns what is wrong with the call in line `call`, whose subprogram is not in the file. Removes the controller's
+    /// messages that it waits for this subprogram.
+    fn missing_program(&mut self, call: u64, job: &JobText) -> String {
+        let awaited = self.messages.iter().rev().find_map(|message| message.strip_prefix(AWAITS));
+        let Some(number) = awaited.map(|number| number.trim_end_matches(']').to_owned()) else {
+            return "a subprogram that is called here is not in the file: write it after M30, as O1001 .. M99".into();
+        };
+        let all = std::mem::take(&mut self.messages).into_iter().zip(std::mem::take(&mut self.message_lines));
+        (self.messages, self.message_lines) = all.filter(|(message, _)| !message.starts_with(AWAITS)).unzip();
+        let more: Vec<String> =
+            job.calls_of(&number).into_iter().filter(|line| *line != call).map(|line| line.to_string()).collect();
+        let more = match &more[..] {
+            [] => String::new(),
+            [line] => format!(", also in line {line}"),
+            lines => format!(", also in lines {}", lines.join(", ")),
+        };
+        missing(&number, &more, &job.other_programs(call))
     }
 
     /// Adds advice to the error about a program that the controller stores until its subprograms have arrived, and that
@@ -167,19 +189,32 @@ fn moves(source: &str) -> bool {
     ['X', 'Y', 'Z'].iter().any(|letter| advice::count(source, *letter) > 0)
 }
 
-/// Returns the error text for calls of the subprogram `number`, such as `O1001`, which is not in the file. `present`:
-/// the program numbers that the file has.
-fn missing<'a>(number: &str, present: impl Iterator<Item = &'a str>) -> String {
-    match present.collect::<Vec<_>>()[..] {
-        [] => format!("{number} is called here and is not in the file: write it after M30, from {number} to M99"),
+/// Returns the warning about G43 in a line, while no tool has a stored length.
+fn without_length(source: &str) -> String {
+    let words = advice::words(source);
+    let word = ['H', 'T'].iter().find_map(|letter| words.iter().find(|word| word.starts_with(*letter)));
+    let number = word.and_then(|word| word.get(1..)).unwrap_or("1");
+    let tool = word.map_or(String::new(), |word| format!(" {word}"));
+    format!(
+        "no tool has a stored length, so G43{tool} has no effect. That is right if Z zero was set with this tool. \
+         Otherwise store its length above this line, or once in the machine, which keeps it: G10 L1 P{number} Z42.5 for 42.5 mm"
+    )
+}
+
+/// Returns the error text for calls of the subprogram `number`, such as `O1001`, which is not in the file. `more`: the
+/// further lines that call it. `present`: the numbers of the other programs in the file.
+fn missing(number: &str, more: &str, present: &[&str]) -> String {
+    match present {
+        [] => format!("{number} is called here{more} and is not in the file: write it after M30, from {number} to M99"),
         [only] => {
-            format!("{number} is not in the file, which has only {only}: correct {only}, or each call of {number}")
+            let word = only.replace(['O', 'o'], "P");
+            format!("{number} is called here{more}, and the file has only {only}: write {word}, or add {number}")
         }
-        [ref others @ .., last] => {
-            let (few, more) = others.split_at(others.len().min(MOST_NAMED));
-            let (few, dots) = (few.join(", "), if more.is_empty() { "" } else { ", .." });
+        [others @ .., last] => {
+            let (few, rest) = others.split_at(others.len().min(MOST_NAMED));
+            let (few, dots) = (few.join(", "), if rest.is_empty() { "" } else { ", .." });
             format!(
-                "{number} is called here, and the file has {few}{dots} and {last}: correct the number, or add {number}"
+                "{number} is called here{more}, and the file has {few}{dots} and {last}: correct the number, or add {number}"
             )
         }
     }
@@ -220,11 +255,12 @@ impl Check {
     pub fn of(simulator: Simulator, origin: u64, said: &str) -> Self {
         let mut outcome = Outcome { complete: true, ..Outcome::default() };
         let mut answers = 0;
+        let no_job = JobText::new(std::io::empty());
         for line in said.lines().map(without_header) {
             answers += u64::from(matches!(line, "ok" | "known"));
             if let Some(code) = line.strip_prefix("error:").and_then(|code| code.parse().ok()) {
                 answers += 1;
-                outcome.refused(answers, code, error_text(code), String::new());
+                outcome.refused(answers, code, error_text(code), String::new(), &no_job);
             }
             let alarm = line.strip_prefix("ALARM:").and_then(|code| code.parse().ok());
             let alarm = alarm.and_then(|code: u8| Alarm::ALL.iter().find(|alarm| alarm.code() == code));
@@ -347,12 +383,20 @@ impl Check {
         let is_metric = simulator.controller().interpreter().modal().units == Units::Mm;
         let mentions_inches = simulator.job().is_some_and(JobText::mentions_inches);
         if mentions_inches && is_metric && feed < SLOW && x.max(y) > 0.0 && x.max(y) < SMALL {
-            let place = simulator.job().and_then(JobText::metric_at);
-            let cure = place
-                .map_or("write G20 above the first move".into(), |line| format!("write G20 for G21 in line {line}"));
-            self.outcome.note(format!(
-                "the feeds are {feed:.0} mm/min on average, and the job covers {x:.1} x {y:.1} mm. If its numbers are inches: {cure}"
-            ));
+            let signs = format!(
+                "the comments name inches, the job covers {x:.1} x {y:.1} mm, and its feeds are {feed:.0} mm/min on average"
+            );
+            match simulator.job().and_then(JobText::metric_at) {
+                Some(line) => self.outcome.warn(Warning {
+                    line,
+                    text: format!(
+                        "G21 makes the numbers millimetres. But {signs}. If they are inches, write G20 for G21"
+                    ),
+                }),
+                None => {
+                    self.outcome.note(format!("{signs}. If the numbers are inches, write G20 above the first move"))
+                }
+            }
         }
     }
 
@@ -513,7 +557,10 @@ mod tests {
 
     #[test]
     fn a_missing_program_is_told_with_those_that_exist() {
-        let told = |present: &[&'static str]| missing("O7", present.iter().copied());
+        let told = |present: &[&str]| missing("O7", ", also in line 8", present);
+        assert!(
+            told(&["O1"]).ends_with("is called here, also in line 8, and the file has only O1: write P1, or add O7")
+        );
         assert!(told(&["O1", "O2"]).contains("the file has O1 and O2:"));
         let many = ["O1", "O2", "O3", "O4", "O5", "O6", "O8"];
         assert!(told(&many).contains("the file has O1, O2, O3, O4, O5, .. and O8:"), "{}", told(&many));
@@ -564,7 +611,10 @@ mod tests {
     /// Inches taken for millimetres make a job that is too small, and slow.
     #[test]
     fn a_small_job_with_slow_feeds_is_noted() {
-        let is_noted = |text| checked("oxmill", text).notes.iter().any(|note| note.contains("are inches: write G20"));
+        let is_noted = |text| {
+            let warnings = checked("oxmill", text).warnings;
+            warnings.iter().any(|warning| warning.line == 2 && warning.text.ends_with("inches, write G20 for G21"))
+        };
         assert!(is_noted("(SIZE 4 X 3 IN)\nG21 G90\nG1 Z-0.05 F8\nG1 X4 F30\nG1 Y3\nG1 X0 Y0\nM30"));
         assert!(!is_noted("(SIZE 4 X 3 IN)\nG20 G90\nG1 Z-0.05 F8\nG1 X4 F30\nG1 Y3\nM30"));
         assert!(!is_noted("(SIZE 40 X 30 IN MM)\nG21 G90\nG1 Z-1 F80\nG1 X40 F300\nG1 Y30\nM30"));

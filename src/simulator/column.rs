@@ -67,12 +67,12 @@ mod tests {
         for (reason, line, column) in [
             ("comma in X1,5: write a decimal point", "g1 (X1) x 1,5 f100", Some(9)),
             ("Q is missing in G83: the step of a peck, above 0, such as Q2", "N10  G83 X1 Z-5 R1", Some(6)),
-            ("the radii of G2 differ by 2.000 mm: 4.000 at its start", "G21 G02 X10 I4", Some(5)),
+            ("the radius of G2 is 4.000 mm at its start", "G21 G02 X10 I4", Some(5)),
             ("G0 and G1 in one line: write one of them, or two lines", "G10 G01 G0 X1", Some(9)),
             ("no number behind X", "X1 Y2 X", Some(7)),
             ("no letter in front of 10", "10 (ten)", Some(1)),
             ("write #101+2 in brackets behind X", "G1 X #101 + 2", Some(6)),
-            ("letter O in X1O5: write a 0, or take it out", "G1 x1o5", Some(6)),
+            ("letter O in X1O5: write a 0", "G1 x1o5", Some(6)),
             ("F is missing: no feed has been set for G1", "X5 ; F", None),
             ("no subroutine 100 above this line", "o100 call", Some(2)),
         ] {

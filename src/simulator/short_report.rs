@@ -1,6 +1,7 @@
 //! The report of `check` on one screen: verdict, first rejected lines with advice, alarm, messages, times by tool, and
 //! extents. Long lists are truncated, with the number of further entries.
 
+use crate::boards;
 use crate::check::NO_TOOLS;
 use crate::summary::{Summary, clock_time, counted};
 use anstyle::{AnsiColor, Style};
@@ -25,9 +26,10 @@ impl fmt::Display for ShortReport<'_> {
         let (style, verdict) = verdict(summary);
         writeln!(
             f,
-            "{style}{verdict}{style:#}: {} on {}, {}",
+            "{style}{verdict}{style:#}: {}{}, {}",
             summary.job,
-            summary.board,
+            // The simulator's own board needs no mention.
+            if summary.board == boards::DESK.name { String::new() } else { format!(" on {}", summary.board) },
             counted(summary.lines, "line")
         )?;
         let mut shown: Vec<&str> = Vec::new();

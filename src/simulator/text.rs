@@ -5,6 +5,7 @@
 //! characters reach the controller as `?`, which is ignored in a comment and rejected elsewhere. Every line gets
 //! exactly one answer, in order, as with any sender.
 
+use crate::advice;
 use crate::realtime_bytes;
 use crate::small_board;
 use crate::summary::Warning;
@@ -15,6 +16,10 @@ use std::io::{self, BufRead};
 
 /// Maximum length of a line, in bytes. A file with a longer line is not a program for a machine.
 const LONGEST_LINE: usize = 1 << 20;
+/// Maximum number of names of parameters that are kept for advice.
+const MOST_NAMES: usize = 100;
+/// Maximum number of letters by which a suggested name differs.
+const MOST_DIFFERENT: usize = 2;
 /// Number of characters of a line that reports show.
 const SHOWN_LINE: usize = 120;
 /// Number of bytes that are kept ready for the controller, as in the full receive queue of a board.
@@ -40,6 +45,8 @@ pub enum Said {
         line: u64,
         /// The line of output.
         text: String,
+        /// The text of that line of the file, as in [`Said::Error`]; empty if there was none.
+        source: String,
     },
     /// A line given to the controller may not do what was intended.
     Warning(Warning),
@@ -53,6 +60,8 @@ pub struct JobText {
     after_cr: bool,
     stopped: bool,
     failed: Option<io::Error>,
+    /// Names of parameters, such as `depth`, that lines of the file set; not more than [`MOST_NAMES`].
+    names: Vec<String>,
     /// Whether a comment has mentioned inches so far.
     mentions_inches: bool,
     /// Line number of the most recent line with G21.
@@ -137,6 +146,7 @@ impl JobText {
             after_cr: false,
             stopped: false,
             failed: None,
+            names: Vec::new(),
             mentions_inches: false,
             metric_at: None,
             unanswered: VecDeque::new(),
@@ -177,8 +187,17 @@ impl JobText {
         self.openers.iter().find(|opener| opener.given == given).map(|opener| (opener.number, opener.text.as_str()))
     }
 
-    /// Returns the program numbers, such as `O1001`, among the lines that may have opened a block.
-    pub fn program_numbers(&self) -> impl Iterator<Item = &str> {
+    /// Returns the program numbers, such as `O1001`, among the lines that may have opened a block, without the number of
+    /// the program that contains the line `call`.
+    pub fn other_programs(&self, call: u64) -> Vec<&str> {
+        let mut numbers: Vec<(u64, &str)> = self.program_numbers().collect();
+        if let Some(own) = numbers.iter().rposition(|(line, _)| *line < call) {
+            numbers.remove(own);
+        }
+        numbers.into_iter().map(|(_, number)| number).collect()
+    }
+
+    fn program_numbers(&self) -> impl Iterator<Item = (u64, &str)> {
         self.openers.iter().filter_map(|opener| {
             let text = opener.text.trim();
             let digits = text.strip_prefix(['O', 'o'])?;
@@ -186,7 +205,7 @@ impl JobText {
             let is_alone = digits
                 .get(length..)
                 .is_some_and(|rest| rest.trim_start().is_empty() || rest.trim_start().starts_with('('));
-            (length > 0 && is_alone).then(|| &text[..=length])
+            (length > 0 && is_alone).then(|| (opener.number, &text[..=length]))
         })
     }
 
@@ -365,10 +384,39 @@ impl JobText {
             shown += " ...";
         }
         self.mentions_inches |= mentions_inches(text);
+        self.note_names(text);
         if text.contains("G21") || text.contains("g21") {
             self.metric_at = Some(self.lines);
         }
         self.unanswered.push_back((self.lines, shown, left_out));
+    }
+
+    /// Notes the names of the parameters that a line sets, such as `#<depth>=2`.
+    fn note_names(&mut self, line: &str) {
+        for part in line.split("#<").skip(1) {
+            if let Some((name, behind)) = part.split_once('>')
+                && behind.trim_start().starts_with('=')
+                && self.names.len() < MOST_NAMES
+                && !self.names.iter().any(|known| known == name)
+            {
+                self.names.push(name.to_owned());
+            }
+        }
+    }
+
+    /// Returns the name of a parameter that the file sets and that differs from `name` by few letters, if there is one.
+    pub fn name_like(&self, name: &str) -> Option<&str> {
+        let distance = |known: &String| strsim::damerau_levenshtein(&known.to_lowercase(), &name.to_lowercase());
+        let nearest = self.names.iter().min_by_key(|known| distance(known))?;
+        (distance(nearest) <= MOST_DIFFERENT && distance(nearest) < name.chars().count()).then_some(nearest)
+    }
+
+    /// Returns the numbers of the lines that call the program `number`, such as `O1001`, among the lines that may have
+    /// opened a block.
+    pub fn calls_of(&self, number: &str) -> Vec<u64> {
+        let word = number.replace(['O', 'o'], "P");
+        let is_one = |opener: &&Opener| is_call(&opener.text) && advice::words(&opener.text).contains(&word);
+        self.openers.iter().filter(is_one).map(|opener| opener.number).collect()
     }
 
     /// Receives a part of the controller's output.
@@ -425,8 +473,9 @@ impl JobText {
                 self.alarmed_at = self.oldest_unanswered();
             }
             self.message = Some(reply.to_owned()).filter(|text| text.starts_with("[MSG:"));
-            let line = self.oldest_unanswered().unwrap_or(0);
-            self.said.push(Said::Message { line, text: reply.to_owned() });
+            let (line, source) =
+                self.unanswered.front().map(|(line, text, _)| (*line, text.clone())).unwrap_or_default();
+            self.said.push(Said::Message { line, text: reply.to_owned(), source });
         }
     }
 }
@@ -600,7 +649,7 @@ mod tests {
             job.said(),
             [
                 Said::Error { line: 3, code: 20, text: "bad".into(), reason: None },
-                Said::Message { line: 4, text: "[MSG:Pgm End]".into() }
+                Said::Message { line: 4, text: "[MSG:Pgm End]".into(), source: "G1".into() }
             ]
         );
         assert!(job.is_used_up());

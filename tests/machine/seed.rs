@@ -297,7 +297,7 @@ fn chapter_2_10_1_five_circles_as_printed_are_refused_by_the_other_dialects() {
 fn chapter_2_3_4_an_arc_to_a_point_off_the_circle() {
     let line = "G02 X-30 Y-40 I-10 J-15 F500";
     let mut rig = Rig::with(CARVER);
-    let told = "[MSG:the radii of G2 differ by 13.988 mm: 18.028 at its start, 32.016 at its end. I-14.200 J-20.600 fits both]";
+    let told = "[MSG:the radius of G2 is 18.028 mm at its start, 32.016 at its end. Write J-23.750 with I-10.000, or I-21.667 with J-15.000]";
     assert_eq!(rig.ask(line), [told, "error:33"]);
     rig.carry_out("$900=2");
     rig.carry_out(line);

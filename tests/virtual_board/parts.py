@@ -120,6 +120,8 @@ class Wiring:
     """The UART's interrupt, if DMA does not serve the UART."""
     usb: bool = False
     """OTG_FS is the first link to the host."""
+    starts_in_loader: bool = False
+    """The boot loader switches a pull-up on at an output that starts a load, so `$DFU` is refused."""
     left_out: tuple = ()
     """Features that this board's image lacks for want of space; all other boards have them."""
 
@@ -206,8 +208,8 @@ BOARDS = {
         on("nucleo_f401re", STM32F401RE, 8 * MHZ, 84 * MHZ, **NUCLEO),
         on("octopus_f446", replace(STM32F446, name="STM32F446ZE"), 12 * MHZ, 168 * MHZ, **USB),
         on("octopus_pro_f446", replace(STM32F446, name="STM32F446ZE"), 12 * MHZ, 168 * MHZ, **USB),
-        on("spider_f446", replace(STM32F446, name="STM32F446VE"), 12 * MHZ, 168 * MHZ, **USB),
-        on("skr2_f407", STM32F407, 8 * MHZ, 168 * MHZ, **USB),
+        on("spider_f446", replace(STM32F446, name="STM32F446VE"), 12 * MHZ, 168 * MHZ, starts_in_loader=True, **USB),
+        on("skr2_f407", STM32F407, 8 * MHZ, 168 * MHZ, starts_in_loader=True, **USB),
         on("monster8_f407", STM32F407, 8 * MHZ, 168 * MHZ, **USB),
         on("robin_nano_v3", STM32F407, 8 * MHZ, 168 * MHZ, **USB),
         on("jz_f407", STM32F407, 25 * MHZ, 168 * MHZ, **USB),

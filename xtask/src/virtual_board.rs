@@ -131,6 +131,7 @@ const ON_SKR2: &[&str] = &[
     "spindle PWM",
     "raster",
     "fault",
+    "restart on request",
 ];
 
 /// Boards that also run the loop-back suite with its wires: one per chip.

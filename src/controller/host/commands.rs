@@ -138,12 +138,23 @@ impl<const N: usize> Controller<N> {
         self.fall_asleep();
     }
 
-    /// Answers, and restarts the board as soon as the answer has had time to reach the host.
+    /// Answers, and restarts the board as soon as the answer has had time to reach the host. Refused while an output is
+    /// on: a restart lets go of everything, and in the boot loader nothing is driven at all. Refused in an alarm that the
+    /// restart would clear: an alarm ends by `$X` or `$H`.
     fn reboot(&mut self, into_loader: bool) -> Result<(), Error> {
         self.must_hold_nothing()?;
         if into_loader && !self.m.settings_lock.has_loader() {
-            self.say(|out| reply_texts::message(out, "No boot loader on USB here"));
+            self.say(|out| reply_texts::message(out, "This board has no boot loader for $DFU: docs/boards.md"));
             return Err(Error::InvalidStatement);
+        }
+        if matches!(self.state, State::Alarm(_)) && !self.m.settings.is_on(Key::Homing) && !into_loader {
+            return Err(Error::Locked);
+        }
+        let accessories = &self.m.accessories;
+        let coolant = accessories.coolant();
+        if accessories.is_on() || coolant.flood || coolant.mist || accessories.digital().levels() != 0 {
+            self.say(|out| reply_texts::message(out, "Switch off spindle, coolant and outputs first"));
+            return Err(Error::NotIdle);
         }
         self.say_ok();
         self.task = Task::Rebooting { into_loader, at: self.m.now + REBOOT_DELAY };

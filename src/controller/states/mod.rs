@@ -24,6 +24,7 @@ pub(crate) mod stops;
 
 use crate::dispatch::Controller;
 use crate::error::Alarm;
+use crate::work::task::Task;
 pub(crate) use door::Door;
 pub(crate) use hold::Hold;
 pub(crate) use homing::Homing;
@@ -179,6 +180,10 @@ impl<const N: usize> Controller<N> {
             // Lines had to wait in the suspended state, so the time in that state does not count as a pause of the
             // host.
             self.m.last_line_at = self.m.now;
+        }
+        // A machine that holds, opens its door or has an alarm does not restart without being asked again.
+        if matches!(self.task, Task::Rebooting { .. }) {
+            self.task = Task::None;
         }
         self.state = next;
     }

@@ -25,7 +25,8 @@ pub(crate) enum Task {
     /// A received jog waits until the cancelled jog before it has stopped. `LineIntake` keeps the text of the waiting
     /// jog.
     JogWaits,
-    /// The board restarts at this time: late enough that the answer has reached the host. A reset cancels it.
+    /// The board restarts at this time: late enough that the answer has reached the host. A reset, a hold, the door and
+    /// every alarm cancel it.
     Rebooting {
         /// Into the boot loader of the chip.
         into_loader: bool,

@@ -22,6 +22,9 @@ use crate::units::{Coordinate, DECIMAL_ONE, Decimal, integer_root};
 const PINS: [u16; 7] = [620, 630, 640, 650, 660, 670, 680];
 /// G words that are allowed in a jog, in tenths.
 const OF_JOGS: [u16; 5] = [200, 210, 530, 900, 910];
+/// A correction of one word of an arc's centre is suggested only if the square of the chord is at most this many times
+/// the square of the chord's part along the axis of that word.
+const FLATTEST: f32 = 2500.0;
 
 /// A refused line whose words could be read.
 struct ReadableLine<'a, const N: usize> {
@@ -514,7 +517,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         let is_arc = matches!(self.modal.motion, MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise);
         match (word.first(), before) {
             _ if is_jog => say(out, "% is not for a jog", &[word]),
-            (Some(b'O'), Some(before)) => say(out, "letter O in %%: write a 0, or take it out", &[before, word]),
+            (Some(b'O'), Some(before)) => say(out, "letter O in %%: write a 0", &[before, word]),
             (Some(b'O'), None) => say(out, "% has to be alone in its line", &[word]),
             (Some(b'I' | b'J' | b'K'), _) if is_arc && self.parsed.values.has(b'R') => {
                 say(out, "% does not go with % in an arc: write one of them", &[word, self.word(b'R')]);
@@ -531,11 +534,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             (Some(b'R'), _) if !is_arc => {
                 say(out, "% belongs to an arc or a cycle, but % is active", &[word, motion]);
             }
-            (Some(b'E'), _) => say(
-                out,
-                "% is used by nothing: E moves a printer's extruder. Choose a post-processor for Grbl",
-                &[word],
-            ),
+            (Some(b'E'), _) => say(out, "% moves a printer's extruder: choose a post-processor for Grbl", &[word]),
             (Some(b'H'), _) => say(out, "% is used by nothing: G43 is missing", &[word]),
             (Some(b'D'), _) => say(out, "% is used by nothing: there is no cutter compensation", &[word]),
             (Some(letter @ (b'P' | b'Q')), _)
@@ -658,25 +657,32 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         });
         let ([x, y], [i, j]) = (chord, centre);
         let (at_start, at_end) = (length([i, j]), length([x.saturating_sub(i), y.saturating_sub(j)]));
-        say(out, "the radii of % differ by ", &[motion]);
-        millimetres(out, (at_end - at_start).abs());
-        say(out, " mm: ", &[]);
+        say(out, "the radius of % is ", &[motion]);
         millimetres(out, at_start);
-        say(out, " at its start, ", &[]);
+        say(out, " mm at its start, ", &[]);
         millimetres(out, at_end);
         say(out, " at its end. ", &[]);
         if absolute || self.modal.units == Units::Inch || [x, y] == [0, 0] {
             return say(out, "Correct I, J or the end", &[]);
         }
-        // Suggest the centre that is equally far from both ends of the arc and nearest to the programmed centre.
-        let square = |[a, b]: [i64; 2]| a as f32 * a as f32 + b as f32 * b as f32;
-        let part = 0.5 - (x as f32 * i as f32 + y as f32 * j as f32) / square([x, y]);
-        for (axis, (centre, way)) in [axes.first, axes.second].into_iter().zip([(i, x), (j, y)]) {
-            let _ = out.push(centre_letter(axis));
-            millimetres(out, centre.saturating_add((part * way as f32) as i64));
-            let _ = out.push(b' ');
+        // Usually one of the two words is wrong. Suggest for each the value that goes with the other: a centre at (i, j)
+        // is equally far from both ends if x * i + y * j is half the square of the chord (x, y).
+        let [first, second] = [axes.first, axes.second].map(centre_letter);
+        let square = x as f32 * x as f32 + y as f32 * y as f32;
+        let mut before = "Write ";
+        for (letter, across, kept, along, centre) in [(second, y, first, x, i), (first, x, second, y, j)] {
+            // If the chord is nearly at right angles to this word's axis, the value would be far off.
+            if across as f32 * across as f32 * FLATTEST < square {
+                continue;
+            }
+            say(out, before, &[]);
+            let _ = out.push(letter);
+            millimetres(out, ((square / 2.0 - along as f32 * centre as f32) / across as f32) as i64);
+            say(out, " with ", &[]);
+            let _ = out.push(kept);
+            millimetres(out, centre);
+            before = ", or ";
         }
-        say(out, "fits both", &[]);
     }
 
     #[inline(never)]

@@ -270,10 +270,10 @@ impl<const N: usize> Interpreter<N> {
             }
             (_, [.., b'#']) => say(out, "no number behind %", &[word]),
             (first, [] | [b'-' | b'+']) if next.first() == Some(&b'O') && first != b'O' => {
-                say(out, "letter O in %%: write a 0, or take it out", &[word, next]);
+                say(out, "letter O in %%: write a 0", &[word, next]);
             }
             (b'O', [] | [b'.', ..]) if !before.is_empty() => {
-                say(out, "letter O in %%: write a 0, or take it out", &[last_word(before), word]);
+                say(out, "letter O in %%: write a 0", &[last_word(before), word]);
             }
             (b'M', []) if next == b"M" => say(out, "no unit behind %: G21 is mm, G20 inch", &[last_word(before)]),
             (b'I', []) if next.first() == Some(&b'N') => {
@@ -477,7 +477,7 @@ fn explain_unknown<const N: usize>(text: &Text, word: &[u8], before: &[u8], erro
         b'G' => &INSTEAD_OF_G,
         b'M' => &INSTEAD_OF_M,
         b'O' if !before.is_empty() => {
-            return say(out, "letter O in %%: write a 0, or take it out", &[last_word(before), word]);
+            return say(out, "letter O in %%: write a 0", &[last_word(before), word]);
         }
         b'@' | b'^' => return say(out, "% is not supported: write X and Y instead of angle and radius", &[word]),
         _ => {
