@@ -23,8 +23,8 @@ use std::sync::{Mutex, PoisonError};
 
 const ERRORS_HEAD: &str = "# Errors and alarms
 
-After this page you know what `error:N` or `ALARM:N` means, and what helps. `oxmill check JOB` and the page in the browser say the same for each refused
-line of a job. Numbers below 39 are those of Grbl 1.1h; most of those from 39 to 83 are grblHAL's. This page is made from the tables in
+After this page you know what `error:N` or `ALARM:N` means, and what helps. `oxmill check JOB` and the page in the browser show these texts for each rejected
+line of a job. Numbers below 39 are those of Grbl 1.1h; most numbers from 39 to 83 are those of grblHAL. This page is made from the tables in
 `src/controller/error.rs` and `src/simulator/advice.rs`.
 ";
 
@@ -130,7 +130,7 @@ fn the_page_of_errors_is_the_tables() {
     for error in Error::ALL {
         let _ = writeln!(page, "| {} | {} | {} |", error.code(), error.text(), advice::for_error(*error));
     }
-    page += "\n## Alarms\n\nAn alarm locks the machine until `$X` or `$H`; after one that says so a reset comes first.\n\n| alarm | meaning | what helps |\n|---|---|---|\n";
+    page += "\n## Alarms\n\nAn alarm locks the machine until `$X` or `$H`. If its row says so, send a reset first.\n\n| alarm | meaning | what helps |\n|---|---|---|\n";
     for alarm in Alarm::ALL {
         let _ = writeln!(page, "| {} | {} | {} |", alarm.code(), alarm.text(), advice::for_alarm(*alarm));
     }
