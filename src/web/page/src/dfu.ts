@@ -37,6 +37,10 @@ const BLOCK = 2048;
 // Requests and states of DFU 1.1, and commands of DfuSe.
 const DNLOAD = 1, UPLOAD = 2, GETSTATUS = 3, CLRSTATUS = 4, ABORT = 6;
 const IDLE = 2, BUSY = 4, DOWNLOAD_IDLE = 5, ERROR = 10;
+/** Status of DFU: an error of the vendor's own. ST reports a protected flash by it. */
+const VENDOR = 11;
+/** Maximum time of one command, ms. Erasing the largest sector takes at most 4 s (data sheets). */
+const LONGEST = 10_000;
 const SET_ADDRESS = 0x21, ERASE = 0x41;
 /** Number of the first block of data. Blocks 0 and 1 are commands. */
 const FIRST_BLOCK = 2;
@@ -74,6 +78,11 @@ export function parse(file: Uint8Array): Firmware {
     at += 8 + size;
   }
   if (at !== target.length) throw broken;
+  stretches.sort((a, b) => a.address - b.address);
+  stretches.forEach(({ address }, index) => {
+    const before = stretches[index - 1];
+    if (address % 4 !== 0 || (before && before.address + Math.ceil(before.bytes.length / 4) * 4 > address)) throw new Error("This .dfu file is damaged: its elements overlap.");
+  });
   if (!stretches.some(({ address }) => address === FLASH)) throw new Error("This .dfu file has no program: nothing is at the start of the flash.");
   return { name: text(target.subarray(11, 11 + 255)).replace(/\0.*$/s, ""), stretches };
 }
@@ -98,21 +107,36 @@ export function sectorsOf(name: string): Sector[] {
   return sectors;
 }
 
+/** The boot loader has answered that it cannot carry out a command. */
+class Refused extends Error {}
+
 /** The boot loader of one board. */
 class Loader {
   private constructor(private readonly device: UsbDevice, private readonly number: number, readonly sectors: Sector[], readonly block: number) {}
 
-  /** Opens the device, and the alternate setting of its flash. */
+  /** Opens the device, and the alternate setting of its flash. Closes the device if that fails. */
   static async open(device: UsbDevice): Promise<Loader> {
     await device.open();
+    try {
+      return await Loader.opened(device);
+    } catch (error) {
+      await device.close().catch(() => {});
+      throw error;
+    }
+  }
+
+  private static async opened(device: UsbDevice): Promise<Loader> {
     if (!device.configuration) await device.selectConfiguration(1);
+    const descriptor = await descriptorOf(device, 0x0200, 0, 512);
     for (const { interfaceNumber, alternates } of device.configuration?.interfaces ?? []) {
       for (const { interfaceClass, interfaceSubclass, alternateSetting, interfaceName } of alternates) {
-        const sectors = interfaceName ? sectorsOf(interfaceName) : [];
+        // Some systems do not give the name.
+        const name = interfaceName ?? (await nameOf(device, descriptor, interfaceNumber, alternateSetting));
+        const sectors = sectorsOf(name);
         if (interfaceClass !== 0xfe || interfaceSubclass !== 1 || !sectors.some(({ address }) => address === FLASH)) continue;
         await device.claimInterface(interfaceNumber);
         await device.selectAlternateInterface(interfaceNumber, alternateSetting);
-        const loader = new Loader(device, interfaceNumber, sectors, await blockSize(device));
+        const loader = new Loader(device, interfaceNumber, sectors, blockSize(descriptor));
         await loader.rest();
         return loader;
       }
@@ -127,7 +151,7 @@ class Loader {
 
   private async in(request: number, value: number, length: number): Promise<Uint8Array> {
     const { status, data } = await this.device.controlTransferIn({ requestType: "class", recipient: "interface", request, value, index: this.number }, length);
-    if (status !== "ok" || !data) throw new Error(`The boot loader refuses request ${request} (${status}). Is the chip protected against reading?`);
+    if (status !== "ok" || !data) throw new Error(`The boot loader refuses request ${request} (${status}).${request === UPLOAD ? " Is the chip protected against reading?" : ""}`);
     return new Uint8Array(data.buffer, data.byteOffset, data.byteLength);
   }
 
@@ -138,10 +162,11 @@ class Loader {
 
   /** Brings the boot loader to its state of rest, whatever was before. */
   async rest(): Promise<void> {
-    for (let tries = 0; tries < 4; tries++) {
-      const { state } = await this.status();
+    for (const until = Date.now() + LONGEST; Date.now() < until; ) {
+      const { state, wait } = await this.status();
       if (state === IDLE) return;
-      await this.out(state === ERROR ? CLRSTATUS : ABORT, 0);
+      if (state === BUSY) await new Promise(done => setTimeout(done, wait));
+      else await this.out(state === ERROR ? CLRSTATUS : ABORT, 0);
     }
     throw new Error("The boot loader does not come to rest: press NRST with BOOT0 held, and try again.");
   }
@@ -149,11 +174,10 @@ class Loader {
   /** Waits until the last command or block has been carried out. */
   private async carriedOut(what: string): Promise<void> {
     let status = await this.status();
-    while (status.state === BUSY) {
+    for (const until = Date.now() + LONGEST; status.state === BUSY && Date.now() < until; status = await this.status()) {
       await new Promise(done => setTimeout(done, status.wait));
-      status = await this.status();
     }
-    if (status.state !== DOWNLOAD_IDLE) throw new Error(`The boot loader cannot ${what} (status ${status.code}). Is the flash protected?`);
+    if (status.state !== DOWNLOAD_IDLE) throw new Refused(`The boot loader cannot ${what} (status ${status.code}).${status.code === VENDOR ? " The chip is protected against reading and writing." : ""}`);
   }
 
   private async command(code: number, address: number, what: string): Promise<void> {
@@ -197,28 +221,54 @@ class Loader {
   }
 }
 
-/** Returns the size of a block from the functional descriptor of DFU (type 0x21, bytes 5 and 6). */
-async function blockSize(device: UsbDevice): Promise<number> {
-  const { data } = await device.controlTransferIn({ requestType: "standard", recipient: "device", request: 6, value: 0x0200, index: 0 }, 512);
-  for (let at = 0; data && at + 7 <= data.byteLength && data.getUint8(at) > 0; at += data.getUint8(at)) {
-    if (data.getUint8(at + 1) === 0x21) return data.getUint16(at + 5, true);
-  }
-  return BLOCK;
+/** Returns a descriptor of the device; empty if the device does not give it. */
+async function descriptorOf(device: UsbDevice, value: number, index: number, length: number): Promise<DataView> {
+  const none = new DataView(new ArrayBuffer(0));
+  return device.controlTransferIn({ requestType: "standard", recipient: "device", request: 6, value, index }, length).then(({ data }) => data ?? none, () => none);
 }
 
-/** Cuts stretches into blocks; the last part is filled up to whole words with the value of erased flash. The block with
- * the vector table comes last. */
+/** Calls `call` with the place of each part of a configuration descriptor. */
+function parts(descriptor: DataView, call: (at: number, length: number, type: number) => void): void {
+  for (let at = 0; at + 2 <= descriptor.byteLength; at += descriptor.getUint8(at)) {
+    const length = descriptor.getUint8(at);
+    if (length < 2 || at + length > descriptor.byteLength) return;
+    call(at, length, descriptor.getUint8(at + 1));
+  }
+}
+
+/** Returns the size of a block from the functional descriptor of DFU (type 0x21, bytes 5 and 6). */
+function blockSize(descriptor: DataView): number {
+  let size = BLOCK;
+  parts(descriptor, (at, length, type) => {
+    if (type === 0x21 && length >= 7) size = descriptor.getUint16(at + 5, true);
+  });
+  return size >= 64 && size <= 4096 && size % 4 === 0 ? size : BLOCK;
+}
+
+/** Returns the name of an alternate setting, from its interface descriptor (type 4) and its string descriptor; empty if
+ * it has none. */
+async function nameOf(device: UsbDevice, descriptor: DataView, number: number, alternate: number): Promise<string> {
+  let index = 0;
+  parts(descriptor, (at, length, type) => {
+    if (type === 4 && length >= 9 && descriptor.getUint8(at + 2) === number && descriptor.getUint8(at + 3) === alternate) index = descriptor.getUint8(at + 8);
+  });
+  if (index === 0) return "";
+  const text = await descriptorOf(device, 0x0300 | index, 0x0409, 255);
+  const letters = Array.from({ length: Math.max(0, Math.floor((text.byteLength - 2) / 2)) }, (_, letter) => text.getUint16(2 + 2 * letter, true));
+  return String.fromCharCode(...letters);
+}
+
+/** Cuts stretches into blocks; the last part is filled up to whole words with the value of erased flash. */
 function blocksOf(stretches: Stretch[], size: number): Stretch[] {
-  const blocks = stretches.flatMap(({ address, bytes }) => {
+  return stretches.flatMap(({ address, bytes }) => {
     const whole = new Uint8Array(Math.ceil(bytes.length / 4) * 4).fill(0xff);
     whole.set(bytes);
     return Array.from({ length: Math.ceil(whole.length / size) }, (_, index) => ({ address: address + index * size, bytes: whole.subarray(index * size, (index + 1) * size) }));
   });
-  return [...blocks.filter(({ address }) => address !== FLASH), ...blocks.filter(({ address }) => address === FLASH)];
 }
 
 /** What the board does after its vector table was erased. */
-const GONE = "The board has no program now and starts nothing: load it again.";
+const GONE = "The board has no program now and starts nothing: load it again. If it was switched off since, start its boot loader by BOOT0 and NRST.";
 
 /** Throws an error again, with a sentence about the board. */
 const told = (about: string) => (error: Error): never => {
@@ -242,29 +292,40 @@ async function each<T>(parts: T[], size: (part: T) => number, what: Parameters<P
 export async function load(device: UsbDevice, { stretches }: Firmware, progress: Progress): Promise<void> {
   const loader = await Loader.open(device);
   try {
-    const overlaps = (sector: Sector) => stretches.some(({ address, bytes }) => address < sector.address + sector.size && sector.address < address + bytes.length);
+    const end = ({ address, bytes }: Stretch) => address + bytes.length;
+    const overlaps = (sector: Sector) => stretches.some(stretch => stretch.address < sector.address + sector.size && sector.address < end(stretch));
     const touched = loader.sectors.filter(overlaps).sort((a, b) => a.address - b.address);
-    const isInside = (address: number) => touched.some(sector => sector.address <= address && address < sector.address + sector.size);
-    for (const { address, bytes } of stretches) {
-      for (const at of [address, address + bytes.length - 1]) {
-        if (!isInside(at)) throw new Error(`This firmware does not fit into the chip: it has no flash at ${hex(at)}. Is the file for another board? Nothing was changed.`);
-      }
-    }
     const blocks = blocksOf(stretches, loader.block);
-    await each(touched, ({ size }) => size, "erase", progress, async (sector, isFirst) => {
-      await loader.erase(sector).catch(told(isFirst ? "Nothing was changed." : GONE));
-    });
-    await each(blocks, ({ bytes }) => bytes.length, "write", progress, async ({ address, bytes }) => {
+    const isInside = (at: number) => touched.some(({ address, size }) => address <= at && at < address + size);
+    for (const at of blocks.flatMap(({ address, bytes }) => [address, address + bytes.length - 1])) {
+      if (!isInside(at)) throw new Error(`This firmware does not fit into the chip: it has no flash at ${hex(at)}. Is the file for another board? Nothing was changed.`);
+    }
+    const write = async ({ address, bytes }: Stretch) => {
       await loader.write(address, bytes).catch(told(GONE));
+    };
+    const verify = async ({ address, bytes }: Stretch, otherwise: string) => {
+      const there = await loader.read(address, bytes.length).catch(told(otherwise));
+      if (there.length !== bytes.length || there.some((byte, index) => byte !== bytes[index])) throw new Error(`What was read back at ${hex(address)} is not what was written. ${otherwise}`);
+    };
+    const size = ({ bytes }: Stretch) => bytes.length;
+    await each(touched, ({ size }) => size, "erase", progress, async (sector, isFirst) => {
+      await loader.erase(sector).catch(error => told(isFirst && error instanceof Refused ? "Nothing was changed." : GONE)(error));
     });
-    await each(blocks, ({ bytes }) => bytes.length, "verify", progress, async ({ address, bytes }) => {
-      const there = await loader.read(address, bytes.length).catch(told("The program was written, but could not be read back: load it again."));
-      if (there.length === bytes.length && there.every((byte, index) => byte === bytes[index])) return;
-      // Without its vector table the chip starts nothing of this.
-      const isErased = await loader.erase(touched[0]).then(() => true, () => false);
-      throw new Error(`What was read back at ${hex(address)} is not what was written. ${isErased ? GONE : "Do not start this program: load it again."}`);
+    // The block with the vector table comes after everything else has been read back, so no unread program can start.
+    const [vectors, others] = [blocks.filter(({ address }) => address === FLASH), blocks.filter(({ address }) => address !== FLASH)];
+    await each(others, size, "write", progress, write);
+    await each(others, size, "verify", progress, block => verify(block, GONE));
+    await each(vectors, size, "write", progress, write);
+    await each(vectors, size, "verify", progress, async block => {
+      try {
+        await verify(block, "");
+      } catch (error) {
+        const isErased = await loader.erase(touched[0]).then(() => true, () => false);
+        throw told(isErased ? GONE : "Do not start the board: load it again.")(error as Error);
+      }
     });
-    await loader.leave();
+    // The program is complete, whatever the device answers to this: it leaves the bus.
+    await loader.leave().catch(() => {});
   } finally {
     await loader.close();
   }

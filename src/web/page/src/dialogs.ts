@@ -3,6 +3,8 @@ import { $, button, el } from "./dom";
 
 export class Dialog {
   readonly element: HTMLElement;
+  /** While true, nothing closes the dialog. */
+  isHeld = false;
   private before?: HTMLElement;
 
   constructor(id: string, title: string, body: (Node | string)[], wide = false) {
@@ -25,7 +27,7 @@ export class Dialog {
   }
 
   close(): void {
-    if (!this.isOpen) return;
+    if (!this.isOpen || this.isHeld) return;
     this.element.hidden = true;
     $("scrim").hidden = true;
     this.before?.focus();

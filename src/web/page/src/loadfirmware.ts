@@ -4,6 +4,10 @@ import { type Firmware, load, LOADER, parse, type Usb, type UsbDevice } from "./
 import { Dialog } from "./dialogs";
 import type { Machine } from "./machine";
 
+/** Maximum size of a file, in bytes: the flash of the largest chip, twice. */
+const LARGEST = 4 * 2 ** 20;
+/** Flash that holds the settings: sectors 1 and 2. */
+const SETTINGS = { from: 0x0800_4000, to: 0x0800_c000 };
 const DOING = { erase: "Erasing", write: "Writing", verify: "Reading back" };
 
 /** Returns the browser's access to USB devices, if it has any. */
@@ -16,8 +20,13 @@ export class LoadFirmware {
   private readonly go = button("Choose the boot loader and load…", () => void this.load(), "btn primary");
   private readonly bar = el("progress", { id: "firmware-progress", max: 1, value: 0, hidden: true, "aria-label": "Progress" });
   private readonly note = el("p", { className: "note", id: "firmware-note", role: "status" });
+  private readonly cancel = button("Cancel", () => void this.device?.close());
   private firmware?: Firmware;
+  private device?: UsbDevice;
   private isLoading = false;
+  private isRestarting = false;
+  /** Number of the last choice of a file. */
+  private choices = 0;
 
   constructor(private readonly machine: Machine) {
     const steps = el("ol", { className: "steps" },
@@ -29,7 +38,7 @@ export class LoadFirmware {
       el("li", { textContent: "Linux: allow access once. sudo tee /etc/udev/rules.d/50-stm32-dfu.rules <<< 'SUBSYSTEM==\"usb\", ATTR{idVendor}==\"0483\", ATTR{idProduct}==\"df11\", MODE=\"0666\"', then plug the board in again." }),
       el("li", { textContent: "Windows: give the device STM32 BOOTLOADER the driver WinUSB, with the program Zadig." }),
       el("li", { textContent: "Use a cable with data wires, and a port of the computer itself." })));
-    this.dialog = new Dialog("firmware-dialog", "Load firmware into a board", [steps, this.bar, this.note, help], true);
+    this.dialog = new Dialog("firmware-dialog", "Load firmware into a board", [steps, this.bar, this.note, this.cancel, help], true);
     this.dialog.actions();
     onclick("open-firmware", () => {
       this.show();
@@ -41,7 +50,9 @@ export class LoadFirmware {
   }
 
   private show(): void {
-    allow(this.loader, this.machine.isSerial ? this.machine.whyNotAtRest : "No board is connected.");
+    allow(this.loader, !this.machine.isSerial ? "No board is connected." : this.isRestarting ? "The board restarts." : undefined);
+    this.cancel.hidden = !this.isLoading;
+    this.dialog.isHeld = this.isLoading;
     allow(this.go, !usb() ? "This browser has no WebUSB: use Chrome or Edge, or dfu-util." : !this.firmware ? "Choose a file first." : this.isLoading ? "Firmware is being loaded." : undefined);
     this.file.disabled = this.isLoading;
     if (!usb()) this.tell("This browser has no WebUSB. Chrome and Edge have it; dfu-util loads the same file from a command line.", false);
@@ -53,52 +64,66 @@ export class LoadFirmware {
   }
 
   private async read(): Promise<void> {
+    const choice = ++this.choices;
     this.firmware = undefined;
     const [file] = this.file.files ?? [];
     this.tell("");
     try {
-      if (file) {
-        this.firmware = parse(new Uint8Array(await file.arrayBuffer()));
-        const bytes = this.firmware.stretches.reduce((all, one) => all + one.bytes.length, 0);
-        this.tell(`${this.firmware.name}, ${(bytes / 1024).toFixed(0)} KiB.`);
+      if (file && file.size > LARGEST) throw new Error("This file is too large for a .dfu file.");
+      const firmware = file && parse(new Uint8Array(await file.arrayBuffer()));
+      if (choice !== this.choices) return;
+      this.firmware = firmware;
+      if (firmware) {
+        const bytes = firmware.stretches.reduce((all, one) => all + one.bytes.length, 0);
+        this.tell(`${firmware.name}, ${(bytes / 1024).toFixed(0)} KiB.${keepsSettings(firmware) ? "" : " It overwrites the settings of the board."}`);
       }
     } catch (error) {
-      this.tell((error as Error).message, false);
+      if (choice === this.choices) this.tell((error as Error).message, false);
     }
     this.show();
   }
 
-  /** Sends the board into its boot loader; the connection is lost by that. */
+  /** Sends the connected board into its boot loader, and leaves the board: reports that are asked for would disturb a
+   * boot loader that listens on all its links. */
   private async restart(): Promise<void> {
+    this.isRestarting = true;
+    this.show();
     const answer = await this.machine.line("$DFU");
-    if (answer === "ok") this.tell("The board is in its boot loader now. Continue with step 4.");
-    else this.tell("This firmware cannot start the boot loader: use BOOT0 and NRST.", false);
+    if (answer === "ok") {
+      this.machine.leave();
+      this.tell("The board is in its boot loader now. Continue with step 4.");
+    } else {
+      const meaning = this.machine.meanings?.(answer);
+      this.tell(`The board stays as it is: ${meaning ?? answer} Its messages are in the console. Or use BOOT0 and NRST.`, false);
+    }
+    this.isRestarting = false;
+    this.show();
   }
 
   private async load(): Promise<void> {
     const firmware = this.firmware;
-    if (!firmware) return;
-    let device: UsbDevice;
-    try {
-      device = await (usb() as Usb).requestDevice({ filters: [LOADER] });
-    } catch {
-      this.tell("No device was chosen. Is the board in its boot loader?", false);
-      return;
-    }
+    if (!firmware || this.isLoading) return;
     this.isLoading = true;
-    this.bar.hidden = false;
     this.show();
     try {
-      await load(device, firmware, (what, done, of) => {
+      this.device = await (usb() as Usb).requestDevice({ filters: [LOADER] }).catch(() => undefined);
+      if (!this.device) throw new Error("No device was chosen. Is the board in its boot loader?");
+      this.bar.hidden = false;
+      await load(this.device, firmware, (what, done, of) => {
         this.bar.value = done / of;
         this.tell(`${DOING[what]}: ${Math.floor((100 * done) / of)} %`);
       });
-      this.tell(`${firmware.name} is loaded, was read back without a difference, and has been started. The settings of the board are kept.`, true);
+      const settings = keepsSettings(firmware) ? " The settings of the board are kept." : "";
+      this.tell(`${firmware.name} is loaded and was read back without a difference.${settings} The board starts it now; if not, press NRST.`, true);
     } catch (error) {
       this.tell((error as Error).message, false);
     }
+    this.device = undefined;
     this.isLoading = false;
     this.bar.hidden = true;
     this.show();
   }
 }
+
+/** Whether firmware leaves the sectors of the settings as they are. */
+const keepsSettings = ({ stretches }: Firmware): boolean => stretches.every(({ address, bytes }) => address >= SETTINGS.to || address + bytes.length <= SETTINGS.from);
