@@ -196,8 +196,9 @@ fn without_length(source: &str) -> String {
     let number = word.and_then(|word| word.get(1..)).unwrap_or("1");
     let tool = word.map_or(String::new(), |word| format!(" {word}"));
     format!(
-        "no tool has a stored length, so G43{tool} has no effect. That is right if Z zero was set with this tool. \
-         Otherwise store its length above this line, or once in the machine, which keeps it: G10 L1 P{number} Z42.5 for 42.5 mm"
+        "the machine's tool table is empty, so G43{tool} has no effect. That is right only if Z is zeroed with this very tool. \
+         Otherwise store how much longer it is than the tool that Z is zeroed with: G10 L1 P{number} Z12.5 for 12.5 mm, \
+         above this line, or once in the machine, which keeps it"
     )
 }
 
@@ -208,7 +209,9 @@ fn missing(number: &str, more: &str, present: &[&str]) -> String {
         [] => format!("{number} is called here{more} and is not in the file: write it after M30, from {number} to M99"),
         [only] => {
             let word = only.replace(['O', 'o'], "P");
-            format!("{number} is called here{more}, and the file has only {only}: write {word}, or add {number}")
+            format!(
+                "{number} is called here{more}, and the only other one in the file is {only}: write {word}, or add {number}"
+            )
         }
         [others @ .., last] => {
             let (few, rest) = others.split_at(others.len().min(MOST_NAMED));
@@ -558,9 +561,9 @@ mod tests {
     #[test]
     fn a_missing_program_is_told_with_those_that_exist() {
         let told = |present: &[&str]| missing("O7", ", also in line 8", present);
-        assert!(
-            told(&["O1"]).ends_with("is called here, also in line 8, and the file has only O1: write P1, or add O7")
-        );
+        assert!(told(&["O1"]).ends_with(
+            "is called here, also in line 8, and the only other one in the file is O1: write P1, or add O7"
+        ));
         assert!(told(&["O1", "O2"]).contains("the file has O1 and O2:"));
         let many = ["O1", "O2", "O3", "O4", "O5", "O6", "O8"];
         assert!(told(&many).contains("the file has O1, O2, O3, O4, O5, .. and O8:"), "{}", told(&many));

@@ -31,10 +31,10 @@ const PROGRAM = noise(150_001, 3), VECTORS = noise(9_000, 5);
 const IMAGE = dfu([[FLASH + 0xc000, PROGRAM], [FLASH, VECTORS]]);
 
 /** Installs a modelled boot loader in the page. Runs in the page. */
-function bootLoader({ layout, failAt, breakAt }) {
+function bootLoader({ layout, failAt, breakAt, unnamed, lostAt, failsErase }) {
   const [IDLE, SYNC, BUSY, DOWNLOAD_IDLE, MANIFEST, UPLOAD_IDLE, ERROR] = [2, 3, 4, 5, 7, 9, 10];
   const flash = globalThis.flash ?? new Uint8Array(512 * 1024).fill(0x5a);
-  const model = { flash, erased: [], written: [], started: false, state: ERROR, code: 11 };
+  const model = { flash, erased: [], written: [], read: [], started: false, state: ERROR, code: 11 };
   Object.assign(globalThis, { flash, model });
   const sizes = [16, 16, 16, 16, 64, 128, 128, 128].map(kib => kib * 1024);
   const sectors = sizes.map((size, index) => ({ address: sizes.slice(0, index).reduce((sum, one) => sum + one, 0), size }));
@@ -49,11 +49,17 @@ function bootLoader({ layout, failAt, breakAt }) {
     else if (block === 0 && data[0] === 0x41) {
       const sector = sectors.find(one => one.address <= at && at < one.address + one.size);
       if (!sector) return fail(8);
+      if (failsErase) return fail(11);
       model.erased.push(sector.address);
       flash.fill(0xff, sector.address, sector.address + sector.size);
     } else if (block >= 2) {
       const from = address + (block - 2) * 2048;
       if (++writes === failAt) return fail(3);
+      if (writes === lostAt) {
+        // From here on the device does not answer.
+        model.started = true;
+        throw new Error("The device was disconnected.");
+      }
       model.written.push(from);
       // Programming clears bits and sets none.
       data.forEach((byte, index) => (flash[from + index] &= byte));
@@ -68,7 +74,7 @@ function bootLoader({ layout, failAt, breakAt }) {
     async selectConfiguration() {
       device.configuration = { interfaces: [{ interfaceNumber: 0, alternates: [
         { alternateSetting: 1, interfaceClass: 0xfe, interfaceSubclass: 1, interfaceName: "@Option Bytes  /0x1FFFC000/01*016 e" },
-        { alternateSetting: 0, interfaceClass: 0xfe, interfaceSubclass: 1, interfaceName: layout }] }] };
+        { alternateSetting: 0, interfaceClass: 0xfe, interfaceSubclass: 1, interfaceName: unnamed ? undefined : layout }] }] };
     },
     async claimInterface() {},
     async selectAlternateInterface(_, alternate) {
@@ -89,7 +95,13 @@ function bootLoader({ layout, failAt, breakAt }) {
     },
     async controlTransferIn({ requestType, request, value }, length) {
       if (model.started) throw new Error("The device was disconnected.");
-      if (requestType === "standard") return { status: "ok", data: new DataView(Uint8Array.of(9, 2, 27, 0, 1, 1, 0, 0xc0, 50, 9, 4, 0, 0, 0, 0xfe, 1, 2, 4, 9, 0x21, 0x0b, 255, 0, 0, 8, 0x1a, 1).buffer) };
+      if (requestType === "standard" && value >> 8 === 2) return { status: "ok", data: new DataView(Uint8Array.of(9, 2, 27, 0, 1, 1, 0, 0xc0, 50, 9, 4, 0, 0, 0, 0xfe, 1, 2, 4, 9, 0x21, 0x0b, 255, 0, 0, 8, 0x1a, 1).buffer) };
+      if (requestType === "standard") {
+        if (value !== 0x0304) return stall;
+        const text = new DataView(new ArrayBuffer(2 + 2 * layout.length));
+        [...layout].forEach((letter, index) => text.setUint16(2 + 2 * index, letter.charCodeAt(0), true));
+        return { status: "ok", data: text };
+      }
       if (request === 3) {
         if (model.state === SYNC) carryOut();
         else if (model.state === BUSY) model.state = DOWNLOAD_IDLE;
@@ -102,6 +114,7 @@ function bootLoader({ layout, failAt, breakAt }) {
       }
       model.state = UPLOAD_IDLE;
       const from = address + (value - 2) * 2048;
+      model.read.push(from);
       return { status: "ok", data: new DataView(flash.slice(from, from + length).buffer) };
     },
   };
@@ -143,11 +156,12 @@ export async function firmware_is_loaded_read_back_and_started(browser) {
   const { page, faults } = await dialog(browser, { layout: F411 });
   assert(await page.locator(GO).isDisabled(), "there is no file yet");
   assert.match(await choose(page, IMAGE), /^Oxmill for blackpill_f411, 155 KiB\.$/);
-  const { said, erased, written, started, alternate, filters } = await loaded(page);
-  assert.match(said, /^Oxmill for blackpill_f411 is loaded, was read back without a difference/);
+  const { said, erased, written, read, started, alternate, filters } = await loaded(page);
+  assert.match(said, /^Oxmill for blackpill_f411 is loaded and was read back without a difference\. The settings of the board are kept\./);
   assert.deepEqual([started, alternate, filters], [true, 0, [{ vendorId: 0x0483, productId: 0xdf11 }]]);
   assert.deepEqual(erased, [0, 0xc000, 0x1_0000, 0x2_0000], "the sector of the vector table first, those of the settings not");
   assert.equal(written.at(-1), 0, "the vector table last");
+  assert.equal(read.indexOf(0), read.length - 1, "after everything else was read back");
   assert.equal(new Set(written).size, written.length);
   assert.deepEqual(await bytesAt(page, 0, VECTORS.length), [...VECTORS]);
   assert.deepEqual(await bytesAt(page, 0xc000, PROGRAM.length), [...PROGRAM]);
@@ -162,13 +176,36 @@ export async function an_interrupted_load_leaves_no_program_that_starts(browser)
   const { page } = await dialog(browser, { layout: F411, failAt: 40 });
   await choose(page, IMAGE);
   const first = await loaded(page);
-  assert.match(first.said, /cannot write at 0x0801f800 \(status 3\).* The board has no program now and starts nothing: load it again\.$/);
+  assert.match(first.said, /cannot write at 0x0801d800 \(status 3\).* The board has no program now and starts nothing: load it again\./);
   assert.deepEqual([first.started, first.begin], [false, Array(8).fill(0xff)]);
   // The boot loader reports an error until it is cleared; the next attempt has to do that.
   await page.evaluate(bootLoader, { layout: F411 });
   const second = await loaded(page);
   assert.match(second.said, /is loaded/);
   assert.deepEqual(await bytesAt(page, 0, VECTORS.length), [...VECTORS]);
+}
+
+export async function a_cable_that_is_pulled_leaves_no_program_that_starts(browser) {
+  const { page } = await dialog(browser, { layout: F411, lostAt: 60 });
+  await choose(page, IMAGE);
+  const { said, begin } = await loaded(page);
+  assert.match(said, /^The device was disconnected\. The board has no program now and starts nothing.* by BOOT0 and NRST\.$/);
+  assert.deepEqual(begin, Array(8).fill(0xff));
+}
+
+export async function a_protected_chip_stays_as_it_is(browser) {
+  const { page } = await dialog(browser, { layout: F411, failsErase: true });
+  await choose(page, IMAGE);
+  const { said, begin } = await loaded(page);
+  assert.match(said, /protected against reading and writing\. Nothing was changed\.$/);
+  assert.deepEqual(begin, Array(8).fill(0x5a));
+}
+
+/** Some systems do not pass the names of interfaces on. */
+export async function the_sectors_are_found_without_a_name_of_the_interface(browser) {
+  const { page } = await dialog(browser, { layout: F411, unnamed: true });
+  await choose(page, IMAGE);
+  assert.match((await loaded(page)).said, /is loaded/);
 }
 
 export async function firmware_that_reads_back_differently_does_not_start(browser) {
@@ -192,6 +229,8 @@ export async function files_that_are_no_firmware_for_the_chip_are_refused(browse
     [IMAGE.subarray(0, 4_000), /damaged: its checksum is wrong/],
     [foreign, /not for the boot loader of an STM32/],
     [dfu([[FLASH + 0xc000, PROGRAM]]), /nothing is at the start of the flash/],
+    [dfu([[FLASH, VECTORS], [FLASH + 8_000, VECTORS]]), /its elements overlap/],
+    [dfu([[FLASH, VECTORS], [FLASH + 0xc002, VECTORS]]), /its elements overlap/],
   ]) {
     assert.match(await choose(page, bytes), wanted);
     assert(await page.locator(GO).isDisabled());
@@ -199,7 +238,7 @@ export async function files_that_are_no_firmware_for_the_chip_are_refused(browse
   // An F401 has 256 KiB.
   await choose(page, dfu([[FLASH + 0x3_f000, noise(8_192, 1)], [FLASH, VECTORS]]));
   const { said, erased, begin } = await loaded(page);
-  assert.match(said, /does not fit into the chip: it has no flash at 0x08040fff.* Nothing was changed\.$/);
+  assert.match(said, /does not fit into the chip: it has no flash at 0x08040000.* Nothing was changed\.$/);
   assert.deepEqual([erased, begin], [[], Array(8).fill(0x5a)]);
 }
 
