@@ -602,6 +602,10 @@ impl Simulator {
         self.inputs.restart();
         self.inputs.sample_at(self.clock.now());
         (self.stored, self.pins_asked, self.wiring) = (None, false, None);
+        // No sender goes on with its job after a greeting. The new controller also counts lines from 0.
+        if let Some(job) = &mut self.job.0 {
+            job.stop();
+        }
     }
 
     /// Lets the control task work at the present time until it finds nothing more to do.

@@ -160,7 +160,8 @@ impl Streaming {
     /// Returns the number of lines that the controller has read, and the approximate number of all lines.
     pub fn progress(&self) -> (u64, u64) {
         let left = (self.waiting.len() + self.in_flight.len()) as u64;
-        let read = u64::from(self.simulator.controller().lines_read().wrapping_sub(self.lines_before));
+        // After a restart (`$REBOOT`) the controller counts from 0 again.
+        let read = u64::from(self.simulator.controller().lines_read().saturating_sub(self.lines_before));
         (read, read.max(1) + left)
     }
 
