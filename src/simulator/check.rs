@@ -548,6 +548,14 @@ mod tests {
         assert_eq!((outcome.notes.len(), outcome.more_notes), (KEPT_MESSAGES, 3));
     }
 
+    #[test]
+    fn a_restart_ends_a_job() {
+        let summary = checked("oxmill", "G21 G90\n%\n$REBOOT\nG1 X10 F600\nG1 X0\n");
+        let told: Vec<_> = summary.warnings.iter().map(|warning| (warning.line, warning.text.as_str())).collect();
+        assert_eq!(told, [(3, "the board restarts here, so the lines below do not run")]);
+        assert_eq!(summary.position_mm[0], 0.0);
+    }
+
     /// An arc behind a refused line starts at another point, so its centre need not be wrong.
     #[test]
     fn an_arc_behind_a_refused_line_is_not_blamed_alone() {

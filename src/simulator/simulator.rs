@@ -604,7 +604,7 @@ impl Simulator {
         (self.stored, self.pins_asked, self.wiring) = (None, false, None);
         // No sender goes on with its job after a greeting. The new controller also counts lines from 0.
         if let Some(job) = &mut self.job.0 {
-            job.stop();
+            job.end_by_restart();
         }
     }
 

@@ -273,6 +273,14 @@ impl JobText {
         self.unanswered.clear();
     }
 
+    /// Ends the job because the board has restarted after the last answered line, and warns about that.
+    pub fn end_by_restart(&mut self) {
+        let line = self.file_line(self.lines_before.wrapping_add(self.answers as u32));
+        let text = "the board restarts here, so the lines below do not run".into();
+        self.said.push(Said::Warning(Warning { line, text }));
+        self.stop();
+    }
+
     /// Returns whether all lines of the job have been given to the controller and answered.
     pub fn is_used_up(&self) -> bool {
         self.bytes.is_empty() && (self.at_end || self.stopped) && self.unanswered.is_empty()
