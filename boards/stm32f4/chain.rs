@@ -3,23 +3,32 @@
 //! DMA2 writes the words to the ports.
 //!
 //! ```text
-//!  TIM5 (32 bits, runs freely)                 TIM1 (one pulse, started by TIM5)
-//!   CC1 ─┬─TRGO─┬────────────────────────────▶ CC1 (CC3) ─▶ DMA2 ─▶ BSRR   step on, directions; second port
-//!        │      │                              CC4 (CC2) ─▶ DMA2 ─▶ BSRR   step off, $0 later; of two ports the first
-//!        │      │                              TIM8 (the same, only for ports that have directions and no steps)
-//!        │      └────────────────────────────▶ CC4 (CC2) ─▶ DMA2 ─▶ BSRR   directions; second such port
+//!  TIM5 (32 bits, runs freely)             TIM1 (one pulse, started by TIM5)
+//!   CC1 ─┬─TRGO─┬────────────────────────▶ CC1, CC3 ─▶ DMA2 ─▶ BSRR   step on, directions
+//!        │      │                          CC2, CC4 ─▶ DMA2 ─▶ BSRR   step off, $0 later
+//!        │      │                          TIM8 (the same, only for ports that have directions and no steps)
+//!        │      └────────────────────────▶ CC2, CC4 ─▶ DMA2 ─▶ BSRR   directions
 //!        └─▶ DMA1 S2 ─▶ TIM5_CCR1: the time of the next event
 //!   CC2, CC3: calls at a set time   CC4: calls by software
 //!        CC3 ─▶ DMA1 S0 ─▶ TIM3_CCRx: the laser's power, at the step that begins its segment
 //! ```
-//! In the diagram, the channels in parentheses serve the port named at the end of their line. Event times are absolute,
-//! so errors do not accumulate. The ring entry after the last committed event holds a time that has just passed, which
-//! the counter reaches only after 2^32 ticks. So if the program commits no more events, for whatever reason, the output
-//! stops after the last committed event.
+//! Each port has its own compare channels, and a stream of DMA2 for each channel (`streams`):
 //!
-//! A port with directions and no steps has no pulse to end, so it needs one stream and not two. TIM8 requests its
-//! words, because all streams that serve TIM1 are in use. It requests them `DIRECTION_LEAD` ticks before TIM1 requests
-//! the words with steps, so that neither edge of a pulse has to wait until DMA2 has written a direction.
+//! ```text
+//!                                         step on, directions    step off
+//!  the only port with steps               TIM1 CC1, S1           TIM1 CC4, S4
+//!  the first of two ports with steps      TIM1 CC1, S1           TIM1 CC2, S2
+//!  the second of two ports with steps     TIM1 CC3, S6           TIM1 CC4, S4
+//!  the first port with directions alone   TIM8 CC4, S7
+//!  the second port with directions alone  TIM8 CC2, S3
+//! ```
+//! Event times are absolute, so errors do not accumulate. The ring entry after the last committed event holds a time
+//! that has just passed, which the counter reaches only after 2^32 ticks. So if the program commits no more events, for
+//! whatever reason, the output stops after the last committed event.
+//!
+//! A port with directions and no steps has no pulse to end, so it needs one stream and not two. TIM8 requests the
+//! words of such a port, because all streams that serve TIM1 are in use. It requests them `DIRECTION_LEAD` ticks before
+//! TIM1 requests the words with steps, so that neither edge of a pulse has to wait until DMA2 has written a direction.
 //!
 //! While a probe is watched, events must not be queued. They are output one by one: the CPU instead of DMA1 writes each
 //! event's time to CCR1, and CC1 interrupts after each event. Everything else works as for queued events.

@@ -112,7 +112,7 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
 }
 
 /// Merges lines into one input if each was already waiting when the board read the previous line, because the machine
-/// can treat a line differently if another one waits.
+/// can treat a line differently if another line is already waiting.
 fn at_once_together(inputs: Vec<(u64, Input)>, at_once: u64) -> Vec<(u64, Input)> {
     let mut together: Vec<(u64, Input)> = Vec::new();
     // Time at which the board read the most recent line of the host.
@@ -212,8 +212,9 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.hear_always();
         self.start(inputs, left_out, notes)?;
         for (at, (time, input)) in inputs.iter().enumerate().skip(1) {
-            // If a line is still unfinished when the next input comes, its first bytes are recorded with the time of
-            // that input. If they were already waiting when the previous line was read (`More`), send them now.
+            // If another input, such as a realtime command, came before the end of a line, the board recorded the
+            // bytes of the line so far with the time of that input. A `More` before these bytes means that they had
+            // already arrived when the board read the previous line. In that case, send them now.
             let waited = at > 0 && matches!(inputs[at - 1].1, Input::Told(Told::Noted(Noted::More))) && is_begin(input);
             let time = if waited { self.simulator.clock().now() } else { time + self.shift };
             let later = inputs.get(at + 1..).unwrap_or_default();
@@ -456,7 +457,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
                     });
                     pins.probe = match told {
                         Some((at, level)) if at <= time + self.hz() / SLACK_PARTS => level,
-                        // The inputs change only much later, so this contact has changed none: the pin keeps its level.
+                        // The next recorded change of an input is much later, so this contact has changed no recorded
+                        // level: the pin keeps its level.
                         Some(_) => pins.probe,
                         None => !pins.probe,
                     };

@@ -50,7 +50,8 @@ impl Store {
         Self::with_sectors_of(SECTOR)
     }
 
-    /// Makes an empty store in memory whose sectors have `bytes` bytes. Sectors smaller than a board's fill up sooner.
+    /// Makes an empty store in memory, with sectors of `bytes` bytes each. If they are smaller than those of a board, a
+    /// sector is full after fewer changes. So tests reach the move to the other sector sooner.
     ///
     /// # Panics
     /// If a sector is too small for its own header.

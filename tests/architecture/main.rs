@@ -101,9 +101,9 @@ fn module_of(file: &Path) -> Vec<String> {
     parts
 }
 
-/// Returns the first name of a path, counted from the root of the crate: a room (top-level module) of the controller,
-/// or another name in the root. `module` is the module whose file has the path. `None` if the path does not start with
-/// `crate`, `self` or `super`.
+/// Resolves `path`, as a file writes it, from the root of the crate, and returns its first name: a room (top-level
+/// module) of the controller, or another name in the root. `module`: the module of that file, from which `self` and
+/// `super` are resolved. Returns `None` if the path does not start with `crate`, `self` or `super`.
 fn room_of(path: &[String], module: &[String]) -> Option<String> {
     let mut base = module.to_vec();
     let mut rest = path;
@@ -133,7 +133,7 @@ fn faults(file: &Path, text: &str) -> Vec<String> {
     let text = source::bare(text).replace("extern crate alloc;", "");
     let module = module_of(file);
     let mut faults = Vec::new();
-    // Any `mod tests` still in the text lacks its mark: `bare` has removed the items marked `#[cfg(test)]`.
+    // `bare` has removed all items marked `#[cfg(test)]`. So a `mod tests` that is still in the text is not marked.
     if source::words(&text).zip(source::words(&text).skip(1)).any(|(a, b)| a == "mod" && b == "tests") {
         faults.push("has `mod tests` without #[cfg(test)] right before it".to_string());
     }
@@ -278,8 +278,8 @@ fn boards_know_pins_only() {
     report(&root().join("boards"), board_faults);
 }
 
-/// Code that turns the number of a port into an address could reach any register. So only the folder that knows the
-/// registers can read and write them.
+/// Code that computes an address from the number of a port could reach any register. So `read` and `write` of registers
+/// must not be visible outside of `boards/stm32f4`.
 #[test]
 fn registers_are_reached_from_their_folder_only() {
     let text = source::bare(&fs::read_to_string(root().join("boards/stm32f4/registers.rs")).unwrap());

@@ -527,8 +527,9 @@ impl Pump<AXES> for Board {
                     // The controller drops all lines received so far.
                     self.forget_lines();
                     if self.commands.iter().any(|command| command.opens_epoch()) {
-                        // A byte that the controller has taken can wait there for the pending command, which then drops
-                        // it. So the lines read so far need not be answered any more.
+                        // A reset, stop or jog cancel is still queued. The controller may hold a byte that it has read,
+                        // such as a line end, until this command arrives, and may then drop the byte. So the lines read
+                        // so far need not be answered any more.
                         self.book.least = self.book.come;
                     }
                 }

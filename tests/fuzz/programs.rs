@@ -4,8 +4,8 @@
 //! its position in the line.
 //!
 //! Invariants: while the position is trusted no pulse leaves the travel, whatever is held, overridden or reset; each
-//! line is answered once, after a bounded number of rounds; nothing moves in an alarm; at rest the reported position is
-//! that of the pulses.
+//! line is answered once, after a bounded number of rounds; nothing moves in an alarm; at rest the reported position
+//! agrees with the steps that were output.
 
 use super::board::{AXES, Board, shows};
 use oxmill_controller::messages::Realtime;
@@ -104,8 +104,9 @@ fn interrupt(board: &mut Board, line: &[u8]) {
     }
 }
 
-/// Sends a text and the realtime commands of its line, and waits for the answer. Returns `false` if no answer
-/// arrives, as in an endless loop.
+/// Sends `text`, then the realtime commands within `line`, and waits until the controller has answered. `text` is
+/// `line` without the realtime commands. Returns `false` if no answer arrives, as in an endless loop, or if the queue
+/// has no room for the line.
 fn carry_out(board: &mut Board, text: &[u8], line: &[u8]) -> bool {
     if !board.has_room(text.len() + 1) {
         return false;
@@ -142,7 +143,7 @@ fn carry_out(board: &mut Board, text: &[u8], line: &[u8]) -> bool {
     false
 }
 
-/// Lets motion end, and checks that the position is that of the pulses.
+/// Waits until motion has ended, and checks that the controller's position agrees with the steps that were output.
 fn end(mut board: Board) {
     for _ in 0..MOST_WAITS {
         if board.controller.is_idle() || !board.has_time() || board.unended > MOST_UNENDED {

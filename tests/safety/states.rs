@@ -79,7 +79,7 @@ const SETS: [(&str, &[&str]); 7] = [
     ("DoorGoesOn", &["Door:3", "Idle", "Run"]),
     ("DoorEnds", &[".", "Idle", "Run"]),
     ("BehindDoor", &[".", "Door:0", "Door:1", "Sleep"]),
-    // Alarm (locked) if the machine was moving or is on a limit switch.
+    // After a reset: Alarm (locked) if the machine was moving or is on a limit switch, otherwise Idle.
     ("Reset", &["Idle", "Alarm"]),
     // A reset while the door is open leads to Idle or Alarm, like any reset, or to a door state, if the controller has
     // already detected the door again.
@@ -87,8 +87,8 @@ const SETS: [(&str, &[&str]); 7] = [
     // A braking machine after some time: it still brakes (`.`), is held, or, after a stop, is idle or runs the next
     // line.
     ("Braked", &[".", "Hold:0", "Idle", "Run"]),
-    // A running machine after some time: it still runs (`.`), or has come to rest at the end of a program's motion, at
-    // a pause, after a probe, or before a forbidden target.
+    // A running machine after some time: it still runs (`.`), has made all its moves (Idle), pauses at an M0 (Hold:0),
+    // has failed to probe (Alarm), or has stopped before a move beyond the soft limits (Critical).
     ("Rests", &[".", "Idle", "Hold:0", "Alarm", "Critical"]),
 ];
 

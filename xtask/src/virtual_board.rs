@@ -115,7 +115,8 @@ const ON_CONTROL_F407: &[&str] = &[
     "restart on request",
 ];
 
-/// Cases for boards that share their image with a board that runs more cases. Only the pins are different.
+/// Cases for a board that has the same image as another board, and only another pin table. The other board runs more
+/// cases; these test the pins.
 const ON_OTHER_PINS: &[&str] =
     &["boot", "pulses", "trips", "probe", "inverted outputs", "outputs of programs", "inputs of programs"];
 

@@ -184,7 +184,7 @@ pub enum FeedMode {
     /// G94: F is a speed.
     #[default]
     PerMinute,
-    /// G93: F is the number of moves like this one per minute.
+    /// G93: F is 1 divided by the duration of the move in minutes.
     InverseTime,
     /// G95: F is the distance per revolution of the spindle at the programmed S.
     PerRevolution,
@@ -237,9 +237,11 @@ pub enum PathControl {
 /// limited to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PathTolerance {
-    /// P of G64, greater than 0: the total distance, for merged moves and rounded corners together.
+    /// P of G64, greater than 0: the maximum distance. Merged moves may use the part `merging` of it, rounded corners
+    /// the rest.
     pub path: u32,
-    /// Q of G64: the part of `path` by which the tool may leave the programmed points where moves are merged into one.
+    /// Q of G64: the part of `path` for merging. If several moves are merged into one, no programmed point is farther
+    /// from the merged move.
     pub merging: u32,
 }
 

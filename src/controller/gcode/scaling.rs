@@ -4,8 +4,9 @@
 //! ```text
 //!                       scaled = centre + factor · (written - centre)         a distance: factor · written
 //! ```
-//! Products of a coordinate and a factor are exact integers in units of 10^-7 of 0.1 nm. The remainder from rounding
-//! the reached position to 0.1 nm is kept, so roundings do not add up over many increments.
+//! Coordinates are in units of 0.1 nm, factors in units of 10^-7. So the product of a coordinate and a factor is an
+//! exact integer in units of 10^-8 nm. The remainder from rounding the reached position to 0.1 nm is kept, so roundings
+//! do not add up over many increments.
 
 use super::values::nearest;
 use crate::axes::{Axis, PerAxis};
@@ -23,12 +24,12 @@ pub struct Scaling {
     centre: [Coordinate; AXES],
 }
 
-/// Remainder from rounding, for each axis, in units of 10^-7 of 0.1 nm.
+/// Remainder from rounding a position to 0.1 nm, for each axis, in units of 10^-8 nm.
 pub(super) type Rest = [i32; AXES];
 /// The remainders of a position that has not been rounded.
 pub(super) const NO_REST: Rest = [0; AXES];
 
-/// A length in units of 10^-7 of 0.1 nm.
+/// A length in units of 10^-8 nm.
 type Fine = i128;
 
 fn fine(coordinate: Coordinate) -> Fine {
@@ -48,7 +49,7 @@ fn divided(numerator: Fine, denominator: i64) -> Coordinate {
 #[inline(never)]
 fn rounded(length: Fine) -> (Coordinate, i32) {
     let coordinate = divided(length, DECIMAL_ONE);
-    // The size of the remainder is at most half of 10^7, unless the coordinate was limited to the range of its type.
+    // The remainder is at most 0.05 nm, unless the coordinate was limited to the range of its type.
     (coordinate, i32::try_from(length - fine(coordinate)).unwrap_or(0))
 }
 

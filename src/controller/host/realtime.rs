@@ -23,7 +23,7 @@ impl<const N: usize> Controller<N> {
                 self.finish_stop();
                 self.release_held();
             }
-            // Grbl ignores this byte. In its dialect the byte only advances the epoch, because the serial task has
+            // Grbl ignores 0x19. In Grbl's dialect the byte only advances the epoch, because the serial task has
             // advanced the epoch of later line bytes (see `LineByte`).
             Realtime::Stop if self.dialect() == Dialect::Grbl => {
                 self.m.lines.open_epoch();
@@ -165,8 +165,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Ends the jog of a host that has disconnected or is silent. With `is_fault`, a laser that burns when the jog has
-    /// ended gets the reaction to a lost host (`$928`).
+    /// Ends the jog of a host that has disconnected or is silent. `is_fault`: if the laser is on when the jog has
+    /// ended, the controller reacts to the loss of the host as `$928` selects.
     fn end_jog_of_no_host(&mut self, is_fault: bool) {
         self.m.lines.heartbeat_mut().set_left_jog(is_fault);
         self.cancel_jog();

@@ -3,8 +3,10 @@
 //! the steps through the slack to the moves after the reversal: the motor *takes up* the slack.
 //!
 //! ```text
-//!   motor ──┐ slack ┌── tool        moving to positive: the slack is open on the motor's leading side, motor = tool + slack
-//!           └───────┘               moving to negative: motor = tool
+//!   - ◀───▶ +    The motor M moves in a gap of the tool's drive. The gap is as wide as the slack.
+//!
+//!   [M      ]    M moves to negative and pushes at the lower end of the gap: motor = tool
+//!   [      M]    M moves to positive and pushes at the upper end of the gap: motor = tool + slack
 //! ```
 //! The extra steps change the direction of the motors' path. They are spread over so much of the tool's path that the
 //! corner rule ([`super::junction`]) allows this change of direction at full speed. In this file, steps are motor
@@ -18,12 +20,12 @@
 use super::trapezoid::{lesser, square_root};
 use crate::axes::PerAxis;
 
-/// Minimum distance by which a motor turns through its slack during a move, as a share of the move's length, even if
-/// the corner rule allows less. With a smaller share the tool would be off its position for a long distance (with a
-/// junction deviation of 0, for an endless one).
+/// Minimum of [`share`], even if the corner rule allows less: a motor may always turn through its slack by 2 % of a
+/// move's length. With a smaller share the tool would be off its position for a long distance (with a junction
+/// deviation of 0, for ever).
 const LEAST_SHARE: f32 = 0.02;
-/// Maximum distance by which a motor turns through its slack during a move, as a share of the move's length. With more,
-/// the motor would exceed twice the tool's speed.
+/// Maximum of [`share`]: a motor may turn through its slack by at most a move's length. With more, the motor would
+/// exceed twice the tool's speed.
 const GREATEST_SHARE: f32 = 1.0;
 
 /// The slack of each motor's drive, and the state of its compensation at the end of the queue.
@@ -88,7 +90,8 @@ impl<const N: usize> Backlash<N> {
         self.lead
     }
 
-    /// Sets the lead that each motor must reach by extra steps. The next move that turns the motor replaces it.
+    /// Sets the lead that each motor must reach by extra steps. The next move that turns a motor replaces its
+    /// wanted lead.
     pub(super) fn want(&mut self, lead: Lead<N>) {
         self.wanted = lead;
     }

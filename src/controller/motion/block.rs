@@ -191,7 +191,8 @@ pub(super) struct Ramp {
     /// Maximum speed² with which a ramp to the anchor can begin. From a higher speed, the machine would pass an entry
     /// before the anchor too fast.
     pub ceiling2: f32,
-    /// The tightest bounds up to the anchor, each the upper half of an `f32` (rounded down by 0.8 % at most).
+    /// The lowest acceleration and the lowest jerk that the blocks up to the anchor allow. Each number is the upper
+    /// half of an `f32`, so it is rounded down, by 0.8 % at most.
     acceleration: u16,
     jerk: u16,
 }
@@ -290,8 +291,8 @@ impl<const N: usize> Block<N> {
 
     /// Returns the bounds on changes of speed in the block.
     ///
-    /// In a bend, the acceleration is the one left at nine tenths of the maximum entry speed², because a ramp needs its
-    /// maximum acceleration about half way up, below that speed.
+    /// In a bend, this is the acceleration that the bend leaves at nine tenths of the maximum entry speed², because a
+    /// ramp needs its maximum acceleration about half way up, below that speed.
     #[inline]
     pub(super) fn bounds(&self) -> Bounds {
         let acceleration = self.acceleration_at(RAMP_SHARE * self.max_entry2);

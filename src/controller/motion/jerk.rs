@@ -7,8 +7,8 @@
 //!                     \                                        \           /   slope ±j
 //!                      \   a = -A                            -A \_________/
 //!                       \__
-//!                          \____ to       distance = mean speed · time; the curve is the same seen from either end,
-//!                                         so its mean speed is that of its ends
+//!                          \____ to       distance = mean speed · time; the curve is symmetric,
+//!                                         so its mean speed is (from + to) / 2
 //! ```
 //! Units are millimetres and seconds. Only + - * / and the square root are used, so that results are the same on every
 //! machine.
@@ -33,7 +33,7 @@ impl Bounds {
     pub(super) const NONE: Self = Self { acceleration: f32::INFINITY, jerk: f32::INFINITY };
 
     /// Returns the bounds rounded down to numbers whose lower 16 bits are 0, because [`super::block::Ramp`] stores only
-    /// the upper ones.
+    /// the upper 16.
     #[inline]
     pub(super) fn rounded_down(self) -> Self {
         let upper = |value: f32| f32::from_bits(value.to_bits() & 0xFFFF_0000);
@@ -181,9 +181,9 @@ impl PathState {
     }
 }
 
-/// Returns the acceleration at `speed` from which a constant jerk leads to the speed `target` with an acceleration of
-/// 0, exactly after `distance`. If the acceleration is recomputed at each point, the result is a curve of constant
-/// jerk, and small errors are corrected on the way.
+/// Returns the acceleration, mm/s², that a machine at `speed` must have now. With it, a constant jerk takes the machine
+/// to the speed `target` and, at the same moment, to an acceleration of 0, after exactly `distance`. If the caller
+/// computes the acceleration anew at each point, the path has this constant jerk, and small errors are corrected.
 #[inline]
 pub(super) fn landing(speed: f32, target: f32, distance: f32) -> f32 {
     -(2.0 / 3.0) * (speed - target) * (speed + 2.0 * target) / distance

@@ -93,17 +93,17 @@ pub struct Identity<'a> {
     pub axes: usize,
     /// Capacity of the tool table, in tools.
     pub tools: usize,
-    /// Homing is enabled.
+    /// Homing is enabled, so `NEWOPT` contains `HOME`.
     pub homing: bool,
-    /// M6 stops the program for another tool.
+    /// M6 stops the program for another tool, so `NEWOPT` contains `TC`.
     pub changes_tools: bool,
     /// The input pins of the board.
     pub pins: &'a PinView,
-    /// Name of the board.
+    /// Name of the board, for the line `[BOARD:...]`.
     pub board: &'static str,
-    /// Settings survive power-off.
+    /// Settings survive power-off, so a line `[NVS STORAGE:FLASH]` is sent.
     pub has_store: bool,
-    /// Highest step rate in Hz.
+    /// Maximum step rate in Hz, for the line `[MAX STEP RATE:...]`.
     pub step_rate: u32,
     /// Number of outputs and number of inputs for programs (M62 to M66).
     pub program_pins: [u8; 2],
@@ -178,8 +178,8 @@ pub fn spindle(out: &mut Text, in_fields: bool, reports_speed: bool, speeds: [f3
     put(out, b"]\r\n");
 }
 
-/// `[LASTEVENTS:controls,switches,,second,]`: the answer to `$LEV`. Limit switches are listed where grblHAL has those of
-/// the lower ends, because an axis has one input for both ends. `ganged`: letter of the axis with a second motor.
+/// `[LASTEVENTS:controls,switches,,second,]`: the answer to `$LEV`. Limit switches are listed where grblHAL has those
+/// of the lower ends, because an axis has one input for both ends. `ganged`: letter of the axis with a second motor.
 pub fn last_event(out: &mut Text, event: &Signals, ganged: &[u8]) {
     put(out, b"[LASTEVENTS:");
     for (active, letter) in [

@@ -122,8 +122,8 @@ impl LineIntake {
         byte.epoch == self.epoch && !byte.damaged && self.line.push_plain(byte.byte)
     }
 
-    /// Takes bytes of one epoch from the front, until a byte comes that [`LineIntake::take_plain`] would not take.
-    /// Returns how many were taken.
+    /// Takes bytes from the start of `bytes`, up to the first byte that [`LineIntake::take_plain`] would not take. All
+    /// of them are of `epoch`. Returns how many bytes were taken.
     #[inline]
     pub fn take_text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         if epoch == self.epoch { self.line.push_plain_text(bytes) } else { 0 }
@@ -322,8 +322,8 @@ impl LineIntake {
         self.keeps_later_jogs && !self.is_jog_stale()
     }
 
-    /// Updates the byte counts. `received`: line bytes received and not yet taken, without those that were dropped with
-    /// their disconnected host. `heard`: all bytes received except commands (wrapping).
+    /// Updates the byte counts. `received`: line bytes received and not yet taken, without those that the link dropped
+    /// because their host disconnected. `heard`: all bytes received except commands (wrapping).
     pub fn observe(&mut self, received: u16, heard: u16) {
         self.heartbeat.observe(heard);
         if self.drop_bytes | self.jog_bytes != 0 {
@@ -498,8 +498,8 @@ mod tests {
         intake.drop_received(4);
         assert_eq!(give(&mut intake, b"G1X1", 1), [""; 0]);
         assert_eq!(give(&mut intake, b"G4\n", 2), ["G4"]);
-        // Bytes that were dropped together with their host no longer count, so no bytes of the next host are dropped in
-        // their place.
+        // The button has six bytes to drop, but the link has already dropped them because their host disconnected.
+        // `observe` reports that no received byte is left, so the button drops no bytes of the next host instead.
         intake.drop_received(6);
         intake.observe(0, 0);
         assert_eq!(give(&mut intake, b"G4\n", 2), ["G4"]);

@@ -10,9 +10,9 @@
 //!  └ marks a checked line
 //! ```
 //! **Sessions.** After `$LC=ON` a host may append four letters of its choice. With letters, the CRC covers the letters,
-//! the whole line number in eight digits, the length and the text. Two kinds of lines are always refused, because they
+//! the full line number in eight digits, the length and the text. Two kinds of lines are always refused, because they
 //! differ from the expected line in a burst of at most 32 of the covered bits, which the CRC detects:
-//! * a line with the same whole number from another session: only the four letters differ;
+//! * a line with the same full number from another session: only the four letters differ;
 //! * a line that is 4096 numbers old, as long as the topmost of the eight digits stays the same (for lines below
 //!   2^28): only the four digits after it can differ.
 //!
@@ -74,9 +74,10 @@ pub const ANSWER_HEADER: usize = HEADER_END as usize;
 
 /// Line numbers are written modulo this number.
 const NUMBERS: u16 = 1 << (4 * NUMBER);
-/// Number of digits of the whole line number, which enters the CRC of a session.
+/// Number of digits of the full line number. In a session with letters, the CRC covers all of these digits, although
+/// the line itself contains only the last three.
 const WHOLE_NUMBER: usize = 8;
-/// Number of letters of a session.
+/// Number of letters that a host may append to `$LC=ON`.
 const SESSION: usize = 4;
 
 /// Result of checking a completed line.

@@ -1,12 +1,12 @@
-//! Keeps resets, feed holds and door commands that found no room in the command queue, from a link that cannot make its
-//! host wait (a plain UART). The serial task adds them, and `control` takes them in order. None of these commands is
-//! lost.
+//! Stores resets, feed holds and door commands for which the command queue has no room. Only commands from a link that
+//! cannot make its host wait (a plain UART) are stored. The serial task adds them, and `control` takes them in order.
+//! None of these commands is lost.
 
 use crate::messages::Realtime;
 
-/// Commands from a link that cannot wait, for which the queue had no room. While such a command waits here, no other
-/// command is queued. So these commands act after all commands queued before them, and before all commands received
-/// later.
+/// Resets, feed holds and door commands for which the command queue had no room. While one of them is stored here, the
+/// serial task puts no further command into the queue. So the stored commands act after all commands queued before
+/// them, and before all commands received later.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Owed(pub u32);
 

@@ -7,9 +7,10 @@
 //!     ▲                          │
 //!     └── the oldest is reused ◀─┘
 //! ```
-//! A byte of a line is an entry of one byte. All other entries are rarer and begin with a tag (0x80 and above); one of
-//! them is the change of time. Each page can be decoded without the others, so the ring always begins with a whole
-//! entry. An entry counts only when it is completely written, so a reset at any moment leaves a valid ring.
+//! A byte of a line is an entry of one byte. All other entries are rarer and begin with a tag (0x80 and above). One of
+//! them, the time entry, contains the microseconds since the previous time. Each page can be decoded without the
+//! others, so the ring always begins with a whole entry. An entry counts only when it is completely written, so a reset
+//! at any moment leaves a valid ring.
 //!
 //! Bytes of a line are gathered first, and written to the ring together with the line end, before the controller gets
 //! the line end. So a reset loses at most the last bytes of an unfinished line, which has had no effect yet.
@@ -289,7 +290,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         let (mut place, mut line, mut kind) = ([0; 3], 0, Noted::NO_CRASH);
         if let Some(crash) = &restart.crash {
             let passed = crash.moment.wrapping_sub(self.time as u32);
-            // `crash.moment` is the start time of the round before the one that failed, so the last entry can be later.
+            // `crash.moment` is the start time of the round before the failed round, so the last entry can be later.
             // In that case `passed` is close to `u32::MAX`, and the time stays as it is.
             if passed <= u32::MAX - LONGEST_TURN_US {
                 self.time_to(self.time + u64::from(passed));
@@ -411,7 +412,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
-    /// Writes a line end, after its time.
+    /// Writes the gathered bytes and a line end (`byte`) to the ring. If `time` is later than the last recorded time, a
+    /// time entry comes before the line end.
     #[inline(always)]
     fn put_end(&mut self, time: u64, byte: u8) {
         if self.time < time {
@@ -478,7 +480,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
-    /// Records that more bytes wait after the line just recorded.
+    /// Records that further bytes were already waiting when the controller took the end of the line just recorded.
     #[inline]
     pub fn more_waits(&mut self) {
         if self.kept {
@@ -641,7 +643,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             put_word(&mut rest, self.blocks);
             self.put_entry(now, tag::REST, &rest);
         }
-        // Record a state in each quarter of the ring, so that the ring holds one even after its oldest pages were
+        // Record a state in each quarter of the ring, so that the ring holds a state even after its oldest pages were
         // reused.
         let pages = self.pages.as_ref().len() as u32;
         if self.wants_standing || self.number.wrapping_sub(self.standing_in) >= (pages / 4).max(1) {

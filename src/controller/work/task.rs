@@ -12,7 +12,7 @@ use crate::units::{Duration, Instant};
 pub(crate) enum Task {
     /// No task. The next line can be taken.
     None,
-    /// The startup line with this index is next. After the last startup line the answer is given, if there is one.
+    /// The startup line with this index is next. After the last startup line, the answer is sent, unless it is `None`.
     Startup(usize, Option<Answer>),
     /// The controller runs the next stored line of a subroutine, loop or macro, for this caller.
     Held(Caller),
@@ -47,7 +47,7 @@ pub(crate) enum Answer {
     /// The host, which has set the startup line with this index (`$N`). Its text is kept, and stored once the line has
     /// run without error.
     Validation(usize),
-    /// Nobody yet, because the line is a stored one of a subroutine, loop or macro. The caller is answered once the
+    /// Nobody yet, because the line is a stored line of a subroutine, loop or macro. The caller is answered once the
     /// last stored line has been run.
     Held(Caller),
     /// The host, which has changed the setting with this number.
@@ -57,7 +57,8 @@ pub(crate) enum Answer {
 }
 
 impl Answer {
-    /// Whether the line is one of the host's program, or a stored one that such a line has called.
+    /// Whether the line belongs to the host's program: the host has sent it, or it is a stored line of a subroutine,
+    /// loop or macro that a line from the host has called.
     pub(crate) fn is_of_program(self) -> bool {
         matches!(self, Answer::Host | Answer::Held(Caller::Host))
     }

@@ -92,7 +92,7 @@ struct Piece {
     steps: u32,
 }
 
-/// The test's side of the step task's queues, and the recorder.
+/// The queues to and from the step task, and the recorder of the edges.
 struct Bench {
     segments: Sender<'static, ToStep, SEGMENTS_DEPTH>,
     wiring: Sender<'static, Wiring, 2>,
@@ -125,7 +125,8 @@ impl Bench {
         defmt::assert!(self.segments.try_send(message).is_ok(), "the queue to the step task is full");
     }
 
-    /// Moves at a constant step rate, from rest to rest. Returns the recorded edges.
+    /// Moves at a constant step rate, from rest to rest. `interval`: time between two steps, in fixed-point ticks.
+    /// Returns the recorded edges.
     fn step(&mut self, interval: u32, pieces: &[Piece]) -> [Edges; 3] {
         self.capture.start();
         let mut ticks = 0;
@@ -162,7 +163,7 @@ impl Bench {
     }
 }
 
-/// Step-clock ticks as microseconds.
+/// A time in ticks of the step clock. It is printed in microseconds, with two decimals.
 struct Us(i32);
 
 impl defmt::Format for Us {
@@ -271,7 +272,7 @@ fn fall(edges: &Edges, pulse: u32) -> u16 {
     edges.at(2 * pulse as usize + 1)
 }
 
-/// Returns the interval of a step rate, in fixed-point ticks.
+/// Returns the time between two steps, in fixed-point ticks, for a step rate in Hz.
 fn interval(rate: u32) -> u32 {
     ((u64::from(boards::PROFILE.step_clock_hz) << INTERVAL_FRACTION_BITS) / u64::from(rate)) as u32
 }

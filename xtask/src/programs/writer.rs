@@ -17,8 +17,8 @@ pub struct Writer<'a> {
 }
 
 impl<'a> Writer<'a> {
-    /// Returns a writer whose coordinates are in units of the last of `decimals` decimal places, such as µm for
-    /// millimetres with 3 places.
+    /// Returns a writer that writes coordinates with `decimals` decimal places. Its functions take coordinates as
+    /// integers in units of the last place: with 3 decimals, 1500 is written as `1.5`.
     pub fn new(out: &'a mut dyn Write, decimals: u32) -> Self {
         Self { out, decimals, numbering: None, separator: " ", modal: "", place: [None; 3], feed: None }
     }
@@ -49,7 +49,7 @@ impl<'a> Writer<'a> {
     }
 
     /// Writes a straight move with the word `motion` (such as `G1`) to the given coordinates; nothing if none of them
-    /// changes.
+    /// changes. `feed`: F in tenths.
     pub fn line_to(&mut self, motion: &'static str, to: [Option<i64>; 3], feed: Option<i64>) -> Result<()> {
         let mut words = self.motion_word(motion);
         let before = words.len();
@@ -111,7 +111,8 @@ impl<'a> Writer<'a> {
     }
 }
 
-/// Formats a number given in units of the last of its `places` decimal places; removes trailing zeros, keeps the point.
+/// Formats an integer as a number with `places` decimal places: with 3 places, 1500 becomes `1.5`. Removes trailing
+/// zeros and keeps the point.
 pub fn decimal(value: i64, places: u32) -> String {
     let one = 10_i64.pow(places);
     let sign = if value < 0 { "-" } else { "" };

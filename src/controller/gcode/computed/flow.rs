@@ -37,8 +37,8 @@ pub const LEAST_HELD: usize = 6144;
 /// Maximum number of bytes of the held text that macros may take; the rest is for programs.
 pub(super) const MOST_MACROS: usize = 3072;
 /// Number of bytes that every line leaves free in the held text, except the first line of a subroutine or loop and the
-/// `ENDSUB` that replaces M99. So even if the other lines do not fit, the label is recorded, by which the last line of
-/// the block is recognized.
+/// `ENDSUB` that replaces M99. So the label, by which the last line of the block is recognized, is recorded even if the
+/// other lines do not fit.
 pub(super) const SPARE: usize = 64;
 /// Maximum nesting of conditions, loops and calls: enough for 16 nested calls, each within two conditions.
 const DEPTH: usize = 48;
@@ -416,8 +416,9 @@ pub(super) struct FlowControl {
     pub(super) missing: u32,
     /// Number of conditions and loops that are open in the subprogram being recorded.
     pub(super) within: u8,
-    /// Whether the present line comes from the host, which can still send a missing subprogram. A startup line does
-    /// not.
+    /// Whether the line in execution, or the line that called it, comes from the host and not from a startup line. If
+    /// it calls an unknown subprogram, the program waits until the host sends the subprogram. A startup line cannot
+    /// wait, so the same call is an error there.
     pub(super) of_host: bool,
     /// The modal call (G66), which follows each line that moves an axis.
     pub(super) modal: ModalCall,
@@ -650,7 +651,7 @@ impl FlowControl {
         self.held_from = if let FlowState::Running(Some(from)) = self.state {
             from
         } else {
-            // The outermost call is that of a host's line. It returns to the lines that the program sends from now on:
+            // The outermost call is that of a host's line. It returns to the lines that the host sends from now on:
             // they are held at the end of the text.
             if let Some(call) = self.frames.get_mut(usize::from(self.below)) {
                 call.at = end;

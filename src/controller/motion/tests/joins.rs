@@ -130,7 +130,8 @@ fn a_raster_changes_its_power_where_the_program_does() {
     assert_eq!(units, 300 * 80);
 }
 
-/// A machine for the property tests.
+/// The settings by which the machines of the property tests differ: steps/mm of each motor, CoreXY, and, for all axes,
+/// jerk limit (mm/s³, 0 = none) and backlash (mm, 0 = none).
 #[derive(Clone, Debug)]
 struct Machine {
     scales: [f32; 3],
@@ -164,15 +165,15 @@ impl Machine {
         config
     }
 
-    /// Returns the motors' position for a position of the tool, in steps.
+    /// Returns the motors' position, in steps, for a position of the tool, in mm.
     fn motors(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         let way = if self.core_xy { [x + y, x - y, z] } else { [x, y, z] };
         std::array::from_fn(|motor| way[motor] * f64::from(self.scales[motor]))
     }
 }
 
-/// Generates lines, bends and corners in short chords, rounded to three to five decimals. Each piece has a direction, a
-/// turn per chord, and a chord length.
+/// Generates paths of one to five lines or bends in short chords, with points rounded to three to five decimals. Each
+/// line or bend has a direction and a turn per chord, both in degrees, and a chord length in mm.
 fn polylines() -> impl Strategy<Value = Vec<[f64; 3]>> {
     let piece = (0.0..360.0_f64, prop_oneof![Just(0.0), -3.0..3.0_f64], 0.001..0.05_f64, 1_usize..120, -0.3..0.3_f64);
     (prop::collection::vec(piece, 1..6), prop::sample::select(vec![1e-3, 1e-4, 1e-5])).prop_map(|(pieces, digit)| {
