@@ -24,7 +24,7 @@ any sum up to 255, and bits that the table does not name have no effect. Other m
 
 A value below 0 is `error:4` (except for `$58`). Any other value out of range is `error:52`, after a message with the allowed values. The Black Pill F401 omits the message; the dialect of Grbl answers only `error:3`. A `$0` out of range is `error:6`; one that is no whole number of tenths is `error:3`.
 
-After a change of `$3`, `$23`, `$100` to `$103`, `$904`, `$930` or `$932`, positions no longer match the homed coordinates: with `$22=1`, home again. The same holds after a change of the travel (`$130` to `$133`) of an axis that `$23` names and, with `$932=1`, of `$27`. Until you home, G53, G28 and G30 are
+After a change of `$3`, `$23`, `$100` to `$103`, `$904`, `$930` or `$932`, positions no longer match the homed coordinates: with `$22=1`, home again. The same holds after a change of the travel (`$130` to `$133`) of an axis that `$23` names. With `$932=1` it also holds after a change of `$27`. Until you home, G53, G28 and G30 are
 rejected and soft limits do not act (`$902`).
 
 If stored settings are damaged (flash that has lost a bit), a message follows the welcome line, and the machine is locked. List the settings with `$$`,
