@@ -90,12 +90,12 @@ codes! {
     OutOfMemory = 83, "the memory for parameters and subroutines is full";
     /// Oxmill's own numbers, above those of other controllers.
     CycleNeedsPerMinute = 120, "a canned cycle needs G94";
-    NotSupported = 121, "the word is known but not supported: docs/gcode.md lists which are";
+    NotSupported = 121, "the word is known but not supported: docs/gcode.md lists the supported words";
     CutterCompensation = 122, "cutter compensation (G41, G42) is not supported: let the CAM program offset the path";
     NothingSaved = 123, "there is no state that M72 could restore: none was saved in this subroutine";
     DescriptionsLeftOut = 125, "this board has no room for the texts of settings, errors and alarms";
     NotInRotatedPlane = 126, "arcs, cycles and a second rotation need the plane in which the coordinates are rotated";
-    RotationActs = 127, "the coordinates that the line sets are rotated by G68";
+    RotationActs = 127, "coordinates cannot be set while G68 rotates them";
     RotationLeftOut = 128, "this board has no room for rotated coordinates";
     DamagedLine = 129, "the line is damaged or out of its order, or not checked: $LC=OFF ends the check of lines";
     ToolChangeNeedsHoming = 130, "a tool change with a tool setter ($918=2) needs a machine that is homed";
@@ -107,7 +107,7 @@ codes! {
     SplineOutsideXy = 140, "a spline (G5 to G5.3) needs G17 and has no axis words but X and Y";
     SplinesLeftOut = 141, "this board has no room for splines (G5 to G5.3)";
     UnequalScaling = 142, "the factors of G51 in the plane of the arc are not equal";
-    ScalingActs = 143, "the coordinates that the line sets are scaled by G51";
+    ScalingActs = 143, "coordinates cannot be set while G51 scales them";
     ScalingLeftOut = 144, "this board has no room for scaled coordinates (G51)";
     ControlPointsNotBegun = 145, "control points have to begin with G5.2 where the tool is";
     ControlPointsNotEnded = 146, "control points (G5.2) come to their end with G5.3, or are given up with G80";

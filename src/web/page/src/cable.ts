@@ -46,7 +46,7 @@ export class Cable implements JobPanel {
   private conclude(streamed: Streamed[], free: number): void {
     const enough = BAUDS.findIndex((_, index) => streamed[index].forecast_s <= free * WAITS);
     $("cable-note").className = enough < 0 ? "finding bad" : "finding good";
-    $("cable-note").textContent = enough < 0 ? "The machine waits for lines at all of these." : `Use ${BAUDS[enough].toLocaleString("en")} baud or more. From there on the machine never waits for lines.${BAUDS[enough] <= 115_200 ? " The usual 115,200 is enough." : ""}`;
+    $("cable-note").textContent = enough < 0 ? "At each of these rates the machine runs out of lines and waits." : `Use ${BAUDS[enough].toLocaleString("en")} baud or more. From there on the machine never waits for lines.${BAUDS[enough] <= 115_200 ? " The usual 115,200 is enough." : ""}`;
     const slower = enough < 0 ? BAUDS.length - 1 : enough - 1;
     if (slower < 0) return;
     $("waits").hidden = false;

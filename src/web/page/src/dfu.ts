@@ -67,7 +67,7 @@ export function parse(file: Uint8Array): Firmware {
   if (suffix[4] !== 0x83 || suffix[5] !== 0x04 || suffix[2] !== 0x11 || suffix[3] !== 0xdf) throw new Error("This .dfu file is not for the boot loader of an STM32.");
   const target = file.subarray(11, -16);
   const broken = new Error("This .dfu file is damaged: an element of it is cut off.");
-  if (file[10] !== 1 || text(target.subarray(0, 6)) !== "Target" || target[6] !== 0) throw new Error("This .dfu file is not for the flash of one board.");
+  if (file[10] !== 1 || text(target.subarray(0, 6)) !== "Target" || target[6] !== 0) throw new Error("This .dfu file is not the firmware of a single board.");
   const stretches: Stretch[] = [];
   let at = 274;
   for (let left = word(target, 270); left > 0; left--) {

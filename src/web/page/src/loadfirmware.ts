@@ -69,7 +69,7 @@ export class LoadFirmware {
     const [file] = this.file.files ?? [];
     this.tell("");
     try {
-      if (file && file.size > LARGEST) throw new Error("This file is too large for a .dfu file.");
+      if (file && file.size > LARGEST) throw new Error("This file is too large to be firmware.");
       const firmware = file && parse(new Uint8Array(await file.arrayBuffer()));
       if (choice !== this.choices) return;
       this.firmware = firmware;
