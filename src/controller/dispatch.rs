@@ -48,7 +48,7 @@ pub struct Profile {
     pub oscillator_mhz: u8,
     /// Whether settings survive power-off. If not, the controller requests no store operations.
     pub has_store: bool,
-    /// Whether the board can restart into a boot loader that hosts reach over the same cable (`$DFU`).
+    /// Whether `$DFU` may restart the board into its boot loader: hosts reach it over USB, and it starts no load.
     pub has_loader: bool,
 }
 

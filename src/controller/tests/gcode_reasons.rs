@@ -349,6 +349,13 @@ const ROWS: &[Row] = &[
     ("F100 | G18", "G3 X1", 35, "I and K are missing in G3, or R: the plane is G18"),
     ("F100 | G90.1", "G2 X5 I2", 35, "I and J are both needed in G2: G90.1 is active"),
     ("F100", "G2 X10 I4", 33, "the radius of G2 is 4.000 mm at its start, 6.000 at its end. Write I5.000 with J0.000"),
+    // A word beyond 50 m is not suggested.
+    (
+        "F100",
+        "G2 X-2424.506 Y48.5 I787.67",
+        33,
+        "the radius of G2 is 787.670 mm at its start, 3212.542 at its end. Write I-1212.738 with J0.000",
+    ),
     (
         "F100",
         "G3 X10 Y10 I10 J0.5",
@@ -633,6 +640,20 @@ proptest! {
         let line = if jog { format!("$J={line}") } else { line };
         if let Some((_, text)) = refusal(&program, &line) {
             prop_assert!(!text.contains(['[', ']']) && text.len() < 128, "{line}: {text}");
+        }
+    }
+
+    /// An arc with one of the suggested pairs of I and J is accepted.
+    #[test]
+    fn suggested_centres_are_right(end in prop::array::uniform2(-30_000_000..30_000_000_i64), centre in prop::array::uniform2(-30_000_000..30_000_000_i64), small in 0..4_u32) {
+        let mm = |value: i64| value as f64 / 1e3 / f64::from(10_u32.pow(small));
+        let line = format!("G2 X{:.3} Y{:.3}", mm(end[0]), mm(end[1]));
+        let program = after(Dialect::Oxmill, "F100");
+        let Some((33, text)) = refusal(&program, &format!("{line} I{:.3} J{:.3}", mm(centre[0]), mm(centre[1]))) else { return Ok(()) };
+        let Some((_, pairs)) = text.split_once("Write ") else { return Ok(()) };
+        for pair in pairs.split(", or ") {
+            let words = pair.replace(" with ", " ");
+            prop_assert_eq!(refusal(&program, &format!("{line} {words}")), None, "{}", text);
         }
     }
 

@@ -671,16 +671,22 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         let square = x as f32 * x as f32 + y as f32 * y as f32;
         let mut before = "Write ";
         for (letter, across, kept, along, centre) in [(second, y, first, x, i), (first, x, second, y, j)] {
+            let value = Coordinate(((square / 2.0 - along as f32 * centre as f32) / across as f32) as i64);
             // If the chord is nearly at right angles to this word's axis, the value would be far off.
-            if across as f32 * across as f32 * FLATTEST < square {
+            if across as f32 * across as f32 * FLATTEST < square || !value.in_range() {
                 continue;
             }
+            let length = out.len();
             say(out, before, &[]);
             let _ = out.push(letter);
-            millimetres(out, ((square / 2.0 - along as f32 * centre as f32) / across as f32) as i64);
+            millimetres(out, value.0);
             say(out, " with ", &[]);
             let _ = out.push(kept);
             millimetres(out, centre);
+            // Half a number would be a wrong one.
+            if out.is_full() {
+                return out.truncate(length);
+            }
             before = ", or ";
         }
     }
