@@ -197,8 +197,8 @@ fn without_length(source: &str) -> String {
     let tool = word.map_or(String::new(), |word| format!(" {word}"));
     format!(
         "the machine's tool table is empty, so G43{tool} has no effect. That is right only if Z is zeroed with this very tool. \
-         Otherwise store how much longer it is than the tool that Z is zeroed with: G10 L1 P{number} Z12.5 for 12.5 mm, \
-         above this line, or once in the machine, which keeps it"
+         Otherwise store how much longer it is than the tool that Z is zeroed with: G10 L1 P{number} Z12.5 for 12.5 \
+         of the unit in use, above this line, or once in the machine, which keeps it"
     )
 }
 
@@ -564,6 +564,31 @@ mod tests {
         let [_, second, third] = &wrong[..] else { panic!("{wrong:?}") };
         assert_eq!(second, "Line 3 was refused, so this arc starts at another point: correct that line first.");
         assert!(!third.contains("was refused"), "{third}");
+    }
+
+    /// What a checker of single lines cannot know: the names, numbers and lines of the rest of the file.
+    #[test]
+    fn advice_takes_the_rest_of_the_file_into_account() {
+        let wrong = checked("oxmill", "G21 G90\n#<depth>=-2\nG1 Z#<depht> F100\nG1 Z#<width> F100\n").errors;
+        assert_eq!(
+            [wrong[0].advice.as_str(), wrong[1].advice.contains("depth").to_string().as_str()],
+            ["The file sets #<depth>: is that the name?", "false"]
+        );
+        let calls = "O1 (MAIN)\nG21 G90\nM98 P20\nM98 P20\nM30\nO21\nG1 X1 F100\nM99\n";
+        let summary = checked("oxmill", calls);
+        assert_eq!((summary.errors.len(), summary.errors[0].line), (1, 3), "{:?}", summary.errors);
+        let text =
+            "O20 is called here, also in line 4, and the only other one in the file is O21: write P21, or add O20";
+        assert_eq!(summary.errors[0].text, text);
+        assert!(!summary.messages.iter().any(|message| message.starts_with(AWAITS)), "{:?}", summary.messages);
+        let one: String = (0..40).map(|at| format!("G1X{at}.123")).collect();
+        let text = Box::leak(format!("G21 G90 F100\n{one}\n").into_boxed_str());
+        assert!(checked("oxmill", text).errors[0].text.starts_with("several moves have run together"));
+        let warned = checked("oxmill", "G21 G90\nT7 M6\nG43 H7\n").warnings;
+        assert!(
+            warned[0].text.contains("G43 H7 has no effect") && warned[0].text.contains("G10 L1 P7 Z"),
+            "{warned:?}"
+        );
     }
 
     #[test]
