@@ -272,7 +272,7 @@ const GONE = "The board has no program now and starts nothing: load it again. If
 
 /** Throws an error again, with a sentence about the board. */
 const told = (about: string) => (error: Error): never => {
-  throw new Error(`${error.message} ${about}`);
+  throw new Error(`${error.message} ${about}`.trim());
 };
 
 /** Does something with each part, one after the other, and reports the progress. */
@@ -305,7 +305,7 @@ export async function load(device: UsbDevice, { stretches }: Firmware, progress:
     };
     const verify = async ({ address, bytes }: Stretch, otherwise: string) => {
       const there = await loader.read(address, bytes.length).catch(told(otherwise));
-      if (there.length !== bytes.length || there.some((byte, index) => byte !== bytes[index])) throw new Error(`What was read back at ${hex(address)} is not what was written. ${otherwise}`);
+      if (there.length !== bytes.length || there.some((byte, index) => byte !== bytes[index])) throw new Error(`What was read back at ${hex(address)} is not what was written. ${otherwise}`.trim());
     };
     const size = ({ bytes }: Stretch) => bytes.length;
     await each(touched, ({ size }) => size, "erase", progress, async (sector, isFirst) => {

@@ -50,6 +50,8 @@ export class LoadFirmware {
   }
 
   private show(): void {
+    // A board that is gone does not answer.
+    if (!this.machine.isConnected) this.isRestarting = false;
     allow(this.loader, !this.machine.isSerial ? "No board is connected." : this.isRestarting ? "The board restarts." : undefined);
     this.cancel.hidden = !this.isLoading;
     this.dialog.isHeld = this.isLoading;
