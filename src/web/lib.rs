@@ -31,6 +31,9 @@
 //! | `oxmill_stream_summary()` | | status | JSON: `baud`, `forecast_s`, `complete`, `errors`, `lost: [{line, seconds}]` |
 //! | `oxmill_resume()` | order with `resume`, 0, job | status | JSON: `program`, `line`, `lines`, `prologue`: the rest of a job, as from `oxmill resume` |
 //! | `oxmill_import()` | settings of another controller | status | JSON: what `oxmill settings import --json` prints |
+//! | `oxmill_pins_file()` | name of a board | status | the board's pin table, as `oxmill board show` prints it |
+//! | `oxmill_pins_check()` | pin table | status | JSON: `name`, `image`, `pins` (their number); or the table's faults, a line each |
+//! | `oxmill_pins_write()` | pin table, 0, image | status | the image with the table, as from `oxmill board write` |
 //! | `oxmill_machine_begin()` | order | status | the machine's output at power-up |
 //! | `oxmill_machine_turn(us)` | bytes of the host | status | the machine's output within the next `us` microseconds |
 //! | `oxmill_machine_pin()` | a line such as `probe 1` | status | `ok`, or the fault |
@@ -53,6 +56,7 @@
 //! A panic traps and ends the instance; the text of the panic can still be fetched.
 
 pub mod engine;
+mod pins;
 
 use engine::Order;
 use oxmill_simulator::Simulator;
@@ -279,6 +283,24 @@ pub extern "C" fn oxmill_resume() -> u32 {
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_import() -> u32 {
     answer(|_, text| json(&settings_import::import(&String::from_utf8_lossy(text))?))
+}
+
+/// Outputs the pin table of the board whose name is the input.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_pins_file() -> u32 {
+    answer(|_, name| pins::file(&String::from_utf8_lossy(name)))
+}
+
+/// Checks the pin table in the input, and outputs what it is for, as JSON.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_pins_check() -> u32 {
+    answer(|_, text| json(&pins::check(&String::from_utf8_lossy(text))?))
+}
+
+/// Writes a pin table into an image: the input is the table, a 0 byte and the image.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_pins_write() -> u32 {
+    answer(|_, order| pins::write(order))
 }
 
 /// Powers a machine up as the order in the input says, and connects a host to it. Outputs what the machine has sent.

@@ -1,13 +1,16 @@
 //! Builds the WebAssembly module and the web page that contains it, and tests both in a browser.
 
 use crate::paths::cargo_without_paths;
-use crate::{Failure, cargo, exists, root, run};
+use crate::{Failure, cargo, exists, image, root, run};
 use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 
 /// Name of the npm program: a script on Windows.
 const NPM: &str = if cfg!(windows) { "npm.cmd" } else { "npm" };
+
+/// Board whose image the tests of the page load.
+const LOADED: &str = "blackpill_f411";
 
 /// Rust target of the WebAssembly module.
 pub const MODULE: &str = "wasm32-unknown-unknown";
@@ -26,6 +29,10 @@ pub fn build() -> Result<(), Failure> {
 pub fn test(names: &[&str]) -> Result<(), Failure> {
     build()?;
     run(cargo().args(["build", "--quiet", "--locked", "--release", "--package", "oxmill"]))?;
+    // An image of an earlier state of the tree will do: only its pin table is looked at.
+    if !root().join("target/boards").join(format!("{LOADED}.dfu")).exists() {
+        image::build(LOADED)?;
+    }
     run(in_page("node").arg("tests/run.mjs").args(names))
 }
 

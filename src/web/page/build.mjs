@@ -41,17 +41,20 @@ const manifest = {
   icons: [{ src: "icon.svg", type: "image/svg+xml", sizes: "any", purpose: "any" }, { src: "icon.svg", type: "image/svg+xml", sizes: "any", purpose: "maskable" }],
   file_handlers: [{ action: "./", accept: { "text/x-gcode": [".nc", ".ngc", ".gcode", ".gc", ".tap", ".cnc"] } }], launch_handler: { client_mode: "focus-existing" },
 };
-const POLICY = [["worker-src blob:;", "worker-src blob: 'self'; manifest-src 'self';"], ["img-src data:;", "img-src data: 'self';"]];
+// The site may load the images of its own firmware folder.
+const POLICY = [["worker-src blob:;", "worker-src blob: 'self'; manifest-src 'self';"], ["img-src data:;", "img-src data: 'self';"], ["connect-src 'none';", "connect-src 'self';"]];
 const ICON = '<link rel="icon"';
 if (![ICON, ...POLICY.map(([from]) => from)].every(part => whole.includes(part))) throw new Error("index.html has no place for the manifest");
 const files = {
-  "index.html": POLICY.reduce((text, [from, to]) => text.replace(from, to), whole).replace(ICON, `<link rel="manifest" href="oxmill.webmanifest">\n<meta name="oxmill-offline" content="offline.js">\n<meta name="theme-color" content="#12161c">\n${ICON}`),
+  "index.html": POLICY.reduce((text, [from, to]) => text.replace(from, to), whole).replace(ICON, `<link rel="manifest" href="oxmill.webmanifest">\n<meta name="oxmill-offline" content="offline.js">\n<meta name="oxmill-firmware" content="firmware.json">\n<meta name="theme-color" content="#12161c">\n${ICON}`),
   "oxmill.webmanifest": `${JSON.stringify(manifest, undefined, 1)}\n`,
   "icon.svg": icon,
 };
 const version = createHash("sha256").update(Object.values(files).join("\0")).digest("hex").slice(0, 16);
 files["offline.js"] = await bundle("offline.ts", { VERSION: JSON.stringify(version), FILES: JSON.stringify(["./", "oxmill.webmanifest", "icon.svg"]) });
 mkdirSync(join(target, "site"), { recursive: true });
+// The list of images for boards is empty; `cargo xtask dist` packs the images that it has built, and their list.
+files["firmware.json"] = "[]\n";
 for (const [name, text] of Object.entries(files)) writeFileSync(join(target, "site", name), text);
 
 /** Maximum growth of a size (factor) before it must be accepted explicitly. */

@@ -25,6 +25,11 @@ impl Entry {
     pub fn program(name: &str, bytes: Vec<u8>) -> Entry {
         Entry { name: name.into(), mode: 0o755, bytes }
     }
+
+    /// Path of the file in the archive.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
 }
 
 /// Returns an entry for each file below a folder, named by its path in the folder.

@@ -22,6 +22,8 @@ const VERSION: &str = env!("CARGO_PKG_VERSION");
 const TEXTS: [&str; 4] = ["README.md", "CHANGELOG.md", "LICENSE-APACHE", "LICENSE-MIT"];
 /// File name of the web page.
 const PAGE: &str = "oxmill.html";
+/// List of the images for boards that the site carries. The page's build writes an empty one.
+const SITE_IMAGES: &str = "firmware.json";
 /// File name of the program on this system.
 const PROGRAM: &str = if cfg!(windows) { "oxmill.exe" } else { "oxmill" };
 
@@ -82,7 +84,9 @@ pub fn tagged(tag: &str) -> Result<(), Failure> {
 
 /// Makes parts of a release; removes all other files from the folder.
 pub fn make(names: &[&str]) -> Result<(), Failure> {
-    let parts = Part::named(names)?;
+    let mut parts = Part::named(names)?;
+    // The site carries the images of the boards.
+    parts.sort_by_key(|part| *part == Part::Page);
     let compiler = Compiler::found()?;
     let folder = folder();
     if folder.exists() {
@@ -152,9 +156,33 @@ fn make_page(folder: &Path, compiler: &Compiler) -> Result<(), Failure> {
         write(&folder.join(name), &read(&root().join("target/web").join(name))?)?;
     }
     let name = format!("oxmill-{VERSION}-site");
-    let site = archive::tree(&root().join("target/web/site"))?;
+    let mut site = archive::tree(&root().join("target/web/site"))?;
+    let images = site_images(boards::with_hardware().map(boards::described), folder)?;
+    site.retain(|entry| images.iter().all(|image| image.name() != entry.name()));
+    site.extend(images);
     write(&folder.join(format!("{name}.tar.gz")), &archive::packed(&name, site)?)?;
     Sbom::of_page().write(compiler, &folder.join("oxmill-page.cdx.json"))
+}
+
+/// Returns the images that the site carries, of all boards with USB that `folder` has an image of, and their list. A
+/// browser can load only these: the boot loader in the chip's ROM has to be at the USB socket.
+fn site_images(
+    boards: impl Iterator<Item = Result<oxmill_tables::Board, Failure>>,
+    folder: &Path,
+) -> Result<Vec<Entry>, Failure> {
+    let (mut entries, mut list) = (Vec::new(), Vec::new());
+    for board in boards {
+        let board = board?;
+        let path = folder.join(format!("{}.dfu", board.name));
+        if board.image.has_usb && path.exists() {
+            let file = format!("firmware/{}.dfu", board.name);
+            entries.push(Entry::text(&file, read(&path)?));
+            list.push(serde_json::json!({ "board": board.name, "title": board.title, "file": file }));
+        }
+    }
+    let list = serde_json::to_vec_pretty(&list).map_err(|error| error.to_string())?;
+    entries.push(Entry::text(SITE_IMAGES, list));
+    Ok(entries)
 }
 
 fn make_book(folder: &Path) -> Result<(), Failure> {
@@ -247,6 +275,33 @@ mod tests {
         }
         assert_eq!((&*texts[&format!("oxmill/{PROGRAM}")], &*texts["oxmill/oxmill.html"]), ("run", "page"));
         assert!(texts["oxmill/LICENSE-MIT"].contains("MIT License"), "{:?}", texts.keys());
+    }
+
+    /// The Nucleo's USB socket belongs to its debug probe, and there is no image of the F401.
+    #[test]
+    fn the_site_carries_the_images_that_a_browser_can_load() {
+        let folder = root().join("target/xtask-test-site-images");
+        fs::create_dir_all(&folder).unwrap();
+        for board in ["blackpill_f411", "nucleo_f446re"] {
+            write(&folder.join(format!("{board}.dfu")), board.as_bytes()).unwrap();
+        }
+        let boards = ["nucleo_f446re", "blackpill_f411", "blackpill_f401"].map(boards::described);
+        let packed = archive::packed("site", site_images(boards.into_iter(), &folder).unwrap()).unwrap();
+        let mut archive = tar::Archive::new(flate2::read::GzDecoder::new(&packed[..]));
+        let mut files = BTreeMap::new();
+        for entry in archive.entries().unwrap() {
+            let (mut entry, mut text) = (entry.unwrap(), String::new());
+            entry.read_to_string(&mut text).unwrap();
+            files.insert(entry.path().unwrap().to_string_lossy().into_owned(), text);
+        }
+        let list: serde_json::Value = serde_json::from_str(&files[&format!("site/{SITE_IMAGES}")]).unwrap();
+        let title = boards::described("blackpill_f411").unwrap().title;
+        let wanted =
+            serde_json::json!([{ "board": "blackpill_f411", "title": title, "file": "firmware/blackpill_f411.dfu" }]);
+        assert_eq!(list, wanted);
+        assert_eq!(files["site/firmware/blackpill_f411.dfu"], "blackpill_f411");
+        assert_eq!(files.len(), 2);
+        fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]

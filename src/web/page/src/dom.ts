@@ -87,8 +87,9 @@ export function rgb(name: string): [number, number, number] {
 }
 
 /** Offers the user a file to save. */
-export function save(name: string, text: string): void {
-  const link = el("a", { href: URL.createObjectURL(new Blob([text], { type: "text/plain" })), download: name });
+export function save(name: string, contents: string | Uint8Array): void {
+  const type = typeof contents === "string" ? "text/plain" : "application/octet-stream";
+  const link = el("a", { href: URL.createObjectURL(new Blob([contents as BlobPart], { type })), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }

@@ -83,6 +83,9 @@ export interface Import {
   left: { text: string; why: string; line: number }[];
 }
 
+/** A pin table without faults: the board's name, the firmware's image that it is for, and the number of its pins. */
+export interface Pins { name: string; image: string; pins: number }
+
 interface Exports {
   memory: WebAssembly.Memory;
   oxmill_abi(): number;
@@ -104,6 +107,9 @@ interface Exports {
   oxmill_stream_summary(): number;
   oxmill_resume(): number;
   oxmill_import(): number;
+  oxmill_pins_file(): number;
+  oxmill_pins_check(): number;
+  oxmill_pins_write(): number;
   oxmill_machine_begin(): number;
   oxmill_machine_turn(us: number): number;
   oxmill_machine_pin(): number;
@@ -167,6 +173,25 @@ export class Engine {
   importSettings(text: string): Import {
     this.put(encode(text));
     return JSON.parse(this.call(() => this.wasm.oxmill_import()));
+  }
+
+  /** Returns the file with the pin table of a board. */
+  pinsOf(board: string): string {
+    this.put(encode(board));
+    return this.call(() => this.wasm.oxmill_pins_file());
+  }
+
+  /** Checks a pin table. Throws an error with all its faults, a line each. */
+  checkPins(table: string): Pins {
+    this.put(encode(table));
+    return JSON.parse(this.call(() => this.wasm.oxmill_pins_check()));
+  }
+
+  /** Writes a pin table into an image. */
+  writePins(table: string, image: Uint8Array): Uint8Array {
+    this.put(encode(table), new Uint8Array(1), image);
+    this.call(() => this.wasm.oxmill_pins_write());
+    return new Uint8Array(this.wasm.memory.buffer, this.wasm.oxmill_output() >>> 0, this.wasm.oxmill_output_len() >>> 0).slice();
   }
 
   powerUp(order: Order): string {

@@ -1,5 +1,5 @@
 // The firmware as the page calls it: each job runs in a worker of its own, and short calls on the page.
-import { type Description, Engine, type Import, type Order, type Path, type Rest, type Streamed, type Summary } from "./engine";
+import { type Description, Engine, type Import, type Order, type Path, type Pins, type Rest, type Streamed, type Summary } from "./engine";
 import type { Block, Cutter, Material } from "./material";
 import type { Task } from "./worker";
 
@@ -19,6 +19,13 @@ export async function load(): Promise<void> {
 
 /** Returns what the settings of another controller become. Throws an error if the text is not of a known form. */
 export const importSettings = (text: string): Import => engine.importSettings(text);
+
+/** Returns the file with the pin table of a board. */
+export const pinsOf = (board: string): string => engine.pinsOf(board);
+/** Checks a pin table. Throws an error with all its faults, a line each. */
+export const checkPins = (table: string): Pins => engine.checkPins(table);
+/** Writes a pin table into an image. Throws an error with the reason if it is not for this image. */
+export const writePins = (table: string, image: Uint8Array): Uint8Array => engine.writePins(table, image);
 
 /** Starts a worker with the module. */
 export function worker(): Worker {

@@ -1,29 +1,17 @@
 // Loading firmware into a board: the page with a boot loader that is modelled here after ST's UM0391 and AN3156.
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
+import { spawnSync } from "node:child_process";
+import { readFileSync, writeFileSync } from "node:fs";
+import { createServer } from "node:http";
 import { createRequire } from "node:module";
+import { join } from "node:path";
 import { open, tab } from "./browser.mjs";
-import { page as file } from "./program.mjs";
+import { checksum, dfu, FLASH } from "./dfufile.mjs";
+import { folder, oxmill, page as file, root } from "./program.mjs";
 
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
-const FLASH = 0x0800_0000;
 const F411 = "@Internal Flash  /0x08000000/04*016Kg,01*064Kg,03*128Kg";
 const F401 = "@Internal Flash  /0x08000000/04*016Kg,01*064Kg,01*128Kg";
-
-function checksum(bytes) {
-  let crc = ~0;
-  for (const byte of bytes) for (let bit = 0, one = crc ^ byte; bit < 8; bit++) crc = one = (one >>> 1) ^ (one & 1 ? 0xedb88320 : 0);
-  return crc >>> 0;
-}
-
-/** Makes a .dfu file: elements of address and bytes. */
-function dfu(elements, name = "Oxmill for blackpill_f411") {
-  const word = value => [value & 255, (value >>> 8) & 255, (value >>> 16) & 255, value >>> 24];
-  const body = elements.flatMap(([address, bytes]) => [...word(address), ...word(bytes.length), ...bytes]);
-  const target = [...Buffer.from("Target"), 0, 1, 0, 0, 0, ...Buffer.from(name.padEnd(255, "\0")), ...word(body.length), ...word(elements.length), ...body];
-  const whole = [...Buffer.from("DfuSe"), 1, ...word(11 + target.length), 1, ...target, 0xff, 0xff, 0x11, 0xdf, 0x83, 0x04, 0x1a, 0x01, ...Buffer.from("UFD"), 16];
-  return Buffer.from([...whole, ...word(checksum(whole))]);
-}
 
 const noise = (length, seed) => Uint8Array.from({ length }, (_, at) => (at * 31 + seed * 17 + (at >> 8)) & 255);
 /** An image: the program from sector 3 on, with a length that is no multiple of a word, and the first sector. */
@@ -248,4 +236,100 @@ export async function without_webusb_the_page_says_so(browser) {
   await page.click("#open-firmware");
   assert.match(await page.textContent("#firmware-note"), /no WebUSB/);
   assert(await page.locator(GO).isDisabled());
+}
+
+/** Serves the page as a site that carries images of three boards: one of them is missing, and one is another's. */
+async function site() {
+  const images = ["blackpill_f411", "spider_f446", "octopus_f446"].map(board => ({ board, title: `Board ${board}`, file: `firmware/${board}.dfu` }));
+  const files = {
+    "/": ["text/html; charset=utf-8", readFileSync(join(root, "target/web/site/index.html"))],
+    "/offline.js": ["text/javascript", readFileSync(join(root, "target/web/site/offline.js"))],
+    "/firmware.json": ["application/json", JSON.stringify(images)],
+    "/firmware/blackpill_f411.dfu": ["application/octet-stream", IMAGE],
+    "/firmware/octopus_f446.dfu": ["application/octet-stream", IMAGE],
+  };
+  const server = createServer((request, response) => {
+    const [type, bytes] = files[request.url] ?? ["text/plain", ""];
+    response.writeHead(request.url in files ? 200 : 404, { "content-type": type });
+    response.end(bytes);
+  });
+  await new Promise(listening => server.listen(0, "127.0.0.1", listening));
+  return { url: `http://127.0.0.1:${server.address().port}/`, stop: () => server.close(() => {}) };
+}
+
+export async function a_site_offers_the_images_that_it_carries(browser) {
+  const { url, stop } = await site();
+  try {
+    const { page, faults } = await open(browser, url);
+    await page.evaluate(bootLoader, { layout: F411 });
+    await tab(page, "run");
+    await page.click("#open-firmware");
+    await page.waitForFunction(() => document.querySelectorAll("#firmware-board option").length === 4);
+    const says = wanted => page.waitForFunction(wanted => RegExp(wanted).test(document.getElementById("firmware-note").textContent), wanted);
+    await page.selectOption("#firmware-board", "spider_f446");
+    await says("^The site does not give firmware/spider_f446\\.dfu \\(404\\)$");
+    assert(await page.locator(GO).isDisabled());
+    await page.selectOption("#firmware-board", "octopus_f446");
+    await says("^The site gives another image than that of octopus_f446: Oxmill for blackpill_f411\\.$");
+    assert(await page.locator(GO).isDisabled());
+    await page.selectOption("#firmware-board", "blackpill_f411");
+    await says("^Oxmill for blackpill_f411, 155 KiB\\.$");
+    const { said } = await loaded(page);
+    assert.match(said, /^Oxmill for blackpill_f411 is loaded/);
+    assert.deepEqual(await bytesAt(page, 0xc000, PROGRAM.length), [...PROGRAM]);
+    // A file of one's own takes the place of the board's image.
+    assert.match(await choose(page, dfu([[FLASH, VECTORS]], "Oxmill for my_board")), /Oxmill for/);
+    await says("^Oxmill for my_board, 9 KiB\\.$");
+    assert.equal(await page.inputValue("#firmware-board"), "");
+    assert.deepEqual(faults.filter(fault => !/404/.test(fault)), []);
+  } finally {
+    stop();
+  }
+}
+
+/** The page of a single file has no images, and asks for none. */
+export async function the_single_file_offers_no_images(browser) {
+  const { page, faults } = await dialog(browser, { layout: F411 });
+  await choose(page, IMAGE);
+  assert(await page.locator("#firmware-board").isHidden());
+  assert.deepEqual(faults, []);
+}
+
+/** A pin table of one's own is checked, and written into the image, as by `oxmill board write`. */
+export async function pins_are_changed_without_a_compiler(browser) {
+  const { page, faults } = await dialog(browser, { layout: F411 });
+  const says = wanted => page.waitForFunction(wanted => RegExp(wanted).test(document.getElementById("firmware-note").textContent), wanted);
+  const pins = text => page.setInputFiles("#firmware-pins", { name: "mine.toml", mimeType: "text/plain", buffer: Buffer.from(text) });
+  const saved = async name => {
+    const [download] = await Promise.all([page.waitForEvent("download"), page.click(`text=${name}`)]);
+    return readFileSync(await download.path());
+  };
+  const image = readFileSync(join(root, "target/boards/blackpill_f411.dfu"));
+  await page.click("text=Other pins than those of the board");
+  await choose(page, image);
+  const own = (await saved("Save the board's pin table")).toString();
+  assert.equal(own, readFileSync(join(root, "boards/tables/blackpill_f411.toml"), "utf8"));
+  const mine = own.replace('"blackpill_f411"\ntitle', '"my_mill"\ntitle').replace('flood = "B8"', 'flood = "B5"').replace('hold = "B5"', 'hold = "B8"');
+  await pins(mine);
+  await says("^Oxmill for blackpill_f411, \\d+ KiB\\. With the pins of my_mill, \\d+ of them\\.$");
+  const changed = await saved("Save this image");
+  writeFileSync(join(folder, "mine.toml"), mine);
+  const written = spawnSync(oxmill, ["board", "write", join(root, "target/boards/blackpill_f411.dfu"), join(folder, "mine.toml"), "-o", join(folder, "mine.dfu")], { encoding: "utf8" });
+  assert.equal(written.status, 0, written.stderr);
+  assert(changed.equals(readFileSync(join(folder, "mine.dfu"))), "the same bytes as from the program");
+  assert(!changed.equals(image));
+  assert.match((await loaded(page)).said, /is loaded and was read back/);
+  // Faults are named with their lines, and nothing can be loaded.
+  await pins(mine.replace('mist = "B9"', 'mist = "B5"').replace('probe = "B15"', 'probe = "C20"'));
+  await says("^The pin table: line \\d+: .*B5.*\\nline \\d+: .*C20");
+  assert(await page.locator(GO).isDisabled());
+  await pins(mine.replace('image = "blackpill_f411"', 'image = "blackpill_f401"').replace('chip = "STM32F411CE"', 'chip = "STM32F401CC"'));
+  await says("^The pin table: the table is for another image");
+  await page.click("text=Use the board's own pins");
+  await says("^Oxmill for blackpill_f411, \\d+ KiB\\.$");
+  assert(await page.locator(GO).isEnabled());
+  await page.evaluate(axe);
+  const { violations } = await page.evaluate(() => globalThis.axe.run());
+  assert.deepEqual(violations.map(({ id, nodes }) => `${id}: ${nodes[0].html}`), []);
+  assert.deepEqual(faults, []);
 }

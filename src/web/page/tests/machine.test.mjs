@@ -2,6 +2,7 @@
 import assert from "node:assert/strict";
 import net from "node:net";
 import { open, openJob, PATIENCE, tab } from "./browser.mjs";
+import { dfu, FLASH } from "./dfufile.mjs";
 import { example, MILL, page as file, run, serve } from "./program.mjs";
 
 const state = (page, wanted) => page.waitForFunction(wanted => new RegExp(wanted).test(oxmill.app.machine.status?.state ?? ""), wanted, { timeout: PATIENCE });
@@ -393,6 +394,24 @@ export async function a_connected_board_is_sent_into_its_boot_loader(browser) {
     await page.evaluate(() => (oxmill.app.machine.line = async line => (line === "$DFU" ? "ok" : "error:20")));
     await restart.click();
     await says("The board is in its boot loader now");
+  });
+}
+
+export async function firmware_for_another_board_is_named(browser) {
+  await connected(browser, "max", async page => {
+    await page.evaluate(() => {
+      const { machine } = oxmill.app;
+      const query = machine.query.bind(machine);
+      machine.query = async text => (text === "$I+" ? { answer: "ok", said: ["[VER:1.1h.20261201:]", "[BOARD:spider_f446]", "[CRYSTAL:12 MHz]"] } : query(text));
+    });
+    await page.waitForFunction(() => oxmill.app.machine.isAtRest);
+    await page.click("#open-firmware");
+    for (const [board, warned] of [["blackpill_f411", true], ["spider_f446", false]]) {
+      await page.setInputFiles("#firmware-file", { name: `${board}.dfu`, mimeType: "application/octet-stream", buffer: dfu([[FLASH, new Uint8Array(4096)]], `Oxmill for ${board}`) });
+      const said = `Oxmill for ${board}, 4 KiB.${warned ? " The board that was connected calls itself spider_f446. On the wrong board, an output can start a motor or the spindle." : ""}`;
+      await page.waitForFunction(said => document.getElementById("firmware-note").textContent === said, said);
+      assert.equal(await page.locator("text=load it all the same…").count(), warned ? 1 : 0);
+    }
   });
 }
 

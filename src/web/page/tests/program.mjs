@@ -9,7 +9,7 @@ import { fileURLToPath } from "node:url";
 export const root = join(dirname(fileURLToPath(import.meta.url)), "../../../..");
 export const page = join(root, "target/web/oxmill.html");
 export const wasm = join(root, "target/web/oxmill.wasm");
-const oxmill = join(root, "target/release/oxmill");
+export const oxmill = join(root, "target/release/oxmill");
 export const folder = mkdtempSync(join(tmpdir(), "oxmill-page-"));
 
 /** Settings of a small mill. */
