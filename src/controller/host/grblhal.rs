@@ -5,6 +5,7 @@ use crate::axes::Axis;
 use crate::dispatch::Controller;
 use crate::error::Error;
 use crate::gcode::Dialect;
+use crate::messages::input;
 use crate::protocol::grblhal::{self, Command};
 use crate::protocol::reply_texts;
 use crate::settings::{GrblHalMask, Key};
@@ -65,8 +66,31 @@ impl<const N: usize> Controller<N> {
                 self.toggle_optional_stop();
                 self.say_ok();
             }
+            Command::ProgramPins => {
+                self.say_program_pins();
+                self.say_ok();
+            }
+            Command::Ports => {
+                let (stored, most) = (self.m.settings.whole(Key::Baud), self.m.settings_lock.most_baud());
+                self.say(|out| grblhal::port(out, stored.min(most)));
+                self.say_ok();
+            }
+            Command::Missing => return Err(Error::InvalidStatement),
         }
         Ok(())
+    }
+
+    /// Sends the state of each input and each output of programs.
+    fn say_program_pins(&mut self) {
+        let [outputs, inputs] = self.m.settings_lock.program_pins();
+        let (pins, wiring) = (self.m.inputs.pins().program, self.m.inputs.wiring());
+        for (number, bit) in (0..u32::from(inputs)).zip([input::PROGRAM, input::SECOND_PROGRAM]) {
+            self.say(|out| grblhal::program_input(out, number, bit, &wiring, pins >> number & 1 != 0));
+        }
+        let levels = self.m.accessories.digital().levels();
+        for number in 0..u32::from(outputs) {
+            self.say(|out| grblhal::program_output(out, number, levels >> number & 1 != 0));
+        }
     }
 
     /// Sends the list of commands, the answer to `$`.

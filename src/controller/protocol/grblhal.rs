@@ -4,7 +4,7 @@
 use super::reply_texts::RELEASE;
 use super::system::Described;
 use super::text::{Text, filled, length, put, real};
-use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, Signals, input};
+use crate::messages::{InputWiring, LINES_DEPTH, PinView, SECOND_SWITCH, Signals, input};
 use crate::number::{self, Digits};
 use crate::units::Coordinate;
 
@@ -39,10 +39,16 @@ pub enum Command {
     LastEvent,
     /// `$LIM`: the limit switches that are active now.
     Limits,
+    /// `$PINSTATE`: the inputs and outputs of programs.
+    ProgramPins,
+    /// `$PORTS`: the serial port.
+    Ports,
+    /// `$TPW`, `$RTC`: there is nothing behind these commands, so they are refused as in grblHAL.
+    Missing,
 }
 
 /// The commands without a value.
-const COMMANDS: [(&[u8], Command); 12] = [
+const COMMANDS: [(&[u8], Command); 16] = [
     (b"$SPINDLES", Command::Spindles { in_fields: false }),
     (b"$SPINDLESH", Command::Spindles { in_fields: true }),
     (b"$TLR", Command::ToolReference),
@@ -55,6 +61,10 @@ const COMMANDS: [(&[u8], Command); 12] = [
     (b"$EEG", Command::Table(Described::ErrorTable)),
     (b"$LEV", Command::LastEvent),
     (b"$LIM", Command::Limits),
+    (b"$PINSTATE", Command::ProgramPins),
+    (b"$PORTS", Command::Ports),
+    (b"$TPW", Command::Missing),
+    (b"$RTC", Command::Missing),
 ];
 
 /// Reads a `$` line (filtered). Returns `None` if the line is none of these commands; it can still be a command of Grbl
@@ -77,7 +87,8 @@ pub fn welcome(out: &mut Text) {
 pub fn help(out: &mut Text) {
     put(
         out,
-        b"[HLP:$HELP $+ $SED=n $SPINDLES $SPINDLESH $TLR $S $B $O $EAG $EEG $LEV $LIM 0x80-83 0x87 0x88 0xA3]\r\n",
+        b"[HLP:$HELP $+ $SED=n $SPINDLES $SPINDLESH $TLR $S $B $O $EAG $EEG $LEV $LIM $PINSTATE $PORTS 0x80-83 0x87 \
+          0x88 0xA3]\r\n",
     );
 }
 
@@ -211,9 +222,51 @@ fn switches(out: &mut Text, signals: &Signals, ganged: &[u8]) {
     put(out, b",]\r\n");
 }
 
+/// `[PINSTATE:DIN|Pn|n|mode|capabilities|value]`: an input of programs, in the answer to `$PINSTATE`. The letters of
+/// both words are polarity, resistor, edge and filter: I if the pin is active while it is low; U, D or B for pull-up,
+/// pull-down or both; D for the filter.
+pub fn program_input(out: &mut Text, number: u32, bit: u32, wiring: &InputWiring, active: bool) {
+    let has = |word: u32| word >> bit & 1 != 0;
+    let resistor = match (has(wiring.pull_down), has(wiring.no_pull_up)) {
+        (true, _) => b"D",
+        (false, true) => b"-",
+        (false, false) => b"U",
+    };
+    let polarity = if has(wiring.inverted) { b"N" } else { b"I" };
+    filled(
+        out,
+        b"[PINSTATE:DIN|P#|#|%%-D|IB-D|#]\r\n",
+        &[polarity, resistor],
+        &[number, number, u32::from(active)],
+    );
+}
+
+/// `[PINSTATE:DOUT|Pn|n|mode|capabilities|value]`: an output of programs. No setting inverts it.
+pub fn program_output(out: &mut Text, number: u32, on: bool) {
+    filled(out, b"[PINSTATE:DOUT|P#|#|N|-|#]\r\n", &[], &[number, number, u32::from(on)]);
+}
+
+/// `[PORT:0|UART||rate,8,N,1|C]`: the answer to `$PORTS`. C means that the port is in use. The field for the pins is
+/// empty.
+pub fn port(out: &mut Text, baud: u32) {
+    filled(out, b"[PORT:0|UART||#,8,N,1|C]\r\n", &[], &[baud]);
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pins_of_programs_have_their_wiring() {
+        let bit = input::SECOND_PROGRAM;
+        let row = |wiring: InputWiring, active| text(|out| program_input(out, 1, bit, &wiring, active));
+        assert_eq!(row(InputWiring::PULL_UPS, true), "[PINSTATE:DIN|P1|1|IU-D|IB-D|1]\r\n");
+        let down = InputWiring { inverted: 1 << bit, no_pull_up: 0, pull_down: 1 << bit };
+        assert_eq!(row(down, false), "[PINSTATE:DIN|P1|1|ND-D|IB-D|0]\r\n");
+        let none = InputWiring { no_pull_up: 1 << bit, ..InputWiring::PULL_UPS };
+        assert_eq!(row(none, false), "[PINSTATE:DIN|P1|1|I--D|IB-D|0]\r\n");
+        assert_eq!(text(|out| program_output(out, 3, true)), "[PINSTATE:DOUT|P3|3|N|-|1]\r\n");
+    }
 
     #[test]
     fn inputs_have_their_letters() {
