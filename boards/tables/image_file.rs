@@ -32,6 +32,11 @@ pub fn write(image: &[u8], table: &PinTable) -> Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
+/// Returns the pin table in an image that is an ELF file, a `.dfu` or a `.bin`; `None` if it has no intact one.
+pub fn table(image: &[u8]) -> Option<PinTable> {
+    find(image).map(|(_, table)| table)
+}
+
 /// Replaces the pin table in `bytes` by `table`. Fails unless `bytes` have exactly one intact pin table, and that one
 /// is for the same image as `table`.
 fn put(bytes: &mut [u8], table: &PinTable) -> Result<(), String> {

@@ -31,7 +31,8 @@
 //! | `oxmill_stream_summary()` | | status | JSON: `baud`, `forecast_s`, `complete`, `errors`, `lost: [{line, seconds}]` |
 //! | `oxmill_resume()` | order with `resume`, 0, job | status | JSON: `program`, `line`, `lines`, `prologue`: the rest of a job, as from `oxmill resume` |
 //! | `oxmill_import()` | settings of another controller | status | JSON: what `oxmill settings import --json` prints |
-//! | `oxmill_pins_file()` | name of a board | status | the board's pin table, as `oxmill board show` prints it |
+//! | `oxmill_pins_file()` | name of a board | status | the board's pin table, as `oxmill board show` prints it; empty if there is no such board |
+//! | `oxmill_pins_in()` | image | status | name in the pin table of the image; empty if it has none |
 //! | `oxmill_pins_check()` | pin table | status | JSON: `name`, `image`, `pins` (their number); or the table's faults, a line each |
 //! | `oxmill_pins_write()` | pin table, 0, image | status | the image with the table, as from `oxmill board write` |
 //! | `oxmill_machine_begin()` | order | status | the machine's output at power-up |
@@ -288,7 +289,13 @@ pub extern "C" fn oxmill_import() -> u32 {
 /// Outputs the pin table of the board whose name is the input.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_pins_file() -> u32 {
-    answer(|_, name| pins::file(&String::from_utf8_lossy(name)))
+    answer(|_, name| Ok(pins::file(&String::from_utf8_lossy(name)).into()))
+}
+
+/// Outputs the name in the pin table of the image that is the input.
+#[unsafe(no_mangle)]
+pub extern "C" fn oxmill_pins_in() -> u32 {
+    answer(|_, image| Ok(pins::name_in(image).into_bytes()))
 }
 
 /// Checks the pin table in the input, and outputs what it is for, as JSON.

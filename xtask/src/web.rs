@@ -29,7 +29,7 @@ pub fn build() -> Result<(), Failure> {
 pub fn test(names: &[&str]) -> Result<(), Failure> {
     build()?;
     run(cargo().args(["build", "--quiet", "--locked", "--release", "--package", "oxmill"]))?;
-    // An image of an earlier state of the tree will do: only its pin table is looked at.
+    // An image of an earlier state of the tree will do, as long as the form of pin tables is the same.
     if !root().join("target/boards").join(format!("{LOADED}.dfu")).exists() {
         image::build(LOADED)?;
     }

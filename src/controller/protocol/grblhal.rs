@@ -233,12 +233,7 @@ pub fn program_input(out: &mut Text, number: u32, bit: u32, wiring: &InputWiring
         (false, false) => b"U",
     };
     let polarity = if has(wiring.inverted) { b"N" } else { b"I" };
-    filled(
-        out,
-        b"[PINSTATE:DIN|P#|#|%%-D|IB-D|#]\r\n",
-        &[polarity, resistor],
-        &[number, number, u32::from(active)],
-    );
+    filled(out, b"[PINSTATE:DIN|P#|#|%%-D|IB-D|#]\r\n", &[polarity, resistor], &[number, number, u32::from(active)]);
 }
 
 /// `[PINSTATE:DOUT|Pn|n|mode|capabilities|value]`: an output of programs. No setting inverts it.

@@ -2,7 +2,7 @@
 // builds the module and then calls this.
 import { build } from "esbuild";
 import { createHash } from "node:crypto";
-import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
+import { mkdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 import { brotliCompressSync, constants } from "node:zlib";
@@ -41,7 +41,7 @@ const manifest = {
   icons: [{ src: "icon.svg", type: "image/svg+xml", sizes: "any", purpose: "any" }, { src: "icon.svg", type: "image/svg+xml", sizes: "any", purpose: "maskable" }],
   file_handlers: [{ action: "./", accept: { "text/x-gcode": [".nc", ".ngc", ".gcode", ".gc", ".tap", ".cnc"] } }], launch_handler: { client_mode: "focus-existing" },
 };
-// The site may load the images of its own firmware folder.
+// The site may connect to the server that it comes from, for the images of boards.
 const POLICY = [["worker-src blob:;", "worker-src blob: 'self'; manifest-src 'self';"], ["img-src data:;", "img-src data: 'self';"], ["connect-src 'none';", "connect-src 'self';"]];
 const ICON = '<link rel="icon"';
 if (![ICON, ...POLICY.map(([from]) => from)].every(part => whole.includes(part))) throw new Error("index.html has no place for the manifest");
@@ -52,6 +52,7 @@ const files = {
 };
 const version = createHash("sha256").update(Object.values(files).join("\0")).digest("hex").slice(0, 16);
 files["offline.js"] = await bundle("offline.ts", { VERSION: JSON.stringify(version), FILES: JSON.stringify(["./", "oxmill.webmanifest", "icon.svg"]) });
+rmSync(join(target, "site"), { recursive: true, force: true });
 mkdirSync(join(target, "site"), { recursive: true });
 // The list of images for boards is empty; `cargo xtask dist` packs the images that it has built, and their list.
 files["firmware.json"] = "[]\n";

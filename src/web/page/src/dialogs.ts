@@ -23,7 +23,8 @@ export class Dialog {
     this.before = document.activeElement as HTMLElement;
     this.element.hidden = false;
     $("scrim").hidden = false;
-    (this.element.querySelector<HTMLElement>("input:not(:disabled), select, textarea") ?? this.element).focus();
+    const fields = [...this.element.querySelectorAll<HTMLElement>("input:not(:disabled), select, textarea")];
+    (fields.find(field => field.checkVisibility()) ?? this.element).focus();
   }
 
   close(): void {

@@ -109,6 +109,7 @@ interface Exports {
   oxmill_import(): number;
   oxmill_pins_file(): number;
   oxmill_pins_check(): number;
+  oxmill_pins_in(): number;
   oxmill_pins_write(): number;
   oxmill_machine_begin(): number;
   oxmill_machine_turn(us: number): number;
@@ -175,10 +176,16 @@ export class Engine {
     return JSON.parse(this.call(() => this.wasm.oxmill_import()));
   }
 
-  /** Returns the file with the pin table of a board. */
+  /** Returns the file with the pin table of a board; empty if there is no such board. */
   pinsOf(board: string): string {
     this.put(encode(board));
     return this.call(() => this.wasm.oxmill_pins_file());
+  }
+
+  /** Returns the name in the pin table of an image; empty if it has none. */
+  pinsIn(image: Uint8Array): string {
+    this.put(image);
+    return this.call(() => this.wasm.oxmill_pins_in());
   }
 
   /** Checks a pin table. Throws an error with all its faults, a line each. */
@@ -190,8 +197,7 @@ export class Engine {
   /** Writes a pin table into an image. */
   writePins(table: string, image: Uint8Array): Uint8Array {
     this.put(encode(table), new Uint8Array(1), image);
-    this.call(() => this.wasm.oxmill_pins_write());
-    return new Uint8Array(this.wasm.memory.buffer, this.wasm.oxmill_output() >>> 0, this.wasm.oxmill_output_len() >>> 0).slice();
+    return this.bytes(() => this.wasm.oxmill_pins_write()).slice();
   }
 
   powerUp(order: Order): string {
@@ -235,10 +241,15 @@ export class Engine {
   }
 
   private call(exported: () => number): string {
+    return new TextDecoder().decode(this.bytes(exported));
+  }
+
+  /** Calls the module. Returns its output, which is valid until the next call. */
+  private bytes(exported: () => number): Uint8Array {
     const status = this.guard(exported);
-    const text = this.text(this.wasm.oxmill_output(), this.wasm.oxmill_output_len());
-    if (status !== 0) throw new Error(text);
-    return text;
+    const [at, length] = [this.wasm.oxmill_output(), this.wasm.oxmill_output_len()];
+    if (status !== 0) throw new Error(this.text(at, length));
+    return new Uint8Array(this.wasm.memory.buffer, at >>> 0, length >>> 0);
   }
 
   private guard(exported: () => number): number {

@@ -13,15 +13,21 @@ let engine: Engine;
 const source = URL.createObjectURL(new Blob([OXMILL.worker], { type: "text/javascript" }));
 
 export async function load(): Promise<void> {
-  module = await WebAssembly.compile(Uint8Array.from(atob(OXMILL.wasm), c => c.charCodeAt(0)));
+  const text = atob(OXMILL.wasm);
+  // A loop takes a tenth of the time of `Uint8Array.from` with a function.
+  const bytes = new Uint8Array(text.length);
+  for (let at = 0; at < text.length; at++) bytes[at] = text.charCodeAt(at);
+  module = await WebAssembly.compile(bytes);
   engine = await Engine.start(module);
 }
 
 /** Returns what the settings of another controller become. Throws an error if the text is not of a known form. */
 export const importSettings = (text: string): Import => engine.importSettings(text);
 
-/** Returns the file with the pin table of a board. */
-export const pinsOf = (board: string): string => engine.pinsOf(board);
+/** Returns the file with the pin table of a board of this project. */
+export const pinsOf = (board: string): string | undefined => engine.pinsOf(board) || undefined;
+/** Returns the name in the pin table of an image, if the image has one. */
+export const pinsIn = (image: Uint8Array): string | undefined => engine.pinsIn(image) || undefined;
 /** Checks a pin table. Throws an error with all its faults, a line each. */
 export const checkPins = (table: string): Pins => engine.checkPins(table);
 /** Writes a pin table into an image. Throws an error with the reason if it is not for this image. */

@@ -1,10 +1,10 @@
 // The dialog that loads firmware into a board over USB (WebUSB): the images that the site carries, or a .dfu file of a
-// release or of `cargo fw`.
+// release or of `cargo fw`, each with its own pin table or with one that the user has chosen.
 import { allow, button, el, onclick, save, say } from "./dom";
 import { type Firmware, load, LOADER, parse, type Usb, type UsbDevice } from "./dfu";
 import { Dialog } from "./dialogs";
 import type { Pins } from "./engine";
-import { checkPins, pinsOf, writePins } from "./firmware";
+import { checkPins, pinsIn, pinsOf, writePins } from "./firmware";
 import type { Machine } from "./machine";
 
 /** Maximum size of a file, in bytes: the flash of the largest chip, twice. */
@@ -15,34 +15,62 @@ const LARGEST_TABLE = 2 ** 16;
 const SETTINGS = { from: 0x0800_4000, to: 0x0800_c000 };
 const DOING = { erase: "Erasing", write: "Writing", verify: "Reading back" };
 
-/** An image that the site carries. */
-interface Image { board: string; title: string; file: string }
+/** An image that the site carries: the name of its board, and the board's name for people. */
+interface Image { board: string; title: string }
 
 /** Returns the browser's access to USB devices, if it has any. */
 const usb = (): Usb | undefined => (navigator as { usb?: Usb }).usb;
+
+/** Gets a file of the site, past the browser's cache: page, list and images must be of one release. */
+async function download(name: string): Promise<Response> {
+  const answer = await fetch(name, { cache: "no-cache" }).catch(() => undefined);
+  if (!answer?.ok) throw new Error(`The site does not give ${name}${answer ? ` (${answer.status})` : ": is the network there?"}`);
+  return answer;
+}
 
 /** Returns the images that the site carries. The single-file page, and a site without a network, have none. */
 async function carried(): Promise<Image[]> {
   const list = document.querySelector<HTMLMetaElement>("meta[name=oxmill-firmware]")?.content;
   if (!list) return [];
-  return fetch(list).then(answer => (answer.ok ? answer.json() : []), () => []);
-}
-
-/** Gets an image from the site. */
-async function download({ file }: Image): Promise<Uint8Array> {
-  const answer = await fetch(file).catch(() => undefined);
-  if (!answer?.ok) throw new Error(`The site does not give ${file}${answer ? ` (${answer.status})` : ": is the network there?"}`);
-  return new Uint8Array(await answer.arrayBuffer());
+  const images: unknown = await download(list).then(answer => answer.json()).catch(() => []);
+  return Array.isArray(images) ? images.filter(image => typeof image?.board === "string" && /^\w+$/.test(image.board) && typeof image.title === "string") : [];
 }
 
 /** Reads a file, which has to be smaller than `largest` bytes. */
 async function contents(file: File, largest: number, what: string): Promise<Uint8Array> {
-  if (file.size > largest) throw new Error(`This file is too large to be ${what}.`);
+  if (file.size > largest) throw new Error(`${file.name} is too large to be ${what}.`);
   return new Uint8Array(await file.arrayBuffer());
 }
 
-/** Returns the board that an image is for, by the image's own name; `undefined` for an image of another project. */
-const boardOf = ({ name }: Firmware): string | undefined => /^Oxmill for (\w+)$/.exec(name)?.[1];
+/** Something that the user has chosen, and that takes time to get. */
+class Choice<T> {
+  value?: T;
+  /** Why it could not be got. */
+  why?: string;
+  isComing = false;
+  private count = 0;
+
+  constructor(private readonly changed: () => void) {}
+
+  get isMade(): boolean {
+    return this.isComing || this.value !== undefined || this.why !== undefined;
+  }
+
+  /** Takes what `get` returns, unless something else has been chosen in the meantime. Without `get`, takes nothing. */
+  async take(get?: () => Promise<T>): Promise<void> {
+    const count = ++this.count;
+    [this.value, this.why, this.isComing] = [undefined, undefined, get !== undefined];
+    this.changed();
+    if (!get) return;
+    const [value, why] = await get().then(value => [value, undefined] as const, (error: Error) => [undefined, error.message] as const);
+    if (count !== this.count) return;
+    [this.value, this.why, this.isComing] = [value, why, false];
+    this.changed();
+  }
+}
+
+/** What is to be loaded. */
+interface Ready { firmware: Firmware; bytes: Uint8Array; name: string; pins?: Pins }
 
 export class LoadFirmware {
   private readonly dialog: Dialog;
@@ -51,83 +79,123 @@ export class LoadFirmware {
   private readonly file = el("input", { type: "file", accept: ".dfu", id: "firmware-file", "aria-label": "Firmware file" });
   private readonly pinsFile = el("input", { type: "file", accept: ".toml", id: "firmware-pins", "aria-label": "Pin table" });
   private readonly ownPins = button("Save the board's pin table", () => this.savePins());
-  private readonly noPins = button("Use the board's own pins", () => this.forgetPins());
-  private readonly saver = button("Save this image", () => this.saveImage());
+  private readonly noPins = button("Use the board's own pins", () => void this.pins.take());
+  private readonly saver = button("Save this image", () => this.ready && save(`${this.ready.name}.dfu`, this.ready.bytes));
+  private readonly otherPins = el("details", { id: "firmware-other-pins" }, el("summary", { textContent: "Other pins than those of the board" }),
+    el("p", { className: "note" }, "Save the pin table of the board, change its name and its pins with a text editor, and choose it here. It is checked before anything is loaded. Nothing can check where your wires are: test each output before the spindle has power."),
+    this.ownPins, this.pinsFile, this.noPins, this.saver);
   private readonly loader = button("Start the boot loader of the connected board", () => void this.restart());
   private readonly go = button("Choose the boot loader and load…", () => void this.load(), "btn primary");
   private readonly bar = el("progress", { id: "firmware-progress", max: 1, value: 0, hidden: true, "aria-label": "Progress" });
   private readonly note = el("p", { className: "note", id: "firmware-note", role: "status" });
+  private readonly about = el("p", { className: "note", id: "firmware-connected" });
   private readonly cancel = button("Cancel", () => void this.device?.close());
-  /** The chosen image, as it is in its file. */
-  private image?: Uint8Array;
-  /** Text of the chosen pin table. */
-  private pins?: string;
-  /** What is to be loaded: the chosen image, with the chosen pin table. */
-  private firmware?: Firmware;
-  /** The chosen pin table, if it has no faults. */
-  private table?: Pins;
+  private readonly image = new Choice<Uint8Array>(() => this.combine());
+  /** The text of a pin table. */
+  private readonly pins = new Choice<string>(() => this.combine());
+  /** The chosen image with the chosen pin table, if neither has a fault. */
+  private ready?: Ready;
   private device?: UsbDevice;
   private isLoading = false;
   private isRestarting = false;
-  /** Number of the last choice of a board or a file. */
-  private choices = 0;
-  private images: Image[] = [];
-  /** Name of the board that was connected last, as it gives it itself. */
-  private connected?: string;
+  private images?: Promise<Image[]>;
+  private hasPreselected = false;
+  /** Name of the board that is connected, or was connected last, as it gives it itself. */
+  private connected = "";
 
   constructor(private readonly machine: Machine) {
-    const pins = el("details", { id: "firmware-other-pins" }, el("summary", { textContent: "Other pins than those of the board" }),
-      el("p", { className: "note" }, "Save the pin table of the board, change it with a text editor, and choose it here. It is checked before anything is loaded."),
-      el("p", { className: "actions-row" }, this.ownPins, this.pinsFile, this.noPins, this.saver));
     const steps = el("ol", { className: "steps" },
       el("li", {}, "Switch off the supply of motors and spindle. In the boot loader, outputs are not driven."),
-      el("li", {}, this.boards, "The file for your board, such as blackpill_f411.dfu: ", this.file, pins),
+      el("li", {}, this.boards, "Choose the file for your board, such as blackpill_f411.dfu: ", this.file, this.about, this.otherPins),
       el("li", {}, "Start the boot loader: hold BOOT0, press and release NRST, release BOOT0. Firmware of Oxmill does it on a command: ", this.loader),
       el("li", {}, "Load: your browser asks which device. It is called STM32 BOOTLOADER. ", this.go));
+    const none = el("p", { className: "finding bad", id: "firmware-nousb", hidden: usb() !== undefined },
+      "This browser has no WebUSB. Chrome and Edge have it; dfu-util loads the same file from a command line.");
     const help = el("details", {}, el("summary", { textContent: "The browser lists no device" }), el("ul", {},
       el("li", { textContent: "Linux: allow access once. sudo tee /etc/udev/rules.d/50-stm32-dfu.rules <<< 'SUBSYSTEM==\"usb\", ATTR{idVendor}==\"0483\", ATTR{idProduct}==\"df11\", MODE=\"0666\"', then plug the board in again." }),
       el("li", { textContent: "Windows: give the device STM32 BOOTLOADER the driver WinUSB, with the program Zadig." }),
       el("li", { textContent: "Use a cable with data wires, and a port of the computer itself." })));
-    this.dialog = new Dialog("firmware-dialog", "Load firmware into a board", [steps, this.bar, this.note, this.cancel, help], true);
+    this.dialog = new Dialog("firmware-dialog", "Load firmware into a board", [none, steps, this.bar, this.note, this.cancel, help], true);
     this.dialog.actions();
     onclick("open-firmware", () => {
       this.show();
       this.dialog.open();
-      void this.prepare();
+      void this.offer();
     });
-    this.board.addEventListener("change", () => this.choose());
+    this.board.addEventListener("change", () => this.choose(this.board.value));
     this.file.addEventListener("change", () => {
-      const [file] = this.file.files ?? [];
+      const file = taken(this.file);
+      if (!file) return;
       this.board.value = "";
-      void this.take(async () => file && contents(file, LARGEST, "firmware"));
+      void this.image.take(() => contents(file, LARGEST, "firmware"));
     });
-    this.pinsFile.addEventListener("change", () => void this.takePins());
-    machine.onchange(() => this.dialog.isOpen && this.show());
+    this.pinsFile.addEventListener("change", () => {
+      const file = taken(this.pinsFile);
+      if (file) void this.pins.take(async () => new TextDecoder().decode(await contents(file, LARGEST_TABLE, "a pin table")));
+    });
+    machine.onchange(() => this.dialog.isOpen && this.follow());
     addEventListener("beforeunload", event => this.isLoading && event.preventDefault());
   }
 
-  /** Why nothing can be loaded now; `undefined` if something can. */
+  /** Offers the images that the site carries. */
+  private async offer(): Promise<void> {
+    const first = this.images === undefined;
+    const images = await (this.images ??= carried());
+    if (first) {
+      this.board.replaceChildren(new Option("Choose…", ""), ...images.map(({ board, title }) => new Option(title, board)));
+      this.boards.hidden = images.length === 0;
+    }
+    this.follow();
+    // A network that was not there may be there at the next time.
+    if (images.length === 0) this.images = undefined;
+  }
+
+  /** Follows the machine: which board is connected, and which image is for it. */
+  private follow(): void {
+    const name = this.machine.isSerial ? this.machine.boardName : this.connected;
+    if (name !== this.connected && !this.isLoading) {
+      this.connected = name;
+      this.combine();
+    }
+    if (this.machine.isSerial && !this.image.isMade && !this.hasPreselected && name && [...this.board.options].some(({ value }) => value === name)) {
+      this.hasPreselected = true;
+      this.board.value = name;
+      this.choose(name);
+    }
+    this.show();
+  }
+
+  /** Gets the image of a board from the site. */
+  private choose(board: string): void {
+    void this.image.take(board === "" ? undefined : async () => {
+      const bytes = new Uint8Array(await (await download(`firmware/${board}.dfu`)).arrayBuffer());
+      if (pinsIn(bytes) !== board) throw new Error(`The site gives another image than that of ${board}.`);
+      return bytes;
+    });
+  }
+
+  /** Why nothing can be loaded or saved now; `undefined` if something can. */
   private get whyNot(): string | undefined {
-    if (!usb()) return "This browser has no WebUSB: use Chrome or Edge, or dfu-util.";
     if (this.isLoading) return "Firmware is being loaded.";
-    if (!this.image) return "Choose a board or a file first.";
-    return this.firmware ? undefined : "The image or the pin table has a fault.";
+    if (this.ready) return undefined;
+    return this.image.value ? "The pin table has a fault, or is for another image." : "Choose a board or a file first.";
   }
 
   private show(): void {
     // A board that is gone does not answer.
     if (!this.machine.isConnected) this.isRestarting = false;
-    allow(this.loader, !this.machine.isSerial ? "No board is connected." : this.isRestarting ? "The board restarts." : undefined);
+    allow(this.loader, this.isLoading ? "Firmware is being loaded." : !this.machine.isSerial ? "No board is connected." : this.isRestarting ? "The board restarts." : undefined);
     this.cancel.hidden = !this.isLoading;
     this.dialog.isHeld = this.isLoading;
-    allow(this.go, this.whyNot);
-    this.go.textContent = this.warning ? "Choose the boot loader and load it all the same…" : "Choose the boot loader and load…";
-    this.file.disabled = this.board.disabled = this.pinsFile.disabled = this.isLoading;
-    allow(this.ownPins, this.image ? undefined : "Choose a board or a file first.");
-    allow(this.saver, this.firmware ? undefined : this.image ? "The image or the pin table has a fault." : "Choose a board or a file first.");
-    this.noPins.hidden = this.pins === undefined;
-    this.noPins.disabled = this.isLoading;
-    if (!usb() && !this.image) this.tell("This browser has no WebUSB. Chrome and Edge have it; dfu-util loads the same file from a command line.", false);
+    allow(this.go, usb() ? this.whyNot : "This browser has no WebUSB: use Chrome or Edge, or dfu-util.");
+    say(this.go, this.warning ? "Choose the boot loader and load it all the same…" : "Choose the boot loader and load…");
+    this.file.disabled = this.board.disabled = this.pinsFile.disabled = this.noPins.disabled = this.isLoading;
+    allow(this.ownPins, this.image.value ? undefined : "Choose a board or a file first.");
+    allow(this.saver, this.whyNot);
+    this.noPins.hidden = !this.pins.isMade;
+    if (this.pins.isMade) this.otherPins.open = true;
+    this.about.hidden = !this.machine.isSerial && !this.connected;
+    say(this.about, this.connected ? `The board that ${this.machine.isSerial ? "is" : "was"} connected: ${this.connected}.` : "The connected board does not say which board it is.");
   }
 
   private tell(text: string, isGood?: boolean): void {
@@ -135,115 +203,60 @@ export class LoadFirmware {
     say(this.note, text);
   }
 
-  /** Finds out which images there are, and which board is connected; chooses the image for that board. */
-  private async prepare(): Promise<void> {
-    if (this.images.length === 0) {
-      this.images = await carried();
-      this.board.replaceChildren(new Option("Choose…", ""), ...this.images.map(({ board, title }) => new Option(title, board)));
-      this.boards.hidden = this.images.length === 0;
-    }
-    if (!this.machine.isSerial || this.machine.whyNotAtRest) return;
-    const { choices } = this;
-    const { said } = await this.machine.query("$I+");
-    this.connected = said.map(line => /^\[BOARD:(\w+)\]$/.exec(line)?.[1]).find(Boolean);
-    if (choices !== this.choices) return;
-    if (this.image) {
-      this.combine();
-    } else if (this.images.some(({ board }) => board === this.connected)) {
-      this.board.value = this.connected ?? "";
-      this.choose();
-    }
-  }
-
-  /** Gets the image of the chosen board. */
-  private choose(): void {
-    const image = this.images.find(({ board }) => board === this.board.value);
-    this.file.value = "";
-    void this.take(async () => image && download(image), image?.board);
-  }
-
-  /** Takes an image, which must be for `board` if that is given. */
-  private async take(get: () => Promise<Uint8Array | undefined>, board?: string): Promise<void> {
-    const choice = ++this.choices;
-    this.image = undefined;
-    this.combine();
-    try {
-      const image = await get();
-      if (choice !== this.choices) return;
-      const firmware = image && parse(image);
-      if (firmware && board !== undefined && boardOf(firmware) !== board) throw new Error(`The site gives another image than that of ${board}: ${firmware.name}.`);
-      this.image = image;
-      this.combine();
-    } catch (error) {
-      if (choice === this.choices) this.tell((error as Error).message, false);
-    }
-  }
-
-  /** Takes the chosen pin table. */
-  private async takePins(): Promise<void> {
-    const choice = ++this.choices;
-    const [file] = this.pinsFile.files ?? [];
-    try {
-      const text = file && new TextDecoder().decode(await contents(file, LARGEST_TABLE, "a pin table"));
-      if (choice !== this.choices) return;
-      this.pins = text;
-    } catch (error) {
-      if (choice !== this.choices) return;
-      this.forgetPins();
-      this.tell((error as Error).message, false);
-      return;
-    }
-    this.combine();
-  }
-
-  private forgetPins(): void {
-    this.pinsFile.value = "";
-    this.pins = undefined;
-    this.combine();
-  }
-
-  private savePins(): void {
-    const board = this.image && boardOf(parse(this.image));
-    try {
-      save(`${board}.toml`, pinsOf(board ?? ""));
-    } catch {
-      this.tell(`This page does not know the board of this image${board ? `, ${board}` : ""}. A release that has the image has its pin table, too.`, false);
-    }
-  }
-
-  private saveImage(): void {
-    if (!this.image) return;
-    const name = this.table?.name ?? boardOf(parse(this.image)) ?? "firmware";
-    save(`${name}.dfu`, this.table && this.pins !== undefined ? writePins(this.pins, this.image) : this.image);
-  }
-
   /** Puts image and pin table together, and says what they are. */
   private combine(): void {
-    this.firmware = this.table = undefined;
+    this.ready = undefined;
+    const { image, pins } = this;
     try {
-      const table = this.pins === undefined ? undefined : checkPins(this.pins);
-      if (this.image) {
-        const firmware = parse(table && this.pins !== undefined ? writePins(this.pins, this.image) : this.image);
-        this.firmware = firmware;
-        this.table = table;
-        const bytes = firmware.stretches.reduce((all, one) => all + one.bytes.length, 0);
-        const pins = table ? ` With the pins of ${table.name}, ${table.pins} of them.` : "";
-        const settings = keepsSettings(firmware) ? "" : " It overwrites the settings of the board.";
-        this.tell(`${firmware.name}, ${(bytes / 1024).toFixed(0)} KiB.${pins}${settings}${this.warning}`, this.warning ? false : undefined);
+      if (image.why) throw new Error(image.why);
+      const own = image.value && parse(image.value);
+      if (pins.why) throw new Error(pins.why);
+      const table = pins.value === undefined ? undefined : readTable(pins.value);
+      if (image.isComing || pins.isComing) {
+        this.tell(image.isComing ? "Getting the image…" : "Reading the pin table…");
+      } else if (own && image.value) {
+        const bytes = table && pins.value !== undefined ? writePins(pins.value, image.value) : image.value;
+        const firmware = table ? parse(bytes) : own;
+        this.ready = { firmware, bytes, name: pinsIn(bytes) ?? "firmware", pins: table };
+        this.describe(this.ready);
       } else {
         this.tell(table ? `The pin table of ${table.name}: no fault in ${table.pins} pins. It is for the image ${table.image}.` : "");
       }
     } catch (error) {
-      this.tell(this.pins === undefined ? (error as Error).message : `The pin table: ${(error as Error).message}`, false);
+      this.tell((error as Error).message, false);
     }
     this.show();
   }
 
-  /** A warning if the firmware is for another board than the connected one; empty otherwise. */
+  private describe({ firmware, pins }: Ready): void {
+    const bytes = firmware.stretches.reduce((all, one) => all + one.bytes.length, 0);
+    const settings = keepsSettings(firmware) ? "" : " It overwrites the settings of the board.";
+    const isProjects = pins && this.pins.value !== pinsOf(pins.name) && pinsOf(pins.name) !== undefined;
+    const rename = isProjects ? ` ${pins.name} is the name of another pin table: give yours a name of its own.` : "";
+    this.tell(`${firmware.name}, ${(bytes / 1024).toFixed(0)} KiB.${this.withPins}${rename}${settings}${this.warning}`, this.warning ? false : undefined);
+  }
+
+  /** Says whose pins the firmware has, unless they are those that its name says. */
+  private get withPins(): string {
+    const { ready } = this;
+    if (!ready || ready.firmware.name === `Oxmill for ${ready.name}`) return "";
+    return ready.name === "firmware" ? " It has no pin table: it is firmware of another project." : ` With the pins of ${ready.name}.`;
+  }
+
+  /** A warning if the firmware is not for the connected board; empty otherwise. An image of the connected board may get
+   * other pins. */
   private get warning(): string {
-    const wanted = this.table?.name ?? (this.firmware && boardOf(this.firmware));
-    if (!this.firmware || !this.connected || wanted === this.connected) return "";
-    return ` The board that was connected calls itself ${this.connected}. On the wrong board, an output can start a motor or the spindle.`;
+    const { ready, connected } = this;
+    if (!ready || !connected || ready.name === connected) return "";
+    if (ready.pins && this.image.value && pinsIn(this.image.value) === connected) return "";
+    return ` The board that was connected calls itself ${connected}. On the wrong board, an output can start a motor or the spindle.`;
+  }
+
+  private savePins(): void {
+    const name = this.image.value && pinsIn(this.image.value);
+    const table = name && pinsOf(name);
+    if (table) save(`${name}.toml`, table);
+    else this.tell(name ? `The pins of ${name} are no pin table of this page: take the file that they were made from.` : "This image has no pin table.", false);
   }
 
   /** Sends the connected board into its boot loader, and leaves the board: reports that are asked for would disturb a
@@ -254,7 +267,7 @@ export class LoadFirmware {
     const answer = await this.machine.line("$DFU");
     if (answer === "ok") {
       this.machine.leave();
-      this.tell("The board is in its boot loader now. Continue with step 4.");
+      this.tell(`The board is in its boot loader now. Continue with step 4.${this.warning}`, this.warning ? false : undefined);
     } else {
       const meaning = this.machine.meanings?.(answer);
       this.tell(`The board stays as it is: ${meaning ?? answer} Its messages are in the console. Or use BOOT0 and NRST.`, false);
@@ -264,8 +277,10 @@ export class LoadFirmware {
   }
 
   private async load(): Promise<void> {
-    const firmware = this.firmware;
-    if (!firmware || this.isLoading) return;
+    const { ready } = this;
+    if (!ready || this.isLoading) return;
+    const { firmware } = ready;
+    const pins = ready.pins ? ` With the pins of ${ready.name}.` : "";
     this.isLoading = true;
     this.show();
     try {
@@ -277,7 +292,8 @@ export class LoadFirmware {
         this.tell(`${DOING[what]}: ${Math.floor((100 * done) / of)} %`);
       });
       const settings = keepsSettings(firmware) ? " The settings of the board are kept." : "";
-      this.tell(`${firmware.name} is loaded and was read back without a difference.${settings} The board starts it now; if not, press NRST.`, true);
+      this.connected = "";
+      this.tell(`${firmware.name} is loaded and was read back without a difference.${pins}${settings} The board starts it now; if not, press NRST.`, true);
     } catch (error) {
       this.tell((error as Error).message, false);
     }
@@ -290,3 +306,19 @@ export class LoadFirmware {
 
 /** Whether firmware leaves the sectors of the settings as they are. */
 const keepsSettings = ({ stretches }: Firmware): boolean => stretches.every(({ address, bytes }) => address >= SETTINGS.to || address + bytes.length <= SETTINGS.from);
+
+/** Checks a pin table. Throws an error with all its faults. */
+function readTable(text: string): Pins {
+  try {
+    return checkPins(text);
+  } catch (error) {
+    throw new Error(`The pin table has faults:\n${(error as Error).message}`);
+  }
+}
+
+/** Returns the chosen file of an input, and makes the input ready for the same file to be chosen again. */
+function taken(input: HTMLInputElement): File | undefined {
+  const [file] = input.files ?? [];
+  input.value = "";
+  return file;
+}

@@ -54,6 +54,8 @@ export class Machine {
   /** The message of the pause in progress, such as a tool change (M6). */
   pause = "";
   firmware = "";
+  /** Name of the board, as the machine gives it; empty if it gives none. */
+  boardName = "";
   /** Overrides of feed, rapids and spindle, in percent. */
   overrides = [100, 100, 100];
   /** Spindle and coolant that are on: letters S, C, F, M. */
@@ -238,6 +240,8 @@ export class Machine {
   private async greet(): Promise<void> {
     const { said } = await this.ask("$I");
     this.firmware = said.map(line => /^\[(?:FIRMWARE|VER):(.*?):?\]$/.exec(line)?.[1]).filter(Boolean).at(-1) ?? "";
+    const { said: options } = await this.query("$I+");
+    this.boardName = options.map(line => /^\[BOARD:(.+)\]$/.exec(line)?.[1]).find(Boolean) ?? "";
     await this.readSettings();
     this.stale = true;
     this.changed();
@@ -275,7 +279,7 @@ export class Machine {
     this.link = link;
     const sender = (this.sender = new Sender(link));
     [this.status, this.running, this.stopped, this.finished, this.trouble, this.homed] = [undefined, undefined, undefined, undefined, undefined, undefined];
-    [this.lostWhy, this.pause, this.firmware, this.modes, this.stored, this.settings] = ["", "", "", [], [], {}];
+    [this.lostWhy, this.pause, this.firmware, this.boardName, this.modes, this.stored, this.settings] = ["", "", "", "", [], [], {}];
     this.heard = performance.now();
     [this.stale, this.asking] = [true, false];
     link.onlost = why => this.link === link && this.lost(why);

@@ -36,7 +36,7 @@ const attach = (page, more = {}) => page.evaluate(more => {
   oxmill.app.machine.attach(fake);
 }, more);
 const idle = page => page.waitForFunction(() => oxmill.app.machine.isAtRest && oxmill.app.machine.settings[110] && oxmill.app.machine.modes.length, null, { timeout: PATIENCE });
-const lines = page => page.evaluate(() => fake.lines.filter(line => !/^\$[$GI#]$/.test(line)));
+const lines = page => page.evaluate(() => fake.lines.filter(line => !/^\$([$G#]|I\+?)$/.test(line)));
 const commands = page => page.evaluate(() => fake.commands.map(({ byte }) => byte));
 
 /** Opens the page with a machine that is homed, zeroed and at rest. */

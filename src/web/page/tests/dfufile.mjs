@@ -18,3 +18,14 @@ export function dfu(elements, name = "Oxmill for blackpill_f411") {
   const whole = [...Buffer.from("DfuSe"), 1, ...word(11 + target.length), 1, ...target, 0xff, 0xff, 0x11, 0xdf, 0x83, 0x04, 0x1a, 0x01, ...Buffer.from("UFD"), 16];
   return Buffer.from([...whole, ...word(checksum(whole))]);
 }
+
+/** Returns the elements of a .dfu file with one target. */
+export function elements(file) {
+  const found = [];
+  for (let at = 11 + 274; at < file.length - 16; ) {
+    const [address, length] = [file.readUInt32LE(at), file.readUInt32LE(at + 4)];
+    found.push({ address, bytes: file.subarray(at + 8, at + 8 + length) });
+    at += 8 + length;
+  }
+  return found;
+}

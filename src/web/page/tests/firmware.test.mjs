@@ -2,11 +2,11 @@
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
 import { readFileSync, writeFileSync } from "node:fs";
-import { createServer } from "node:http";
 import { createRequire } from "node:module";
 import { join } from "node:path";
 import { open, tab } from "./browser.mjs";
-import { checksum, dfu, FLASH } from "./dfufile.mjs";
+import { checksum, dfu, elements, FLASH } from "./dfufile.mjs";
+import { BLACKPILL, site } from "./imagesite.mjs";
 import { folder, oxmill, page as file, root } from "./program.mjs";
 
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
@@ -143,7 +143,7 @@ const bytesAt = (page, from, length) => page.evaluate(([from, length]) => [...fl
 export async function firmware_is_loaded_read_back_and_started(browser) {
   const { page, faults } = await dialog(browser, { layout: F411 });
   assert(await page.locator(GO).isDisabled(), "there is no file yet");
-  assert.match(await choose(page, IMAGE), /^Oxmill for blackpill_f411, 155 KiB\.$/);
+  assert.match(await choose(page, IMAGE), /^Oxmill for blackpill_f411, 155 KiB\. It has no pin table: /);
   const { said, erased, written, read, started, alternate, filters } = await loaded(page);
   assert.match(said, /^Oxmill for blackpill_f411 is loaded and was read back without a difference\. The settings of the board are kept\./);
   assert.deepEqual([started, alternate, filters], [true, 0, [{ vendorId: 0x0483, productId: 0xdf11 }]]);
@@ -234,52 +234,54 @@ export async function without_webusb_the_page_says_so(browser) {
   const { page } = await open(browser, file, { prepare: page => page.addInitScript(() => delete Navigator.prototype.usb) });
   await tab(page, "run");
   await page.click("#open-firmware");
-  assert.match(await page.textContent("#firmware-note"), /no WebUSB/);
+  await page.click("text=Other pins than those of the board");
+  assert(await page.locator("#firmware-nousb").isVisible());
   assert(await page.locator(GO).isDisabled());
+  // Such a browser can still put an image and a pin table together.
+  await choose(page, BLACKPILL);
+  assert.match(await page.textContent("#firmware-note"), /^Oxmill for blackpill_f411, /);
+  assert(await page.locator("text=Save this image").isEnabled());
 }
 
-/** Serves the page as a site that carries images of three boards: one of them is missing, and one is another's. */
-async function site() {
-  const images = ["blackpill_f411", "spider_f446", "octopus_f446"].map(board => ({ board, title: `Board ${board}`, file: `firmware/${board}.dfu` }));
-  const files = {
-    "/": ["text/html; charset=utf-8", readFileSync(join(root, "target/web/site/index.html"))],
-    "/offline.js": ["text/javascript", readFileSync(join(root, "target/web/site/offline.js"))],
-    "/firmware.json": ["application/json", JSON.stringify(images)],
-    "/firmware/blackpill_f411.dfu": ["application/octet-stream", IMAGE],
-    "/firmware/octopus_f446.dfu": ["application/octet-stream", IMAGE],
-  };
-  const server = createServer((request, response) => {
-    const [type, bytes] = files[request.url] ?? ["text/plain", ""];
-    response.writeHead(request.url in files ? 200 : 404, { "content-type": type });
-    response.end(bytes);
-  });
-  await new Promise(listening => server.listen(0, "127.0.0.1", listening));
-  return { url: `http://127.0.0.1:${server.address().port}/`, stop: () => server.close(() => {}) };
-}
+const TABLE = readFileSync(join(root, "boards/tables/blackpill_f411.toml"), "utf8");
+/** A pin table of one's own: another name, and two pins exchanged. */
+const MINE = TABLE.replace('name = "blackpill_f411"', 'name = "my_mill"').replace('flood = "B8"', 'flood = "B5"').replace('hold = "B5"', 'hold = "B8"');
+
+const note = page => page.textContent("#firmware-note");
+const says = (page, wanted) => page.waitForFunction(wanted => RegExp(wanted).test(document.getElementById("firmware-note").textContent), wanted);
+const choosePins = (page, text) => page.setInputFiles("#firmware-pins", { name: "mine.toml", mimeType: "text/plain", buffer: Buffer.from(text) });
+const saved = async (page, name) => {
+  const [download] = await Promise.all([page.waitForEvent("download"), page.click(`text=${name}`)]);
+  return readFileSync(await download.path());
+};
 
 export async function a_site_offers_the_images_that_it_carries(browser) {
-  const { url, stop } = await site();
+  const { url, release, stop } = await site();
   try {
     const { page, faults } = await open(browser, url);
+    assert.match(await page.getAttribute("meta[http-equiv=Content-Security-Policy]", "content"), /connect-src 'self';/);
     await page.evaluate(bootLoader, { layout: F411 });
     await tab(page, "run");
     await page.click("#open-firmware");
-    await page.waitForFunction(() => document.querySelectorAll("#firmware-board option").length === 4);
-    const says = wanted => page.waitForFunction(wanted => RegExp(wanted).test(document.getElementById("firmware-note").textContent), wanted);
+    await page.waitForFunction(() => document.querySelectorAll("#firmware-board option").length === 5);
     await page.selectOption("#firmware-board", "spider_f446");
-    await says("^The site does not give firmware/spider_f446\\.dfu \\(404\\)$");
+    await says(page, "^The site does not give firmware/spider_f446\\.dfu \\(404\\)$");
     assert(await page.locator(GO).isDisabled());
     await page.selectOption("#firmware-board", "octopus_f446");
-    await says("^The site gives another image than that of octopus_f446: Oxmill for blackpill_f411\\.$");
+    await says(page, "^The site gives another image than that of octopus_f446\\.$");
     assert(await page.locator(GO).isDisabled());
+    // An image that comes late does not take the place of one that was chosen after it.
+    await page.selectOption("#firmware-board", "skr2_f407");
+    await says(page, "^Getting the image…$");
     await page.selectOption("#firmware-board", "blackpill_f411");
-    await says("^Oxmill for blackpill_f411, 155 KiB\\.$");
-    const { said } = await loaded(page);
-    assert.match(said, /^Oxmill for blackpill_f411 is loaded/);
-    assert.deepEqual(await bytesAt(page, 0xc000, PROGRAM.length), [...PROGRAM]);
+    await says(page, "^Oxmill for blackpill_f411, \\d+ KiB\\.$");
+    release();
+    await page.waitForTimeout(300);
+    assert.match(await note(page), /^Oxmill for blackpill_f411, \d+ KiB\.$/);
+    assert.match((await loaded(page)).said, /^Oxmill for blackpill_f411 is loaded/);
     // A file of one's own takes the place of the board's image.
-    assert.match(await choose(page, dfu([[FLASH, VECTORS]], "Oxmill for my_board")), /Oxmill for/);
-    await says("^Oxmill for my_board, 9 KiB\\.$");
+    await choose(page, dfu([[FLASH, VECTORS]], "Another firmware"));
+    await says(page, "^Another firmware, 9 KiB\\. It has no pin table: it is firmware of another project\\.$");
     assert.equal(await page.inputValue("#firmware-board"), "");
     assert.deepEqual(faults.filter(fault => !/404/.test(fault)), []);
   } finally {
@@ -287,47 +289,73 @@ export async function a_site_offers_the_images_that_it_carries(browser) {
   }
 }
 
+/** Some servers answer every request with their own page. */
+export async function a_list_of_images_that_is_none_is_left_alone(browser) {
+  for (const list of ["<!doctype html>", "{}", '[{"board":"../x","title":"X"},{"board":1},null]']) {
+    const { url, stop } = await site(list);
+    try {
+      const { page, faults } = await open(browser, url);
+      await page.evaluate(bootLoader, { layout: F411 });
+      await tab(page, "run");
+      await page.click("#open-firmware");
+      await page.waitForFunction(() => document.querySelectorAll("#firmware-board option").length === 1);
+      assert(await page.locator("#firmware-board").isHidden());
+      assert.deepEqual(faults, []);
+    } finally {
+      stop();
+    }
+  }
+}
+
 /** The page of a single file has no images, and asks for none. */
 export async function the_single_file_offers_no_images(browser) {
   const { page, faults } = await dialog(browser, { layout: F411 });
-  await choose(page, IMAGE);
+  await page.waitForFunction(() => document.querySelectorAll("#firmware-board option").length === 1);
   assert(await page.locator("#firmware-board").isHidden());
+  assert.equal(await page.evaluate(() => document.activeElement.id), "firmware-file");
   assert.deepEqual(faults, []);
 }
 
 /** A pin table of one's own is checked, and written into the image, as by `oxmill board write`. */
 export async function pins_are_changed_without_a_compiler(browser) {
   const { page, faults } = await dialog(browser, { layout: F411 });
-  const says = wanted => page.waitForFunction(wanted => RegExp(wanted).test(document.getElementById("firmware-note").textContent), wanted);
-  const pins = text => page.setInputFiles("#firmware-pins", { name: "mine.toml", mimeType: "text/plain", buffer: Buffer.from(text) });
-  const saved = async name => {
-    const [download] = await Promise.all([page.waitForEvent("download"), page.click(`text=${name}`)]);
-    return readFileSync(await download.path());
-  };
-  const image = readFileSync(join(root, "target/boards/blackpill_f411.dfu"));
+  const OWN = "^Oxmill for blackpill_f411, \\d+ KiB\\.$";
   await page.click("text=Other pins than those of the board");
-  await choose(page, image);
-  const own = (await saved("Save the board's pin table")).toString();
-  assert.equal(own, readFileSync(join(root, "boards/tables/blackpill_f411.toml"), "utf8"));
-  const mine = own.replace('"blackpill_f411"\ntitle', '"my_mill"\ntitle').replace('flood = "B8"', 'flood = "B5"').replace('hold = "B5"', 'hold = "B8"');
-  await pins(mine);
-  await says("^Oxmill for blackpill_f411, \\d+ KiB\\. With the pins of my_mill, \\d+ of them\\.$");
-  const changed = await saved("Save this image");
-  writeFileSync(join(folder, "mine.toml"), mine);
+  await choose(page, BLACKPILL);
+  await says(page, OWN);
+  assert.equal((await saved(page, "Save the board's pin table")).toString(), TABLE);
+  await choosePins(page, MINE);
+  await says(page, "^Oxmill for blackpill_f411, \\d+ KiB\\. With the pins of my_mill\\.$");
+  const changed = await saved(page, "Save this image");
+  writeFileSync(join(folder, "mine.toml"), MINE);
   const written = spawnSync(oxmill, ["board", "write", join(root, "target/boards/blackpill_f411.dfu"), join(folder, "mine.toml"), "-o", join(folder, "mine.dfu")], { encoding: "utf8" });
   assert.equal(written.status, 0, written.stderr);
   assert(changed.equals(readFileSync(join(folder, "mine.dfu"))), "the same bytes as from the program");
-  assert(!changed.equals(image));
-  assert.match((await loaded(page)).said, /is loaded and was read back/);
-  // Faults are named with their lines, and nothing can be loaded.
-  await pins(mine.replace('mist = "B9"', 'mist = "B5"').replace('probe = "B15"', 'probe = "C20"'));
-  await says("^The pin table: line \\d+: .*B5.*\\nline \\d+: .*C20");
-  assert(await page.locator(GO).isDisabled());
-  await pins(mine.replace('image = "blackpill_f411"', 'image = "blackpill_f401"').replace('chip = "STM32F411CE"', 'chip = "STM32F401CC"'));
-  await says("^The pin table: the table is for another image");
+  assert(!changed.equals(BLACKPILL));
+  assert.match((await loaded(page)).said, /is loaded and was read back without a difference\. With the pins of my_mill\./);
+  const [vectors] = elements(changed).filter(({ address }) => address === FLASH);
+  assert.deepEqual(await bytesAt(page, 0, vectors.bytes.length), [...vectors.bytes]);
+  // All faults are told, with their lines; nothing can be loaded or saved.
+  const refused = async (text, wanted) => {
+    await choosePins(page, text);
+    await says(page, wanted);
+    assert(await page.locator(GO).isDisabled());
+    assert(await page.locator("text=Save this image").isDisabled());
+  };
+  await refused(MINE.replace('mist = "B9"', 'mist = "B5"').replace('probe = "B15"', 'probe = "C20"'), "^The pin table has faults:\\nline \\d+: .*B5.*\\nline \\d+: .*C20");
+  await refused(MINE.replace('image = "blackpill_f411"', 'image = "blackpill_f401"').replace('chip = "STM32F411CE"', 'chip = "STM32F401CC"'), "^the table is for another image");
+  await refused(" ".repeat(70_000), "^mine\\.toml is too large to be a pin table\\.$");
+  // A table that keeps the name of the board would be taken for the board's own.
+  await choosePins(page, MINE.replace("my_mill", "blackpill_f411"));
+  await says(page, "^Oxmill for blackpill_f411, \\d+ KiB\\. blackpill_f411 is the name of another pin table: give yours a name of its own\\.$");
   await page.click("text=Use the board's own pins");
-  await says("^Oxmill for blackpill_f411, \\d+ KiB\\.$");
+  await says(page, OWN);
   assert(await page.locator(GO).isEnabled());
+  // An image that was saved with other pins says so, also at another time.
+  await choose(page, changed);
+  await says(page, "With the pins of my_mill\\.$");
+  await page.click("text=Save the board's pin table");
+  await says(page, "^The pins of my_mill are no pin table of this page");
   await page.evaluate(axe);
   const { violations } = await page.evaluate(() => globalThis.axe.run());
   assert.deepEqual(violations.map(({ id, nodes }) => `${id}: ${nodes[0].html}`), []);

@@ -1,9 +1,11 @@
 // The machine: simulated in the page, and behind a serial port at which the firmware on this host answers.
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import net from "node:net";
+import { join } from "node:path";
 import { open, openJob, PATIENCE, tab } from "./browser.mjs";
-import { dfu, FLASH } from "./dfufile.mjs";
-import { example, MILL, page as file, run, serve } from "./program.mjs";
+import { site } from "./imagesite.mjs";
+import { example, MILL, page as file, root, run, serve } from "./program.mjs";
 
 const state = (page, wanted) => page.waitForFunction(wanted => new RegExp(wanted).test(oxmill.app.machine.status?.state ?? ""), wanted, { timeout: PATIENCE });
 const place = page => page.evaluate(() => oxmill.app.machine.status.machine);
@@ -342,11 +344,11 @@ async function fakeSerial(page, port) {
 }
 
 /** Opens a page with a board at a serial port: the firmware on this host, at the given speed. */
-async function connected(browser, speed, test) {
+async function connected(browser, speed, test, place = file) {
   const order = { board: "blackpill_f411", settings: MILL };
   const device = await serve(order, speed);
   let socket;
-  const { page, faults } = await open(browser, file, { prepare: async page => (socket = await fakeSerial(page, device.port)) });
+  const { page, faults } = await open(browser, place, { prepare: async page => (socket = await fakeSerial(page, device.port)) });
   try {
     await tab(page, "run");
     await page.click("#connect");
@@ -397,22 +399,31 @@ export async function a_connected_board_is_sent_into_its_boot_loader(browser) {
   });
 }
 
+/** The connected board says which one it is: the page chooses its image, and warns of another one. */
 export async function firmware_for_another_board_is_named(browser) {
-  await connected(browser, "max", async page => {
-    await page.evaluate(() => {
-      const { machine } = oxmill.app;
-      const query = machine.query.bind(machine);
-      machine.query = async text => (text === "$I+" ? { answer: "ok", said: ["[VER:1.1h.20261201:]", "[BOARD:spider_f446]", "[CRYSTAL:12 MHz]"] } : query(text));
-    });
-    await page.waitForFunction(() => oxmill.app.machine.isAtRest);
-    await page.click("#open-firmware");
-    for (const [board, warned] of [["blackpill_f411", true], ["spider_f446", false]]) {
-      await page.setInputFiles("#firmware-file", { name: `${board}.dfu`, mimeType: "application/octet-stream", buffer: dfu([[FLASH, new Uint8Array(4096)]], `Oxmill for ${board}`) });
-      const said = `Oxmill for ${board}, 4 KiB.${warned ? " The board that was connected calls itself spider_f446. On the wrong board, an output can start a motor or the spindle." : ""}`;
-      await page.waitForFunction(said => document.getElementById("firmware-note").textContent === said, said);
-      assert.equal(await page.locator("text=load it all the same…").count(), warned ? 1 : 0);
-    }
-  });
+  const { url, stop } = await site();
+  try {
+    await connected(browser, "max", async page => {
+      const says = wanted => page.waitForFunction(wanted => RegExp(wanted).test(document.getElementById("firmware-note").textContent), wanted);
+      await page.waitForFunction(() => oxmill.app.machine.boardName === "blackpill_f411");
+      await page.click("#open-firmware");
+      await says("^Oxmill for blackpill_f411, \\d+ KiB\\.$");
+      assert.equal(await page.inputValue("#firmware-board"), "blackpill_f411");
+      assert.equal(await page.textContent("#firmware-connected"), "The board that is connected: blackpill_f411.");
+      // Other pins for the connected board are no warning, the image of another board is one.
+      const mine = readFileSync(join(root, "boards/tables/blackpill_f411.toml"), "utf8").replace('"blackpill_f411"', '"my_mill"');
+      await page.setInputFiles("#firmware-pins", { name: "mine.toml", mimeType: "text/plain", buffer: Buffer.from(mine) });
+      await says("With the pins of my_mill\\.$");
+      const [download] = await Promise.all([page.waitForEvent("download"), page.click("text=Save this image")]);
+      await page.click("text=Use the board's own pins");
+      await page.setInputFiles("#firmware-file", await download.path());
+      await says("With the pins of my_mill\\. The board that was connected calls itself blackpill_f411\\. On the wrong board, ");
+      assert.equal(await page.locator("text=load it all the same…").count(), 1);
+      assert.equal(await page.inputValue("#firmware-board"), "");
+    }, url);
+  } finally {
+    stop();
+  }
 }
 
 export async function a_board_is_reached_at_its_own_baud_rate(browser) {
