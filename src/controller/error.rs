@@ -89,7 +89,7 @@ codes! {
     TooDeep = 82, "too much is nested";
     OutOfMemory = 83, "the memory for parameters and subroutines is full";
     /// Oxmill's own numbers, above those of other controllers.
-    CycleNeedsPerMinute = 120, "a canned cycle needs G94";
+    CycleNeedsPerMinute = 120, "a canned cycle, G12 or G13 needs G94";
     NotSupported = 121, "the word is known but not supported: docs/gcode.md lists the supported words";
     CutterCompensation = 122, "cutter compensation (G41, G42) is not supported: let the CAM program offset the path";
     NothingSaved = 123, "there is no state that M72 could restore: none was saved in this subroutine";
@@ -104,7 +104,7 @@ codes! {
     NoSuchPin = 133, "this board has no such output or input for programs (M62 to M68)";
     BlendingLeftOut = 134, "this board has no room for rounded corners";
     RecorderLeftOut = 136, "this board has no room for a recording of what comes in";
-    SplineOutsideXy = 140, "a spline (G5 to G5.3) needs G17 and has no axis words but X and Y";
+    SplineOutsideXy = 140, "G12 and G13 need G17; so does a spline (G5 to G5.3), which has no axis words but X and Y";
     SplinesLeftOut = 141, "this board has no room for splines (G5 to G5.3)";
     UnequalScaling = 142, "the factors of G51 in the plane of the arc are not equal";
     ScalingActs = 143, "coordinates cannot be set while G51 scales them";

@@ -4,17 +4,13 @@
 use oxmill_controller::error::{Alarm, Error};
 
 /// Rejected words, and what to write instead.
-const INSTEAD: [(&[&str], &str); 12] = [
+const INSTEAD: [(&[&str], &str); 11] = [
     (
         &["G33", "G33.1", "G74", "G76", "G84"],
         "The machine does not measure the spindle's rotation, so it cannot cut threads in step with it: drill the hole (G81), then mill the thread with G2 or G3 and Z, or tap by hand.",
     ),
     (&["G96"], "Write the speed of the spindle in revolutions per minute: G97 S1000."),
     (&["G7", "G8"], "Remove the word, and write X as a radius: there is no lathe mode."),
-    (
-        &["G12", "G13"],
-        "Write a line out, the circle, a line back: G91 G1 X5, G2 I-5 for G12 or G3 I-5 for G13, G1 X-5, G90. I of G12 is the radius of the path on Mach, and that of the wall on Haas, whose D is the radius of the tool.",
-    ),
     (&["G16"], "Write X and Y; with expressions, X[#1*COS[#2]] Y[#1*SIN[#2]] is the point at radius #1 and angle #2."),
     (
         &["G41", "G41.1", "G42", "G42.1"],
@@ -168,7 +164,7 @@ pub fn for_error(error: Error) -> &'static str {
         }
         Error::SoftLimitNeedsHoming => "Switch homing on ($22=1) before the soft limits ($20=1).",
         Error::LineTooLong => {
-            "Shorten the line: 256 characters, 79 in the dialect of Grbl, and 80 behind the = of $I, $N and $M. Blanks and remarks do not count."
+            "Write the words on two lines, or compute part of a long expression in a line above: #<part>=[..]. Grbl's dialect has lines of 79 characters; behind the = of $I, $N and $M, 80 fit."
         }
         Error::DoorOpen => "Close the door; $903=0 if the machine has none.",
         Error::JogOutsideTravel => "Jog less far, or let jogs end at the soft limits with $40=1.",
@@ -216,7 +212,7 @@ pub fn for_error(error: Error) -> &'static str {
         }
         Error::TooDeep => "Nest fewer brackets, calls or loops.",
         Error::OutOfMemory => "Use fewer or shorter subroutines and parameters.",
-        Error::CycleNeedsPerMinute => "Write G94 before the canned cycle.",
+        Error::CycleNeedsPerMinute => "Write G94 before the line.",
         Error::NothingSaved => "Save the state with M70 or M73 before M72, in the same subroutine.",
         Error::NotInRotatedPlane => "Select the plane of the rotation, or end it: G69, or G10 L2 P0 R0.",
         Error::UnequalScaling => "Give both axes of the plane the same factor, or write the curve in short lines.",
@@ -234,7 +230,7 @@ pub fn for_error(error: Error) -> &'static str {
         Error::TooFewControlPoints => "Add control points before G5.3, or choose a lower order L.",
         Error::TooManyControlPoints => "Split the curve into several with fewer control points.",
         Error::OneRotaryAxis => "Use A as the rotary axis, or turn the part by hand between programs.",
-        Error::SplineOutsideXy => "Select G17 before the spline, and move Z and other axes in a separate line.",
+        Error::SplineOutsideXy => "Select G17 before the line, and move Z and other axes in a separate line.",
         Error::ExpressionsLeftOut | Error::RotationLeftOut | Error::SplinesLeftOut | Error::ScalingLeftOut => {
             "Use a board with more flash, or a post-processor that writes plain moves."
         }

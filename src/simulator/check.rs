@@ -196,9 +196,9 @@ fn without_length(source: &str) -> String {
     let number = word.and_then(|word| word.get(1..)).unwrap_or("1");
     let tool = word.map_or(String::new(), |word| format!(" {word}"));
     format!(
-        "the machine's tool table is empty, so G43{tool} has no effect. That is right only if Z is zeroed with this very tool. \
-         Otherwise store how much longer it is than the tool that Z is zeroed with: G10 L1 P{number} Z12.5 for 12.5 \
-         of the unit in use, above this line, or once in the machine, which keeps it"
+        "no length of any tool is known, so G43{tool} does nothing. If you zero Z with this tool, that is right: change nothing. \
+         If you zero Z with another tool, measure how much longer this one is (a shorter one is negative), and insert \
+         G10 L1 P{number} Z<difference> above this line, or send it once to the machine, which keeps it"
     )
 }
 
@@ -209,15 +209,13 @@ fn missing(number: &str, more: &str, present: &[&str]) -> String {
         [] => format!("{number} is called here{more} and is not in the file: write it after M30, from {number} to M99"),
         [only] => {
             let word = only.replace(['O', 'o'], "P");
-            format!(
-                "{number} is called here{more}, and the only other one in the file is {only}: write {word}, or add {number}"
-            )
+            format!("{number} is called here{more}, but the file has {only}: write {word}, or add {number}")
         }
         [others @ .., last] => {
             let (few, rest) = others.split_at(others.len().min(MOST_NAMED));
             let (few, dots) = (few.join(", "), if rest.is_empty() { "" } else { ", .." });
             format!(
-                "{number} is called here{more}, and the file has {few}{dots} and {last}: correct the number, or add {number}"
+                "{number} is called here{more}, but the file has {few}{dots} and {last}: correct the number, or add {number}"
             )
         }
     }
@@ -387,13 +385,13 @@ impl Check {
         let mentions_inches = simulator.job().is_some_and(JobText::mentions_inches);
         if mentions_inches && is_metric && feed < SLOW && x.max(y) > 0.0 && x.max(y) < SMALL {
             let signs = format!(
-                "the comments name inches, the job covers {x:.1} x {y:.1} mm, and its feeds are {feed:.0} mm/min on average"
+                "the comments name inches, and as millimetres the job is only {x:.2} x {y:.2} mm, and cuts at {feed:.0} mm/min on average"
             );
             match simulator.job().and_then(JobText::metric_at) {
                 Some(line) => self.outcome.warn(Warning {
                     line,
                     text: format!(
-                        "G21 makes the numbers millimetres. But {signs}. If they are inches, write G20 for G21"
+                        "G21 makes the numbers millimetres. But {signs}. If the numbers are inches, replace G21 by G20"
                     ),
                 }),
                 None => {
@@ -577,26 +575,20 @@ mod tests {
         let calls = "O1 (MAIN)\nG21 G90\nM98 P20\nM98 P20\nM30\nO21\nG1 X1 F100\nM99\n";
         let summary = checked("oxmill", calls);
         assert_eq!((summary.errors.len(), summary.errors[0].line), (1, 3), "{:?}", summary.errors);
-        let text =
-            "O20 is called here, also in line 4, and the only other one in the file is O21: write P21, or add O20";
+        let text = "O20 is called here, also in line 4, but the file has O21: write P21, or add O20";
         assert_eq!(summary.errors[0].text, text);
         assert!(!summary.messages.iter().any(|message| message.starts_with(AWAITS)), "{:?}", summary.messages);
         let one: String = (0..40).map(|at| format!("G1X{at}.123")).collect();
         let text = Box::leak(format!("G21 G90 F100\n{one}\n").into_boxed_str());
         assert!(checked("oxmill", text).errors[0].text.starts_with("several moves have run together"));
         let warned = checked("oxmill", "G21 G90\nT7 M6\nG43 H7\n").warnings;
-        assert!(
-            warned[0].text.contains("G43 H7 has no effect") && warned[0].text.contains("G10 L1 P7 Z"),
-            "{warned:?}"
-        );
+        assert!(warned[0].text.contains("G43 H7 does nothing") && warned[0].text.contains("G10 L1 P7 Z"), "{warned:?}");
     }
 
     #[test]
     fn a_missing_program_is_told_with_those_that_exist() {
         let told = |present: &[&str]| missing("O7", ", also in line 8", present);
-        assert!(told(&["O1"]).ends_with(
-            "is called here, also in line 8, and the only other one in the file is O1: write P1, or add O7"
-        ));
+        assert!(told(&["O1"]).ends_with("is called here, also in line 8, but the file has O1: write P1, or add O7"));
         assert!(told(&["O1", "O2"]).contains("the file has O1 and O2:"));
         let many = ["O1", "O2", "O3", "O4", "O5", "O6", "O8"];
         assert!(told(&many).contains("the file has O1, O2, O3, O4, O5, .. and O8:"), "{}", told(&many));
@@ -649,7 +641,7 @@ mod tests {
     fn a_small_job_with_slow_feeds_is_noted() {
         let is_noted = |text| {
             let warnings = checked("oxmill", text).warnings;
-            warnings.iter().any(|warning| warning.line == 2 && warning.text.ends_with("inches, write G20 for G21"))
+            warnings.iter().any(|warning| warning.line == 2 && warning.text.ends_with("inches, replace G21 by G20"))
         };
         assert!(is_noted("(SIZE 4 X 3 IN)\nG21 G90\nG1 Z-0.05 F8\nG1 X4 F30\nG1 Y3\nG1 X0 Y0\nM30"));
         assert!(!is_noted("(SIZE 4 X 3 IN)\nG20 G90\nG1 Z-0.05 F8\nG1 X4 F30\nG1 Y3\nM30"));

@@ -19,6 +19,7 @@ const MEANINGS: &[(&str, &str)] = &[
     ("G5.2 G5.3", "[control points](#control-points) of a curve, a line each; their end: along the curve"),
     ("G38.2 G38.3", "probe towards a contact, with and without an alarm if there is none"),
     ("G38.4 G38.5", "probe away from a contact, with and without an alarm if it stays closed"),
+    ("G12 G13", "circle round the tool, clockwise or counter-clockwise ([habits](#habits-of-cam-programs))"),
     ("G31", "probe as G38.3, in its line only ([habits](#habits-of-cam-programs))"),
     ("G73 G81 G82 G83 G85 G86 G88 G89", "[canned cycles](#canned-cycles)"),
     ("G80", "no motion, ends a cycle"),

@@ -3,6 +3,7 @@
 mod axis_speeds;
 mod backlash;
 mod blended;
+mod circles;
 mod conversations;
 mod crumbs;
 mod curves;

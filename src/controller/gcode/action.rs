@@ -95,6 +95,8 @@ pub enum Notice {
     NestedRemark,
     /// G54.1 P3, the system of the tool setter.
     SystemOfSetter,
+    /// G12 or G13, whose I has another meaning on Haas.
+    CircleOfMach,
 }
 
 impl Notice {
@@ -109,6 +111,9 @@ impl Notice {
             Notice::LookAhead => "Switches of the look-ahead (G5.1 Q, G8 P, G187) do nothing: G64 P sets a tolerance",
             Notice::RigidTapping => "M29 does nothing: there is no rigid tapping",
             Notice::NestedRemark => "Parentheses within a remark are part of it; Grbl ends it at the first one",
+            Notice::CircleOfMach => {
+                "I of G12 and G13 is the radius of the tool's path, as on Mach; on Haas it is the wall's"
+            }
             Notice::SystemOfSetter => "P3 is G59.3, where tool changes with $918=2 look for the tool setter",
         }
     }
@@ -424,6 +429,8 @@ pub struct ArcMove<const N: usize> {
     pub turns: u32,
     /// Speed along the arc.
     pub feed: Feed,
+    /// G12 and G13: the tool stands at the centre, feeds straight to the start, round the circle, and straight back.
+    pub from_centre: bool,
 }
 
 /// A cubic Bezier curve in X and Y; the other axes stay at their positions. All its control points are within

@@ -55,6 +55,8 @@ pub(super) struct Extended {
     pub keep: Option<u8>,
     /// G31.
     pub probe_once: bool,
+    /// G12 (`true`) or G13 (`false`).
+    pub circle: Option<bool>,
     /// G54.1, G154.
     pub system_by_number: bool,
     /// G8, G103 or G187, by number.
@@ -229,7 +231,7 @@ impl<const N: usize> Parsed<N> {
             }
             GWord::Scaling(on) => self.extended.scaling = Some(on),
             GWord::NoCutterCompensation | GWord::AsItIs(_) => {}
-            GWord::ProbeOnce | GWord::SystemByNumber | GWord::LookAhead(_) => self.take_habit(word),
+            GWord::ProbeOnce | GWord::Circle(_) | GWord::SystemByNumber | GWord::LookAhead(_) => self.take_habit(word),
         }
         Ok(())
     }
@@ -242,6 +244,7 @@ impl<const N: usize> Parsed<N> {
                 self.modal.motion = Some(MotionMode::Probe(ProbeMode { away: false, alarm: false }));
                 self.extended.probe_once = true;
             }
+            GWord::Circle(clockwise) => self.extended.circle = Some(clockwise),
             GWord::SystemByNumber => self.extended.system_by_number = true,
             GWord::LookAhead(number) => self.extended.look_ahead = Some(number),
             _ => {}

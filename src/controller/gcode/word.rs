@@ -127,6 +127,11 @@ impl Letters {
         self.0 &= !other.0;
     }
 
+    /// Returns the letters that are also in the other set.
+    pub const fn shared_with(self, others: Letters) -> Letters {
+        Letters(self.0 & others.0)
+    }
+
     /// Whether the set has no letters.
     pub const fn is_empty(self) -> bool {
         self.0 == 0
@@ -139,7 +144,7 @@ impl Letters {
 pub enum Group {
     /// G4, G10, G28, G53, G92 and the like, which act on their own line only.
     NonModal,
-    /// G0 to G3, G5 to G5.3, G31, G38.2 to G38.5, G80 and the canned cycles.
+    /// G0 to G3, G5 to G5.3, G12, G13, G31, G38.2 to G38.5, G80 and the canned cycles.
     Motion,
     /// G17 to G19.
     Plane,
@@ -327,6 +332,9 @@ pub(super) enum GWord {
     EndOfControlPoints,
     /// G31, a probing move. The word does not stay in force.
     ProbeOnce,
+    /// G12 (`true`), G13 (`false`): a circle round the position of the tool, clockwise or counterclockwise. The word
+    /// does not stay in force.
+    Circle(bool),
     /// G54.1, G154: selects a coordinate system by P.
     SystemByNumber,
     /// G8, G103, G187, with the number of the word. On other controls these words switch the look-ahead.
@@ -344,7 +352,7 @@ impl GWord {
             // ...`.
             (43, 0 | 20) | (49, _) if dialect != Dialect::Grbl => Claim::Nobody,
             (0 | 1 | 2 | 3 | 38, _) => Claim::Motion,
-            (31, 0) if FULL_IMAGE && dialect != Dialect::Grbl => Claim::Motion,
+            (12 | 13 | 31, 0) if FULL_IMAGE && dialect != Dialect::Grbl => Claim::Motion,
             (5, 0 | 10 | 20) if dialect != Dialect::Grbl => Claim::Motion,
             (10 | 28 | 30 | 92, 0) => Claim::NonModal,
             (51 | 52 | 68, 0) if dialect != Dialect::Grbl => Claim::NonModal,
@@ -379,6 +387,7 @@ impl GWord {
     /// Looks up a code among words that come from other controls and are common in CAM programs.
     fn of_cam(code: Code) -> Option<GWord> {
         Some(match (code.whole, code.hundredths) {
+            (12 | 13, 0) => GWord::Circle(code.whole == 12),
             (31, 0) => GWord::ProbeOnce,
             // G70 selects inch and G71 mm, as in Mach.
             (70, 0) => GWord::Units(Units::Inch),
@@ -506,7 +515,7 @@ impl GWord {
             GWord::Path(_) => Group::PathControl,
             GWord::Rotation(_) => Group::Rotation,
             GWord::Scaling(_) => Group::Scaling,
-            GWord::EndOfControlPoints | GWord::ProbeOnce => Group::Motion,
+            GWord::EndOfControlPoints | GWord::ProbeOnce | GWord::Circle(_) => Group::Motion,
             GWord::SystemByNumber => Group::CoordinateSystem,
             GWord::LookAhead(_) => Group::LookAhead,
             GWord::AsItIs(group) => group,

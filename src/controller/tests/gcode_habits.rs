@@ -395,3 +395,57 @@ fn the_system_of_the_setter() {
         assert_eq!(program.run("G59.3").notice(), None);
     });
 }
+
+/// G12 and G13 cut a circle round the tool, as on Mach. The tool ends where it began.
+#[test]
+fn circles_round_the_tool() {
+    each(&[("G12 I5", 20), ("G13 I5", 20)], |program| {
+        program.run_all("G10 L2 P1 X3 Y4\nG0 X10 Y20 Z-1\nG2 X10 Y20 I1");
+        for (line, clockwise) in [("G12 I2.5", true), ("N7 G13 I2.5 F600 M3 S100", false)] {
+            let action = program.run(line);
+            let MotionCommand::Arc(arc) = action.motion else { panic!("{line} is no arc") };
+            assert_eq!(in_mm(&arc.start), [15.5, 24.0, -1.0], "{line}");
+            assert_eq!((arc.target, arc.clockwise, arc.from_centre, arc.turns), (arc.start, clockwise, true, 0));
+            assert_eq!([arc.i, arc.j].map(|way| way.to_mm()), [-2.5, 0.0]);
+            assert_eq!(action.notice(), Some(Notice::CircleOfMach));
+            assert_eq!(program.machine(), [13.0, 24.0, -1.0], "the tool returns to the centre");
+            assert_eq!(program.interpreter.modal().motion, MotionMode::ArcClockwise, "the motion mode stays");
+        }
+        // Inches, scaling that mirrors, and rotation act on the radius.
+        program.run_all("G51 X0 Y0 I-2 J2\nG68 X0 Y0 R90\nG0 X0 Y0");
+        let MotionCommand::Arc(arc) = program.run("G20 G12 I0.5").motion else { panic!("no arc") };
+        let centre = program.machine();
+        let [x, y, _] = in_mm(&arc.start);
+        assert!((x - centre[0]).abs() < 1e-4 && (y - centre[1] + 25.4).abs() < 1e-4, "{x} {y} from {centre:?}");
+        assert!(!arc.clockwise, "mirrored");
+    });
+    for dialect in NEW {
+        let mut program = Program::new(dialect);
+        assert_eq!(program.error("G12 I5"), 22, "no feed");
+        program.run("F300");
+        for (line, error) in [
+            ("G12", 28),
+            ("G13 R5", 28),
+            ("G12 I0", 39),
+            ("G13 I-5", 39),
+            ("G12 I5 X1", 36),
+            ("G13 I5 Z-1", 36),
+            ("G12 I5 J1", 36),
+            ("G13 I5 D1", 36),
+            ("G13 I5 K10 Q2", 36),
+            ("G12 I5 L2", 36),
+            ("G1 G12 I5", 24),
+            ("G12 G13 I5", 24),
+            ("G53 G12 I5", 30),
+            ("G12 I60000", 33),
+            ("G93 G12 I5 F2", 120),
+            ("G18 G13 I5", 140),
+            ("G12.1 I5", 121),
+        ] {
+            assert_eq!(program.error(line), error, "{line}");
+        }
+        // In the middle of a curve of control points there is no circle.
+        program.run_all("G0 X0 Y0\nG5.2 X1 Y1 P1 L3\nX2 Y0 P1");
+        assert_eq!(program.error("G12 I5"), program.error("G1 X5"));
+    }
+}

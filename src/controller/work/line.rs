@@ -101,7 +101,7 @@ impl<const N: usize> LineInWork<N> {
             whole(&mut text, length as u64);
             put(&mut text, b" characters without blanks and comments: ");
             whole(&mut text, fit as u64);
-            put(&mut text, b" fit, so split it");
+            put(&mut text, b" fit");
             refusal.reason.clear();
             let _ = refusal.reason.extend_from_slice(&text);
             refusal.is_new = true;

@@ -3,7 +3,8 @@
 
 use crate::axes::{LINEAR, PerAxis};
 use crate::dispatch::Controller;
-use crate::gcode::{Dialect, Feed, MotionCommand, NurbsMove, PathControl};
+use crate::gcode::{ArcMove, Dialect, Feed, MotionCommand, NurbsMove, PathControl};
+use crate::image::FULL_IMAGE;
 use crate::machine::spindle::SpindleRange;
 use crate::messages::SpindleDirection;
 use crate::motion::{ArcGeometry, Move, NurbsGeometry, Speed, SplineGeometry, Tolerance};
@@ -113,6 +114,22 @@ impl<const N: usize> Controller<N> {
         Stage::Chords
     }
 
+    /// Begins the circle of G12 or G13: queues the straight move from the centre to its start. Returns the next stage;
+    /// `None` if there is no room for a block.
+    #[inline(never)]
+    pub(crate) fn begin_circle(&mut self, geometry: &ArcGeometry<N>, feed: Feed, job: &mut Job) -> Option<Stage> {
+        let next = self.begin_arc(geometry, feed, job);
+        self.queue(&geometry.start, Speed::Feed(job.chord_feed), job).then_some(next)
+    }
+
+    /// Queues the straight move back to the centre that ends G12 and G13. Returns the next stage; `None` if there is no
+    /// room for a block.
+    #[inline(never)]
+    pub(crate) fn end_circle(&mut self, job: &Job) -> Option<Stage> {
+        let centre = *self.m.interpreter.position();
+        self.queue(&centre, Speed::Feed(job.chord_feed), job).then_some(Stage::Flow)
+    }
+
     /// Queues the next chord of the line's curve. Returns the next stage; `None` if there is no room for a chord.
     pub(crate) fn next_chord(&mut self, job: &Job) -> Option<Stage> {
         if self.m.motion.free_blocks() == 0 {
@@ -120,7 +137,8 @@ impl<const N: usize> Controller<N> {
             return None;
         }
         let Some((end, curvature)) = self.line.next_chord(self.m.interpreter.control_points()) else {
-            return Some(Stage::Flow);
+            let from_centre = matches!(self.line.action.motion, MotionCommand::Arc(ArcMove { from_centre: true, .. }));
+            return Some(if FULL_IMAGE && from_centre { Stage::Back } else { Stage::Flow });
         };
         let mv = self.move_of(&end, Speed::Feed(job.chord_feed), job.jog);
         // There is room for a block, so `chord` takes the move.

@@ -92,7 +92,7 @@ impl<const N: usize> Controller<N> {
     fn waits_for_room(&self, stage: Stage) -> bool {
         let moves = match stage {
             Stage::Target => matches!(self.line.action.motion, gcode::MotionCommand::Line { .. }),
-            Stage::Chords => true,
+            Stage::Chords | Stage::Back => true,
             _ => false,
         };
         moves
@@ -251,6 +251,7 @@ impl<const N: usize> Controller<N> {
             },
             Stage::Target => Some(self.check_target()),
             Stage::Chords => self.next_chord(job),
+            Stage::Back => self.end_circle(job),
             Stage::Probing => {
                 let must_touch = matches!(self.line.action.motion, gcode::MotionCommand::Probe { alarm: true, .. });
                 // A failed probe has locked the machine. In that case skip `Flow`, because an M0 in the line would
@@ -325,7 +326,10 @@ impl<const N: usize> Controller<N> {
     fn begin_other_motion(&mut self, job: &mut Job) -> Option<Stage> {
         match self.line.action.motion {
             gcode::MotionCommand::Arc(ref arc) => {
-                let (geometry, feed) = (geometry(arc), arc.feed);
+                let (geometry, feed, from_centre) = (geometry(arc), arc.feed, arc.from_centre);
+                if FULL_IMAGE && from_centre {
+                    return self.begin_circle(&geometry, feed, job);
+                }
                 Some(self.begin_arc(&geometry, feed, job))
             }
             gcode::MotionCommand::Spline(ref spline) if FULL_IMAGE => {

@@ -170,6 +170,8 @@ pub(crate) enum Stage {
     Probing,
     /// Queues the remaining chords of the line's curve.
     Chords,
+    /// Queues the way back to the centre of G12 and G13.
+    Back,
     /// Motion has to end before the program pauses or ends.
     Flow,
     /// The program is paused. Ends with `~`.

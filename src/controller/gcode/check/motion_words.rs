@@ -5,11 +5,11 @@ use super::draft::{CENTRE, Draft};
 use crate::axes::Axis;
 use crate::error::Error;
 use crate::gcode::Dialect;
-use crate::gcode::action::{ArcMove, Feed, MotionCommand};
+use crate::gcode::action::{ArcMove, Feed, MotionCommand, Notice};
 use crate::gcode::arc::{self, Vector};
-use crate::gcode::modal::{ArcDistance, MotionMode, PlaneAxes, ProbeMode, SplineKind, Units};
+use crate::gcode::modal::{ArcDistance, FeedMode, MotionMode, Plane, PlaneAxes, ProbeMode, SplineKind, Units};
 use crate::gcode::values::{along, reachable, whole};
-use crate::gcode::word::{Claim, Letters};
+use crate::gcode::word::{Claim, Letters, NonModal};
 use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 
@@ -18,8 +18,13 @@ const TURNS_MAX: i32 = 1_000_000;
 
 impl<const N: usize> Draft<'_, N> {
     pub(super) fn motion(&mut self) -> Result<(), Error> {
-        if FULL_IMAGE && self.line.extended.ends_control_points {
-            return self.nurbs();
+        if FULL_IMAGE && self.line.extended.any {
+            if self.line.extended.ends_control_points {
+                return self.nurbs();
+            }
+            if let Some(clockwise) = self.line.extended.circle {
+                return self.circle(clockwise);
+            }
         }
         let mode = self.action.modal.motion;
         if FULL_IMAGE && self.line.modal.motion.is_some() {
@@ -131,9 +136,66 @@ impl<const N: usize> Draft<'_, N> {
         self.action.motion = if arc::is_point(centre) {
             MotionCommand::Line { via: None, target, feed: self.feed_to(&target) }
         } else {
-            MotionCommand::Arc(ArcMove { start, target, axes, i, j, clockwise, turns, feed })
+            MotionCommand::Arc(ArcMove { start, target, axes, i, j, clockwise, turns, feed, from_centre: false })
         };
         self.action.position = target;
+        Ok(())
+    }
+
+    /// G12 and G13, as on Mach: the tool moves along X by I, round its old position in a full circle, and back. I is
+    /// the radius of the tool's path. On Haas it is the radius of the wall, from which D is subtracted; a line with any
+    /// other word of Haas (D, K, L, Q, Z) is refused.
+    #[inline(never)]
+    fn circle(&mut self, clockwise: bool) -> Result<(), Error> {
+        let axes = Plane::Xy.axes();
+        if self.line.non_modal == Some(NonModal::MachineCoordinates) {
+            return Err(Error::G53NeedsMotion);
+        }
+        if self.action.modal.plane != Plane::Xy {
+            return Err(Error::SplineOutsideXy);
+        }
+        self.leaves_control_points(MotionMode::Linear)?;
+        self.needs_plane(axes)?;
+        if self.action.modal.feed_mode == FeedMode::InverseTime {
+            return Err(Error::CycleNeedsPerMinute);
+        }
+        if self.action.modal.feed == Decimal::ZERO {
+            return Err(Error::UndefinedFeed);
+        }
+        if !self.take(b'I') {
+            return Err(Error::ValueWordMissing);
+        }
+        if self.line.value(b'I') <= Decimal::ZERO {
+            return Err(Error::ValueOutOfRange);
+        }
+        if !self.line.axes.is_empty() {
+            self.action.unused.fill(self.line.values.shared_with(Letters::of(b"XYZABC")));
+            return Err(Error::UnusedWords);
+        }
+        let clockwise = clockwise != self.mirrors(axes)?;
+        let radius = self.scaled_length(axes.first, self.length(self.line.value(b'I')), true);
+        let [out_x, out_y] = match self.rotated {
+            Some(rotated) => rotated.angle.turn([radius, Coordinate::ZERO]),
+            None => [radius, Coordinate::ZERO],
+        };
+        let mut start = self.state.position;
+        start.set(axes.first, along(&start, axes.first) + out_x);
+        start.set(axes.second, along(&start, axes.second) + out_y);
+        reachable(&start)?;
+        let feed = self.feed_of_motion();
+        let (i, j) = (-out_x, -out_y);
+        self.action.motion = MotionCommand::Arc(ArcMove {
+            start,
+            target: start,
+            axes,
+            i,
+            j,
+            clockwise,
+            turns: 0,
+            feed,
+            from_centre: true,
+        });
+        self.action.after.notice = Some(Notice::CircleOfMach);
         Ok(())
     }
 

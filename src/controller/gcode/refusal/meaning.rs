@@ -172,6 +172,9 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         if self.parsed.extended.ends_control_points {
             return b"G5.3";
         }
+        if let Some(clockwise) = self.parsed.extended.circle {
+            return if clockwise { b"G12" } else { b"G13" };
+        }
         self.modal.motion.word().as_bytes()
     }
 
@@ -261,7 +264,11 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
                 say(out, "% and % are missing in %: where the arc ends", &[&[first], &[second], command]);
             }
             _ if self.text.word(b'E').is_some() => {
-                say(out, "% moves a printer's extruder: choose a post-processor for Grbl", &[self.word(b'E')]);
+                say(
+                    out,
+                    "% is for the extruder of a 3-D printer: choose a post-processor for Grbl",
+                    &[self.word(b'E')],
+                );
             }
             _ => say(out, "no axis word in %: add X, Y or Z", &[command]),
         }
@@ -307,6 +314,9 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             return;
         }
         let motion = self.motion();
+        if self.parsed.extended.circle.is_some() {
+            return lacks("I", motion, ": the radius of the circle");
+        }
         match self.modal.motion {
             MotionMode::Cycle(kind) => {
                 let depth = self.modal.plane.axes().linear;
@@ -437,6 +447,9 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         if let Some(word) = self.text.code(b'G', &[300]) {
             return say(out, "% in % is not stored: there are G28 and G30, which is P2", &[self.word(b'P'), word]);
         }
+        if extended.circle.is_some() {
+            return say(out, "% in % must be above 0: the radius", &[self.word(b'I'), self.motion()]);
+        }
         if extended.scaling == Some(true) {
             let z = value(b'K').filter(|factor| *factor < Decimal::ZERO);
             let zero = [b'P', b'I', b'J', b'K'].into_iter().find(|letter| value(*letter) == Some(Decimal::ZERO));
@@ -517,6 +530,12 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         let is_arc = matches!(self.modal.motion, MotionMode::ArcClockwise | MotionMode::ArcCounterClockwise);
         match (word.first(), before) {
             _ if is_jog => say(out, "% is not for a jog", &[word]),
+            (Some(b'D' | b'K' | b'L' | b'Q' | b'Z'), _) if self.parsed.extended.circle.is_some() => {
+                say(out, "% in % is a word of Haas, where I is the wall: let CAM write G2 and G3", &[word, motion]);
+            }
+            _ if self.parsed.extended.circle.is_some() => {
+                say(out, "% does not go with %: its circle is round the tool", &[word, motion]);
+            }
             (Some(b'O'), Some(before)) => say(out, "letter O in %%: write a 0", &[before, word]),
             (Some(b'O'), None) => say(out, "% has to be alone in its line", &[word]),
             (Some(b'I' | b'J' | b'K'), _) if is_arc && self.parsed.values.has(b'R') => {
@@ -534,7 +553,9 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             (Some(b'R'), _) if !is_arc => {
                 say(out, "% belongs to an arc or a cycle, but % is active", &[word, motion]);
             }
-            (Some(b'E'), _) => say(out, "% moves a printer's extruder: choose a post-processor for Grbl", &[word]),
+            (Some(b'E'), _) => {
+                say(out, "% is for the extruder of a 3-D printer: choose a post-processor for Grbl", &[word])
+            }
             (Some(b'H'), _) => say(out, "% is used by nothing: G43 is missing", &[word]),
             (Some(b'D'), _) => say(out, "% is used by nothing: there is no cutter compensation", &[word]),
             (Some(letter @ (b'P' | b'Q')), _)

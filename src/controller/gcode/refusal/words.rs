@@ -108,7 +108,7 @@ pub(super) fn end_of(line: &[u8], start: usize) -> usize {
 }
 
 /// Sentences about refused G words, by the numbers of the words in tenths. Most sentences say what to write instead.
-const INSTEAD_OF_G: [(&[u16], &str); 14] = [
+const INSTEAD_OF_G: [(&[u16], &str); 12] = [
     (
         &[330, 331, 760, 840],
         "% is not supported: nothing measures the spindle. Drill (G81), mill the thread (G3 with Z)",
@@ -116,8 +116,6 @@ const INSTEAD_OF_G: [(&[u16], &str); 14] = [
     (&[740], "% is not supported: tapping needs a measured spindle, and pecking is G73. Mill the thread (G2 with Z)"),
     (&[960], "% is not supported: write G97 and S in revolutions per minute"),
     (&[70, 80], "% is not supported: there is no lathe mode, X is no diameter"),
-    (&[120], "% is not supported: I is the path on Mach, the wall on Haas. Write G1 out, G2 with I, G1 back"),
-    (&[130], "% is not supported: I is the path on Mach, the wall on Haas. Write G1 out, G3 with I, G1 back"),
     (&[160], "% is not supported: write X and Y instead of angle and radius"),
     (&[410, 411, 420, 421], "% is not supported: let the CAM program offset the path by the radius of the cutter"),
     (&[511], "% is not supported: G51 with a negative I or J mirrors"),

@@ -1,0 +1,61 @@
+//! G12 and G13 make the same steps as their moves written out (a straight line from the centre, a full circle, and a
+//! straight line back), without a rotation also at the same times.
+
+use oxmill_simulator::{JobText, Options, Simulator, boards};
+use proptest::prelude::*;
+use std::fmt::Write;
+use std::io::Cursor;
+
+/// A circle: radius in hundredths of a millimetre, direction, and feed in mm/min. With more digits, the written line from
+/// the centre would count as more exact than G12, whose line has no axis word.
+type Circle = (u32, bool, u32);
+
+/// Writes a program of circles, each at another place, with G12 and G13 or with the same moves written out.
+fn program(circles: &[Circle], turned: i32, written_out: bool) -> String {
+    let mut text = format!("G21 G90 G17 G64 P0.05\nG68 X0 Y0 R{turned}\nF600\n");
+    for (number, (radius, clockwise, feed)) in circles.iter().enumerate() {
+        let r = f64::from(*radius) / 100.0;
+        let _ = writeln!(text, "G0 X{} Y{}\nG1 Z-{number} F{feed}", 3 * number, number);
+        let _ = match (written_out, clockwise) {
+            (false, true) => writeln!(text, "G12 I{r:.2}"),
+            (false, false) => writeln!(text, "G13 I{r:.2}"),
+            (true, _) => {
+                let arc = if *clockwise { "G2" } else { "G3" };
+                writeln!(text, "G91 G61 G1 X{r:.2}\n{arc} I-{r:.2}\nG1 X-{r:.2}\nG90 G64 P0.05")
+            }
+        };
+    }
+    text
+}
+
+/// Runs a program. Returns the digest of its steps and their times, and the final position in steps.
+fn run(text: &str) -> (u64, u64, [i64; 3]) {
+    let mut mill = Simulator::new(Options { board: boards::QEMU_MPS2, ..Options::default() });
+    for setting in ["$120=300\n", "$121=200\n", "$110=4000\n", "$111=5000\n"] {
+        mill.send(setting);
+        mill.run_until_idle();
+    }
+    mill.take_output();
+    mill.begin_job();
+    mill.load_job(JobText::new(Cursor::new(text.as_bytes().to_vec())));
+    assert!(mill.run_until_idle());
+    let answers = mill.take_output();
+    assert!(!answers.contains("error:"), "{answers}\n{text}");
+    let digest = mill.trace().digest();
+    (digest.time_hash(), digest.order_hash(), mill.machine().position().map(i64::from))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn circles_are_their_moves_written_out(
+        circles in proptest::collection::vec((50u32..900, any::<bool>(), 60u32..4000), 1..6),
+        turned in prop_oneof![Just(0), -180i32..180],
+    ) {
+        let [short, long] = [false, true].map(|written_out| run(&program(&circles, turned, written_out)));
+        // With a rotation, the points of the written lines are rounded to 0.1 nm one after the other.
+        let times = |run: (u64, u64, [i64; 3])| (turned == 0).then_some(run.0);
+        prop_assert_eq!((short.1, short.2), (long.1, long.2), "{}", program(&circles, turned, false));
+        prop_assert_eq!(times(short), times(long), "{}", program(&circles, turned, false));
+    }
+}
