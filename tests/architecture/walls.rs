@@ -14,7 +14,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("src/simulator", &["oxmill-boards", "oxmill-controller", "oxmill-store", "oxmill-tables"]),
     ("src/step_task", &["oxmill-boards", "oxmill-controller"]),
     ("src/store", &["oxmill-controller"]),
-    ("src/web", &["oxmill-controller", "oxmill-simulator"]),
+    ("src/web", &["oxmill-controller", "oxmill-simulator", "oxmill-tables"]),
 ];
 
 #[test]
