@@ -164,7 +164,7 @@ pub fn for_error(error: Error) -> &'static str {
         }
         Error::SoftLimitNeedsHoming => "Switch homing on ($22=1) before the soft limits ($20=1).",
         Error::LineTooLong => {
-            "Write the words on two lines, or compute part of a long expression in a line above: #<part>=[..]. Grbl's dialect has lines of 79 characters; behind the = of $I, $N and $M, 80 fit."
+            "Compute a part of a long expression in a line above (#<part>=[..]), and write M, S, T and F there; X, Y, Z, I, J, K and R belong in one line. 256 characters fit, 79 in the dialect of Grbl, 80 behind the = of $I, $N and $M."
         }
         Error::DoorOpen => "Close the door; $903=0 if the machine has none.",
         Error::JogOutsideTravel => "Jog less far, or let jogs end at the soft limits with $40=1.",
@@ -212,7 +212,7 @@ pub fn for_error(error: Error) -> &'static str {
         }
         Error::TooDeep => "Nest fewer brackets, calls or loops.",
         Error::OutOfMemory => "Use fewer or shorter subroutines and parameters.",
-        Error::CycleNeedsPerMinute => "Write G94 before the line.",
+        Error::CycleNeedsPerMinute => "Write G94 and F before the line.",
         Error::NothingSaved => "Save the state with M70 or M73 before M72, in the same subroutine.",
         Error::NotInRotatedPlane => "Select the plane of the rotation, or end it: G69, or G10 L2 P0 R0.",
         Error::UnequalScaling => "Give both axes of the plane the same factor, or write the curve in short lines.",

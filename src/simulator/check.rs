@@ -196,9 +196,10 @@ fn without_length(source: &str) -> String {
     let number = word.and_then(|word| word.get(1..)).unwrap_or("1");
     let tool = word.map_or(String::new(), |word| format!(" {word}"));
     format!(
-        "no length of any tool is known, so G43{tool} does nothing. If you zero Z with this tool, that is right: change nothing. \
-         If you zero Z with another tool, measure how much longer this one is (a shorter one is negative), and insert \
-         G10 L1 P{number} Z<difference> above this line, or send it once to the machine, which keeps it"
+        "no length of any tool is known, so G43 does nothing, with this tool{tool} and with all others. That is right only if \
+         you zero Z anew with each tool. Otherwise insert G10 L1 P{number} Z<difference> above this line, and the same for \
+         each other tool: how much longer it is than the tool that Z is zeroed with, in the unit of the program, negative if \
+         it is shorter. Or send these lines once to the machine, which keeps them"
     )
 }
 
@@ -582,7 +583,10 @@ mod tests {
         let text = Box::leak(format!("G21 G90 F100\n{one}\n").into_boxed_str());
         assert!(checked("oxmill", text).errors[0].text.starts_with("several moves have run together"));
         let warned = checked("oxmill", "G21 G90\nT7 M6\nG43 H7\n").warnings;
-        assert!(warned[0].text.contains("G43 H7 does nothing") && warned[0].text.contains("G10 L1 P7 Z"), "{warned:?}");
+        assert!(
+            warned[0].text.contains("with this tool H7 and") && warned[0].text.contains("G10 L1 P7 Z"),
+            "{warned:?}"
+        );
     }
 
     #[test]

@@ -250,9 +250,11 @@ pub fn mode_of(state: &Interpreter<AXES>, rest: &[&[u8]], dialect: Dialect) -> R
         let groups = found.iter().filter_map(|(letter, number)| group_of(*letter, *number, dialect).ok());
         // M2 and M30 select another motion mode, too; M0 does not.
         let mut selects = has_word(text, b'M', &[2, 30]);
-        let mut takes_axes = false;
+        // G12 and G13 leave the motion mode as it is, and use I.
+        let circles = has_word(text, b'G', &[12, 13]);
+        let mut takes_axes = circles;
         for group in groups {
-            selects |= group == Group::Motion;
+            selects |= group == Group::Motion && !circles;
             takes_axes |= matches!(group, Group::NonModal | Group::ToolLength);
         }
         if selects {
@@ -279,7 +281,7 @@ pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) ->
         let found = words_of(text);
         let group = |(letter, number): &(u8, Decimal)| group_of(*letter, *number, dialect).ok();
         let is_group = |wanted: Group| found.iter().any(|word| group(word) == Some(wanted));
-        if is_group(Group::Motion) {
+        if is_group(Group::Motion) && !has_word(text, b'G', &[12, 13]) {
             is_curve = has_word(text, b'G', &[5]);
         }
         let has = |letter: u8| found.iter().any(|(other, _)| *other == letter);

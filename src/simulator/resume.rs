@@ -251,7 +251,13 @@ impl Walk {
         if matches!(modal.motion, MotionMode::Probe(_)) {
             return Err("probes (G38): what it finds is not known".into());
         }
-        let is_other = before.zip(&after, |before, after| before != after);
+        let mut is_other = before.zip(&after, |before, after| before != after);
+        // G12 and G13 move X and Y, and end where they began.
+        let circles = has_word(line.as_bytes(), b'G', &[12, 13]);
+        if circles {
+            is_other.set(Axis::X, true);
+            is_other.set(Axis::Y, true);
+        }
         let has_moved = is_other.0.contains(&true);
         self.moved = self.moved.zip(&is_other, |moved, other| moved || other);
         self.waits_for_motion = !has_moved && (self.waits_for_motion || has_word(line.as_bytes(), b'M', &[62, 63]));
@@ -262,7 +268,7 @@ impl Walk {
         let travels = Axis::of_machine::<AXES>().any(|axis| axis != Axis::Z && is_other.get(axis) == Some(true));
         let goes_there = has_word(line.as_bytes(), b'G', &[28, 30]);
         let is_cycle = matches!(modal.motion, MotionMode::Cycle(_));
-        let is_rapid = goes_there || is_cycle || modal.motion == MotionMode::Rapid;
+        let is_rapid = !circles && (goes_there || is_cycle || modal.motion == MotionMode::Rapid);
         let height = self.place().get(Axis::Z).unwrap_or_default() + self.shift_of_z();
         self.ends.push(End {
             line: index,

@@ -79,6 +79,8 @@ pub(super) struct Afterwards {
     /// Outputs and inputs that the line uses.
     pub(super) pins: Option<ProgramPins>,
     pub(super) notice: Option<Notice>,
+    /// The line has D: whether it names the radius of a tool (D0 names none).
+    pub(super) names_radius: Option<bool>,
 }
 
 /// Message about a word of a program, sent once for each program.
@@ -253,6 +255,7 @@ impl<const N: usize> Action<N> {
             keeping: Keeping::Leave,
             pins: None,
             notice: None,
+            names_radius: None,
         },
         stored: None,
         position: PerAxis::all(Coordinate::ZERO),

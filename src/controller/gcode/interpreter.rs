@@ -35,6 +35,7 @@ impl<const N: usize> Interpreter<N> {
         self.scaling = None;
         self.rest = NO_REST;
         self.tangent = NO_TANGENT;
+        self.names_radius = false;
         self.begin_program();
         self.modal.tool = self.spindle_tool;
         self.offsets.tool_length = PerAxis::all(Coordinate::ZERO);
@@ -133,6 +134,7 @@ impl<const N: usize> Interpreter<N> {
         if action.flow == Flow::End {
             self.saved.clear();
             self.tangent = NO_TANGENT;
+            self.names_radius = false;
             self.computed.end_program();
             if !FULL_IMAGE || self.place == ProgramPlace::Program {
                 self.place = ProgramPlace::End;
@@ -172,6 +174,7 @@ impl<const N: usize> Interpreter<N> {
             self.measured.forget_tool();
         }
         self.spindle_tool = action.after.spindle_tool;
+        self.names_radius = action.after.names_radius.unwrap_or(self.names_radius);
     }
 
     /// Executes M70 to M73, and adds the control points of G5.2.

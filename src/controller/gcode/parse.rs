@@ -185,7 +185,7 @@ impl<const N: usize> Parsed<N> {
     /// them the check skips the steps that only other words need.
     #[inline]
     pub fn is_move(&self) -> bool {
-        !self.extended.any && self.groups.within(Groups::OF_MOVES) && !self.values.has_any(Letters::of(b"ST"))
+        !self.extended.any && self.groups.within(Groups::OF_MOVES) && !self.values.has_any(Letters::of(b"DST"))
     }
 
     /// Returns the value of a letter other than an axis, G or M; 0 if the line lacks the word. [`Parsed::values`] has

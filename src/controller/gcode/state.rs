@@ -51,6 +51,8 @@ pub struct Interpreter<const N: usize> {
     pub(super) control_points: [ControlPoints; FULL_IMAGE as usize],
     /// Tangent at the end of the most recent G5; takes no memory in a build without splines.
     pub(super) tangent: [Option<Tangent>; FULL_IMAGE as usize],
+    /// The program has named the radius of a tool by D, which has no effect, except that G12 and G13 are refused.
+    pub(super) names_radius: bool,
     /// Where the host's next line is relative to the end of a program (M2, M30).
     pub(super) place: ProgramPlace,
 }
@@ -134,6 +136,7 @@ impl<const N: usize> Interpreter<N> {
             rest: NO_REST,
             control_points: memory.control_points.map(ControlPoints::new),
             tangent: NO_TANGENT,
+            names_radius: false,
             place: ProgramPlace::Program,
         }
     }

@@ -5,7 +5,6 @@ use crate::axes::Axis;
 use crate::dispatch::Controller;
 use crate::error::Error;
 use crate::gcode::Dialect;
-use crate::messages::input;
 use crate::protocol::grblhal::{self, Command};
 use crate::protocol::reply_texts;
 use crate::settings::{GrblHalMask, Key};
@@ -83,9 +82,9 @@ impl<const N: usize> Controller<N> {
     /// Sends the state of each input and each output of programs.
     fn say_program_pins(&mut self) {
         let [outputs, inputs] = self.m.settings_lock.program_pins();
-        let (pins, wiring) = (self.m.inputs.pins().program, self.m.inputs.wiring());
-        for (number, bit) in (0..u32::from(inputs)).zip([input::PROGRAM, input::SECOND_PROGRAM]) {
-            self.say(|out| grblhal::program_input(out, number, bit, &wiring, pins >> number & 1 != 0));
+        let pins = self.m.inputs.pins().program;
+        for number in 0..u32::from(inputs) {
+            self.say(|out| grblhal::program_input(out, number, pins >> number & 1 != 0));
         }
         let levels = self.m.accessories.digital().levels();
         for number in 0..u32::from(outputs) {

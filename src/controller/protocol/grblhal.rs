@@ -4,7 +4,7 @@
 use super::reply_texts::RELEASE;
 use super::system::Described;
 use super::text::{Text, filled, length, put, real};
-use crate::messages::{InputWiring, LINES_DEPTH, PinView, SECOND_SWITCH, Signals, input};
+use crate::messages::{LINES_DEPTH, PinView, SECOND_SWITCH, Signals, input};
 use crate::number::{self, Digits};
 use crate::units::Coordinate;
 
@@ -223,17 +223,10 @@ fn switches(out: &mut Text, signals: &Signals, ganged: &[u8]) {
 }
 
 /// `[PINSTATE:DIN|Pn|n|mode|capabilities|value]`: an input of programs, in the answer to `$PINSTATE`. The letters of
-/// both words are polarity, resistor, edge and filter: I if the pin is active while it is low; U, D or B for pull-up,
-/// pull-down or both; D for the filter.
-pub fn program_input(out: &mut Text, number: u32, bit: u32, wiring: &InputWiring, active: bool) {
-    let has = |word: u32| word >> bit & 1 != 0;
-    let resistor = match (has(wiring.pull_down), has(wiring.no_pull_up)) {
-        (true, _) => b"D",
-        (false, true) => b"-",
-        (false, false) => b"U",
-    };
-    let polarity = if has(wiring.inverted) { b"N" } else { b"I" };
-    filled(out, b"[PINSTATE:DIN|P#|#|%%-D|IB-D|#]\r\n", &[polarity, resistor], &[number, number, u32::from(active)]);
+/// both words are polarity, resistor, edge and filter. No setting changes these inputs: they are active while their pin is
+/// low (I), have pull-ups (U), and are filtered (D).
+pub fn program_input(out: &mut Text, number: u32, active: bool) {
+    filled(out, b"[PINSTATE:DIN|P#|#|IU-D|-U-D|#]\r\n", &[], &[number, number, u32::from(active)]);
 }
 
 /// `[PINSTATE:DOUT|Pn|n|mode|capabilities|value]`: an output of programs. No setting inverts it.
@@ -241,10 +234,10 @@ pub fn program_output(out: &mut Text, number: u32, on: bool) {
     filled(out, b"[PINSTATE:DOUT|P#|#|N|-|#]\r\n", &[], &[number, number, u32::from(on)]);
 }
 
-/// `[PORT:0|UART||rate,8,N,1|C]`: the answer to `$PORTS`. C means that the port is in use. The field for the pins is
-/// empty.
+/// `[PORT:0|UART|||rate,8,N,1|C]`: the answer to `$PORTS`. C means that the port is in use. The fields for the pins RX
+/// and TX are empty.
 pub fn port(out: &mut Text, baud: u32) {
-    filled(out, b"[PORT:0|UART||#,8,N,1|C]\r\n", &[], &[baud]);
+    filled(out, b"[PORT:0|UART|||#,8,N,1|C]\r\n", &[], &[baud]);
 }
 
 #[cfg(test)]
@@ -252,15 +245,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pins_of_programs_have_their_wiring() {
-        let bit = input::SECOND_PROGRAM;
-        let row = |wiring: InputWiring, active| text(|out| program_input(out, 1, bit, &wiring, active));
-        assert_eq!(row(InputWiring::PULL_UPS, true), "[PINSTATE:DIN|P1|1|IU-D|IB-D|1]\r\n");
-        let down = InputWiring { inverted: 1 << bit, no_pull_up: 0, pull_down: 1 << bit };
-        assert_eq!(row(down, false), "[PINSTATE:DIN|P1|1|ND-D|IB-D|0]\r\n");
-        let none = InputWiring { no_pull_up: 1 << bit, ..InputWiring::PULL_UPS };
-        assert_eq!(row(none, false), "[PINSTATE:DIN|P1|1|I--D|IB-D|0]\r\n");
+    fn pins_of_programs_are_listed() {
+        assert_eq!(text(|out| program_input(out, 1, true)), "[PINSTATE:DIN|P1|1|IU-D|-U-D|1]\r\n");
         assert_eq!(text(|out| program_output(out, 3, true)), "[PINSTATE:DOUT|P3|3|N|-|1]\r\n");
+        assert_eq!(text(|out| port(out, 1_000_000)), "[PORT:0|UART|||1000000,8,N,1|C]\r\n");
     }
 
     #[test]

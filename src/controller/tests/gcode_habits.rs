@@ -432,6 +432,8 @@ fn circles_round_the_tool() {
             ("G13 I5 Z-1", 36),
             ("G12 I5 J1", 36),
             ("G13 I5 D1", 36),
+            ("G40 G13 I5 D1", 36),
+            ("G43 H1 G12 I5 D0", 36),
             ("G13 I5 K10 Q2", 36),
             ("G12 I5 L2", 36),
             ("G1 G12 I5", 24),
@@ -444,8 +446,16 @@ fn circles_round_the_tool() {
         ] {
             assert_eq!(program.error(line), error, "{line}");
         }
+        // After D, I would be the radius of the wall on Haas. D0 and the end of the program take that back.
+        for (before, error) in [("D3", 121), ("G43 H1 D2", 121), ("D0", 0), ("D3\nM30", 0)] {
+            program.run_all(before);
+            assert_eq!(program.error("G12 I5"), error, "behind {before}");
+        }
+        program.run_all("G95 F0.1 S100\nG0 X1");
+        assert_eq!([program.error("S0 G12 I5"), program.error("G12 I5")], [22, 0]);
+        program.run_all("G94 F100");
         // In the middle of a curve of control points there is no circle.
         program.run_all("G0 X0 Y0\nG5.2 X1 Y1 P1 L3\nX2 Y0 P1");
-        assert_eq!(program.error("G12 I5"), program.error("G1 X5"));
+        assert_eq!([program.error("G12 I5"), program.error("G1 X5")], [146, 146]);
     }
 }

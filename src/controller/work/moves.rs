@@ -118,6 +118,10 @@ impl<const N: usize> Controller<N> {
     /// `None` if there is no room for a block.
     #[inline(never)]
     pub(crate) fn begin_circle(&mut self, geometry: &ArcGeometry<N>, feed: Feed, job: &mut Job) -> Option<Stage> {
+        if self.m.motion.free_blocks() == 0 {
+            self.start_queued();
+            return None;
+        }
         let next = self.begin_arc(geometry, feed, job);
         self.queue(&geometry.start, Speed::Feed(job.chord_feed), job).then_some(next)
     }

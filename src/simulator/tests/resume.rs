@@ -204,6 +204,17 @@ fn a_rotary_axis_goes_on() {
     assert_eq!(refused, [], "{refused:?}");
 }
 
+/// G12 and G13 neither end the motion mode before them nor tell where the tool is.
+#[test]
+fn circles_round_the_tool_go_on() {
+    let program =
+        "G21 G90\nG0 Z5\nG0 X3 Y4\nG1 Z-1 F100\nG13 I2 F300\nG2 X7 Y4 I2 J0\nG12 I1\nX3 Y4 I-2\nG0 Z5\nG12 I1\nM2";
+    assert_eq!(compare_all(&[], program, "G91 G0 X1.7 Y-2.3 Z4.9\nG90", &[]), []);
+    let bore = "G21 G90\nG0 Z5\nG1 Z-1 F100\nG12 I5 F300\nG1 Z-2\nG12 I5\n";
+    let why = resumed(&[], bore, &wish(5)).unwrap_err();
+    assert!(why.contains("where X is"), "{why}");
+}
+
 /// The spindle turns before the tool moves down, and the tool travels above the work.
 #[test]
 fn the_way_to_the_place_is_over_the_work() {

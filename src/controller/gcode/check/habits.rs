@@ -73,17 +73,20 @@ impl<const N: usize> Draft<'_, N> {
         Ok(point)
     }
 
-    /// Whether D is the only unused word of the line and is allowed there: on a line with G40 or G43 to G49, or alone.
+    /// Whether D is the only unused word of the line and is allowed there: on a line with G40 or G43 to G49, or alone,
+    /// but not beside G12 and G13.
     #[inline(never)]
-    pub(super) fn is_radius_register(&self) -> Result<bool, Error> {
+    pub(super) fn is_radius_register(&mut self) -> Result<bool, Error> {
         let mut others = self.line.values;
         others.remove(Letters::of(b"DN"));
         let is_alone = others.is_empty() && self.line.groups == Groups::default();
         let is_beside = self.line.tool_length.is_some() || self.line.groups.has(Group::CutterCompensation);
-        if self.unused != Letters::of(b"D") || !(is_alone || is_beside) {
+        let is_circle = self.line.extended.circle.is_some();
+        if self.unused != Letters::of(b"D") || !(is_alone || is_beside) || is_circle {
             return Ok(false);
         }
-        whole(self.line.value(b'D')).map(|_| true)
+        self.action.after.names_radius = Some(whole(self.line.value(b'D'))? != 0);
+        Ok(true)
     }
 
     /// Whether the line's spline word switches the look-ahead, as on other controls: G5.1 with Q, or G5 with P, without

@@ -160,7 +160,8 @@ impl<const N: usize> Draft<'_, N> {
             true => line.value(b'S') == Decimal::ZERO,
             false => self.state.modal.speed == 0.0,
         };
-        let is_fed = !matches!(self.action.modal.motion, MotionMode::Rapid | MotionMode::Cancelled);
+        let is_fed = !matches!(self.action.modal.motion, MotionMode::Rapid | MotionMode::Cancelled)
+            || self.line.extended.circle.is_some();
         if is_zero && is_fed && self.claim == Claim::Motion {
             return Err(Error::UndefinedFeed);
         }

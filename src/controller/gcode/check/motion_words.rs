@@ -143,8 +143,9 @@ impl<const N: usize> Draft<'_, N> {
     }
 
     /// G12 and G13, as on Mach: the tool moves along X by I, round its old position in a full circle, and back. I is
-    /// the radius of the tool's path. On Haas it is the radius of the wall, from which D is subtracted; a line with any
-    /// other word of Haas (D, K, L, Q, Z) is refused.
+    /// the radius of the tool's path. On Haas it is the radius of the wall, from which the tool's radius is subtracted, if
+    /// D has named one. So a line with a word of Haas (D, K, L, Q, Z) is refused, and any G12 or G13 after a D other than
+    /// D0.
     #[inline(never)]
     fn circle(&mut self, clockwise: bool) -> Result<(), Error> {
         let axes = Plane::Xy.axes();
@@ -153,6 +154,9 @@ impl<const N: usize> Draft<'_, N> {
         }
         if self.action.modal.plane != Plane::Xy {
             return Err(Error::SplineOutsideXy);
+        }
+        if self.state.names_radius {
+            return Err(Error::NotSupported);
         }
         self.leaves_control_points(MotionMode::Linear)?;
         self.needs_plane(axes)?;
@@ -195,7 +199,7 @@ impl<const N: usize> Draft<'_, N> {
             feed,
             from_centre: true,
         });
-        self.action.after.notice = Some(Notice::CircleOfMach);
+        self.action.after.notice.get_or_insert(Notice::CircleOfMach);
         Ok(())
     }
 
