@@ -54,6 +54,7 @@ const LEFT_OUT_ON_F446: &[&str] = &[
     "-tight pulses",
     "-raster",
     "-uart flooded",
+    "-safe rate",
     "-safe rate, disturbed",
     "-safe rate, fast UART",
     "-fourth axis",
