@@ -89,7 +89,7 @@ codes! {
     TooDeep = 82, "too much is nested";
     OutOfMemory = 83, "the memory for parameters and subroutines is full";
     /// Oxmill's own numbers, above those of other controllers.
-    CycleNeedsPerMinute = 120, "a canned cycle, G12 or G13 needs G94";
+    CycleNeedsPerMinute = 120, "a canned cycle, G12 or G13 does not go with G93";
     NotSupported = 121, "the word is known but not supported: docs/gcode.md lists the supported words";
     CutterCompensation = 122, "cutter compensation (G41, G42) is not supported: let the CAM program offset the path";
     NothingSaved = 123, "there is no state that M72 could restore: none was saved in this subroutine";

@@ -28,7 +28,8 @@ const BOARDS: [(&str, &[&str]); 13] = [
 ];
 
 /// Long cases that `blackpill_f411` runs only if the command names this board. In a run of all boards, `uart lines`
-/// runs on `nucleo_f446re`, `raster` on `skr2_f407`, and the zigzags run on `robin_nano_v3`, which has the most ports.
+/// runs on `nucleo_f446re`, `raster` on `skr2_f407`, and the zigzags run on `robin_nano_v3`, which has the most ports. The
+/// other cases run at night only.
 const LEFT_OUT_ON_F411: &[&str] = &[
     "-bursts of overrides",
     "-late starts",
@@ -45,8 +46,9 @@ const LEFT_OUT_ON_F411: &[&str] = &[
     "-stream splines.nc",
 ];
 
-/// Long cases that `nucleo_f446re` runs only if the command names this board. Most of them run on `blackpill_f411`,
-/// which uses the same timers and DMA streams.
+/// Long cases that `nucleo_f446re` runs only if the command names this board. About half of them run on
+/// `blackpill_f411`, which uses the same timers and DMA streams, and `safe rate` on `octopus_f446`, which has the same
+/// chip at 168 instead of 180 MHz.
 const LEFT_OUT_ON_F446: &[&str] = &[
     "-bursts of overrides",
     "-late starts",

@@ -178,7 +178,7 @@ export class LoadFirmware {
   private get whyNot(): string | undefined {
     if (this.isLoading) return "Firmware is being loaded.";
     if (this.ready) return undefined;
-    return this.image.value ? "The pin table has a fault, or is for another image." : "Choose a board or a file first.";
+    return this.image.value ? "The image or the pin table has a fault." : "Choose a board or a file first.";
   }
 
   private show(): void {
