@@ -105,7 +105,13 @@ fn lines(random: &mut Random, turns: bool) -> Vec<String> {
         0..=3 => vec![format!("G1 X{:.3} Y{:.3} Z{:.3}{a} F{feed}", mm(r, 12), mm(r, 12), mm(r, 12))],
         4 => vec![format!("G0 X{:.3} Y{:.3} Z{:.3}{a}", mm(r, 12), mm(r, 12), mm(r, 12))],
         5 => relative(format!("G{} X{:.3} Y{:.3} R8{a} F{feed}", 2 + r.below(2), mm(r, 5), mm(r, 5))),
-        6 => vec![format!("G2 I{:.3} J{:.3} P{} F{feed}", mm(r, 5), mm(r, 5), 1 + r.below(3))],
+        6 => {
+            let (i, j, turns) = (mm(r, 5), mm(r, 5), 1 + r.below(3));
+            vec![match turns {
+                3 => format!("G{} I{:.3} F{feed}", if j < 0.0 { 12 } else { 13 }, 0.01 + i.abs()),
+                _ => format!("G2 I{i:.3} J{j:.3} P{turns} F{feed}"),
+            }]
+        }
         7 => (0..12).map(|i| format!("G1 X{:.3} Y{:.3} F{feed}", 0.4 * f64::from(i), f64::from(i).sin())).collect(),
         8 => relative(format!(
             "G5 X{:.2} Y{:.2} I{:.2} J{:.2} P1 Q{:.2} F{feed}",
