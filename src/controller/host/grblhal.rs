@@ -74,7 +74,6 @@ impl<const N: usize> Controller<N> {
                 self.say(|out| grblhal::port(out, stored.min(most)));
                 self.say_ok();
             }
-            Command::Missing => return Err(Error::InvalidStatement),
         }
         Ok(())
     }

@@ -43,12 +43,10 @@ pub enum Command {
     ProgramPins,
     /// `$PORTS`: the serial port.
     Ports,
-    /// `$TPW`, `$RTC`: there is nothing behind these commands, so they are refused as in grblHAL.
-    Missing,
 }
 
 /// The commands without a value.
-const COMMANDS: [(&[u8], Command); 16] = [
+const COMMANDS: [(&[u8], Command); 14] = [
     (b"$SPINDLES", Command::Spindles { in_fields: false }),
     (b"$SPINDLESH", Command::Spindles { in_fields: true }),
     (b"$TLR", Command::ToolReference),
@@ -63,8 +61,6 @@ const COMMANDS: [(&[u8], Command); 16] = [
     (b"$LIM", Command::Limits),
     (b"$PINSTATE", Command::ProgramPins),
     (b"$PORTS", Command::Ports),
-    (b"$TPW", Command::Missing),
-    (b"$RTC", Command::Missing),
 ];
 
 /// Reads a `$` line (filtered). Returns `None` if the line is none of these commands; it can still be a command of Grbl

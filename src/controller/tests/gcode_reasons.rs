@@ -203,7 +203,7 @@ const ROWS: &[Row] = &[
     ("F100", "G13 I5 K10 Q2", 36, "K10 in G13 is a word of Haas, where I is the wall: let CAM write G2 and G3"),
     ("F100", "G13 Z-1 I5", 36, "Z-1 in G13 is a word of Haas, where I is the wall: let CAM write G2 and G3"),
     ("F100", "G12 X1 I5", 36, "X1 does not go with G12: its circle is round the tool"),
-    ("F100 | D3", "G12 I5", 121, "G12 after D takes I for the wall on Haas: write D0 above it if I is the tool's path"),
+    ("F100 | D3", "G12 I5", 121, "on Haas, D makes I of G12 the wall: write D0 above it if I is the tool's path"),
     ("F100", "G93 G12 I5 F2", 120, "G12 needs G94: G93 is active"),
     ("F100", "G18 G13 I5", 140, "G13 needs G17: the plane is G18"),
     ("F100", "G16", 121, "G16 is not supported: write X and Y instead of angle and radius"),

@@ -390,11 +390,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
     #[inline(never)]
     fn not_supported(&self, out: &mut Reason) {
         if self.parsed.extended.circle.is_some() {
-            say(
-                out,
-                "% after D takes I for the wall on Haas: write D0 above it if I is the tool's path",
-                &[self.motion()],
-            );
+            say(out, "on Haas, D makes I of % the wall: write D0 above it if I is the tool's path", &[self.motion()]);
         } else if let Some(word) = self.text.code(b'M', &[520, 530]) {
             say(out, "% is not supported with this P: nothing adapts the feed, and the hold always acts", &[word]);
         } else if let Some(word) = self.text.code(b'G', &[80]) {
