@@ -45,9 +45,10 @@ pub struct Action<const N: usize> {
     pub store: Option<StoredOffset>,
     /// Motion of the line; [`MotionCommand::None`] if nothing moves.
     pub motion: MotionCommand<N>,
-    /// Value of the last decimal place of the axis words, in mm: 0.001 for `X1.234`. It is at most 0.01 mm or 0.001
-    /// inch, because programs often omit trailing zeros, and 0 if the words are exact. `motion` uses it to estimate by
-    /// how much the program has rounded its points.
+    /// Value of the last decimal place of the axis words, in mm: 0.001 for `X1.234`. Before scaling by G51 it is at
+    /// most 0.01 mm or 0.001 inch, because programs often omit trailing zeros. For canned cycles and splines it is 0,
+    /// because their points count as exact. `motion` uses it to estimate by how much the program has rounded its
+    /// points.
     pub digit: f32,
     /// What the program does after the motion.
     pub flow: Flow,
@@ -79,7 +80,7 @@ pub(super) struct Afterwards {
     /// Outputs and inputs that the line uses.
     pub(super) pins: Option<ProgramPins>,
     pub(super) notice: Option<Notice>,
-    /// The line has D: whether it names the radius of a tool (D0 names none).
+    /// If the line has D: whether D names the radius of a tool. D0 names none.
     pub(super) names_radius: Option<bool>,
 }
 
@@ -89,7 +90,7 @@ pub(super) struct Afterwards {
 pub enum Notice {
     /// G43 while no length of any tool is known: the offset is 0.
     NoTools,
-    /// G187, G8 P, G5.1 Q or G5 P, which have no effect.
+    /// G103, G187, G8 P, G5.1 Q or G5 P, which have no effect.
     LookAhead,
     /// M29, which has no effect.
     RigidTapping,
@@ -102,7 +103,7 @@ pub enum Notice {
 }
 
 impl Notice {
-    /// English text of the message.
+    /// Returns the English text of the message; empty for a message that this build never sends.
     pub const fn text(self) -> &'static str {
         match self {
             Notice::NoTools => {
@@ -129,7 +130,7 @@ impl<const N: usize> Action<N> {
         self.after.moves_only
     }
 
-    /// The modal state after the line.
+    /// Returns the modal state after the line. If the line has M2 or M30, the modes are already reset.
     pub fn modal(&self) -> &Modal {
         &self.modal
     }
@@ -152,7 +153,7 @@ impl<const N: usize> Action<N> {
         self.spindle = (self.modal.spindle != SpindleDirection::Off).then_some(self.modal.spindle);
     }
 
-    /// The tool length offset after the line.
+    /// Returns the tool length offset after the line, for each axis.
     pub fn tool_length(&self) -> PerAxis<Coordinate, N> {
         self.tool_length
     }
@@ -179,7 +180,7 @@ impl<const N: usize> Action<N> {
         self.tool_length = length;
     }
 
-    /// Returns the tool that is removed from the table.
+    /// Returns the number of the tool that the line removes from the tool table; `None` if it removes none.
     pub fn removes_tool(&self) -> Option<u32> {
         match (self.store, &self.stored) {
             (Some(StoredOffset::Tool(number)), None) => Some(number),
@@ -204,17 +205,18 @@ impl<const N: usize> Action<N> {
         self.tool_change || self.pins().is_some()
     }
 
-    /// The tool in the spindle after the line.
+    /// Returns the number of the tool in the spindle after the line; 0 if none is known.
     pub fn spindle_tool(&self) -> u32 {
         self.after.spindle_tool
     }
 
-    /// The spindle speed during the motion, in revolutions per minute; 0 while the spindle is off.
+    /// Returns the spindle speed during the motion, in revolutions per minute; 0 while the spindle is off.
     pub fn turning_speed(&self) -> f32 {
         if self.modal.spindle == SpindleDirection::Off { 0.0 } else { self.speed }
     }
 
-    /// The machine position after the line.
+    /// Returns the machine position after the line: the programmed end of its motion, or the present position if
+    /// nothing moves.
     pub fn position(&self) -> &PerAxis<Coordinate, N> {
         &self.position
     }
@@ -432,7 +434,8 @@ pub struct ArcMove<const N: usize> {
     pub turns: u32,
     /// Speed along the arc.
     pub feed: Feed,
-    /// G12 and G13: the tool stands at the centre, feeds straight to the start, round the circle, and straight back.
+    /// Set for G12 and G13: the tool is at the centre before the line. It feeds straight to `start`, follows the
+    /// circle, and returns straight to the centre.
     pub from_centre: bool,
 }
 
@@ -487,8 +490,8 @@ pub struct NurbsMove<const N: usize> {
 pub enum Feed {
     /// As fast as the machine allows.
     Rapid,
-    /// G94: speed in mm/s. For straight moves it is the speed along the path of all axes, where a degree counts as a
-    /// millimetre; for arcs and cycles, the speed along the path of X, Y and Z.
+    /// G94 and G95: speed in mm/s. For straight moves it is the speed along the path of all axes, where a degree counts
+    /// as a millimetre; for arcs and cycles, the speed along the path of X, Y and Z.
     PerMinute(f32),
     /// G93: duration of the whole motion, in seconds.
     InverseTime(f32),

@@ -1,6 +1,6 @@
-//! Compares two interpreters: would all following lines mean the same to both? If not, names a part of the state that
-//! differs. `oxmill resume` uses this to prove that the rest of a job is complete. Also checks whether an interpreter
-//! is in a state simple enough to begin a recording that can be replayed.
+//! Checks whether all following lines would have the same meaning in two interpreters. If not, names a part of the
+//! state that differs. `oxmill resume` uses this to prove that the rest of a job is complete. Also checks whether an
+//! interpreter is in a state simple enough to begin a recording that can be replayed.
 
 use super::control_points::ControlPoints;
 use super::modal::{FeedMode, Modal, MotionMode, SplineKind};
@@ -12,8 +12,8 @@ use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Interpreter<N> {
     /// Compares the state part by part. Returns the name of the first part that could give a following line another
-    /// meaning in the other interpreter; `None` if all following lines mean the same to both. The words of canned
-    /// cycles and curves count only while their mode is in force.
+    /// meaning in the other interpreter; `None` if all following lines have the same meaning in both. The words of
+    /// canned cycles and curves count only while their mode is in force.
     pub fn differs_from(&self, other: &Self) -> Option<&'static str> {
         let in_cycle = matches!(self.modal.motion, MotionMode::Cycle(_));
         let are_blank = [self, other].into_iter().all(|state| state.computed.is_blank() && !state.is_within_block());

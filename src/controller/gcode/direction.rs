@@ -6,14 +6,17 @@
 pub enum Direction {
     /// Check and execute the line.
     Check,
-    /// Nothing: the line belongs to a condition, which has been evaluated.
+    /// Nothing: the line was an O word of a condition (if, elseif, else, endif), which has been executed.
     Done,
     /// Nothing: the line was skipped or recorded. The message in its comment is not sent.
     LeftOut,
-    /// Run the subroutine that the line calls: [`Interpreter::next_held`](super::Interpreter::next_held).
+    /// Run the subroutine that the line calls: read its lines with
+    /// [`Interpreter::next_held`](super::Interpreter::next_held).
     Call,
-    /// Run held text, to which the line has been added: the loop that ends with this line, this line itself, or the
-    /// program that has waited for the subprogram that ends with this line.
+    /// Run held text, to which the line has been added. The text that runs is one of these:
+    /// * the loop that this line ends,
+    /// * this line itself,
+    /// * if this line ends a subprogram: the program that has waited for the subprogram.
     Run,
 }
 

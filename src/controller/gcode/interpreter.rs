@@ -57,7 +57,9 @@ impl<const N: usize> Interpreter<N> {
         });
     }
 
-    /// Ends check mode by a reset that restores G92 and the tool length offset from before check mode.
+    /// Resets the interpreter, which ends check mode, and then restores all offsets from before check mode, also G92
+    /// and the tool length offset. In Grbl's dialect and in a build without expressions, these two stay as the reset
+    /// leaves them.
     pub fn end_check_mode(&mut self) {
         let before = self.before_check.as_ref().and_then(BeforeCheck::offsets);
         self.reset();

@@ -1,5 +1,5 @@
-//! Checks a jog (`$J=`): axis words and F, with G20, G21, G90, G91 and G53 for this line only. Everything else is
-//! refused.
+//! Checks a jog (`$J=`). A jog has axis words and F, and can have N. G20, G21, G90, G91 and G53 are allowed and act on
+//! this line only. Everything else is refused.
 
 use super::Dialect;
 use super::action::Action;

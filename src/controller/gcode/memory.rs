@@ -19,8 +19,8 @@ pub struct ProgramMemory<const N: usize> {
     pub(super) control_points: [Lent<PointList>; FULL_IMAGE as usize],
 }
 
-/// Static storage for the memory of one interpreter on a board. `HELD`: number of bytes for the held text, the recorded
-/// lines of subroutines, loops and macros.
+/// Static storage for the memory of one interpreter on a board. `HELD`: number of bytes for the held text (the recorded
+/// lines of subroutines, loops and macros).
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
 pub struct ProgramStorage<const N: usize, const HELD: usize> {

@@ -6,10 +6,13 @@
 //!         (words,            (meaning, in the             (only when the caller
 //!          groups)            order of Grbl)               carries the line out)
 //! ```
-//! Guarantees: neither a refused line nor the check of a line changes anything; every byte sequence gets an answer
-//! without panic or overflow; positions are exact integers, so nothing drifts. Done elsewhere: filtering of bytes and
-//! limiting of the line length (`protocol`), executing actions (`controller`), chords of arcs and the speeds of moves
-//! (`motion`), travel limits.
+//! Guarantees:
+//! * The check of a line does not change modal state, offsets or position. So a refused line leaves them as they were.
+//! * Every byte sequence is either accepted or refused, without panic or overflow.
+//! * Positions are integers, so rounding errors do not add up.
+//!
+//! Done elsewhere: filtering of bytes and limiting of the line length (`protocol`), executing actions (`controller`),
+//! chords of arcs and the speeds of moves (`motion`), travel limits.
 
 mod action;
 mod arc;
@@ -77,8 +80,8 @@ pub type Reason = heapless::Vec<u8, { if REASONS { 128 } else { 0 } }>;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Dialect {
     /// As Grbl 1.1h, without the extensions: only the first eight digits of a number count, there are six coordinate
-    /// systems, T is forgotten after its line, axis words are refused under a modal G80, and the words M7, M56, G90.1
-    /// and P for the turns of an arc do not exist.
+    /// systems, T is forgotten after its line, and the words M7, M56, G90.1 and P for the turns of an arc do not exist.
+    /// While G80 is active, axis words are refused even if another command of the line uses them.
     Grbl,
     /// All words of Grbl with Grbl's meaning, and further words.
     #[default]

@@ -28,7 +28,7 @@ pub enum MotionMode {
 }
 
 impl MotionMode {
-    /// The word that selects the mode.
+    /// Returns the word that selects the mode.
     pub const fn word(self) -> &'static str {
         match self {
             MotionMode::Rapid => "G0",
@@ -81,7 +81,7 @@ pub enum CycleKind {
 }
 
 impl CycleKind {
-    /// The word that selects the cycle.
+    /// Returns the word that selects the cycle.
     pub const fn word(self) -> &'static str {
         match self {
             CycleKind::ChipBreak => "G73",
@@ -129,7 +129,7 @@ pub struct PlaneAxes {
 }
 
 impl Plane {
-    /// The word that selects the plane.
+    /// Returns the word that selects the plane.
     pub const fn word(self) -> &'static str {
         match self {
             Plane::Xy => "G17",
@@ -138,7 +138,7 @@ impl Plane {
         }
     }
 
-    /// The axes of the plane.
+    /// Returns the two axes of the plane, and the axis normal to it.
     pub const fn axes(self) -> PlaneAxes {
         match self {
             Plane::Xy => PlaneAxes { first: Axis::X, second: Axis::Y, linear: Axis::Z },
@@ -159,7 +159,7 @@ pub enum Distance {
 }
 
 impl Distance {
-    /// The word that selects the mode.
+    /// Returns the word that selects the mode.
     pub const fn word(self) -> &'static str {
         match self {
             Distance::Absolute => "G90",
@@ -191,7 +191,7 @@ pub enum FeedMode {
 }
 
 impl FeedMode {
-    /// The word that selects the mode.
+    /// Returns the word that selects the mode.
     pub const fn word(self) -> &'static str {
         match self {
             FeedMode::PerRevolution if FULL_IMAGE => "G95",
@@ -212,7 +212,7 @@ pub enum Units {
 }
 
 impl Units {
-    /// The word that selects the unit.
+    /// Returns the word that selects the unit.
     pub const fn word(self) -> &'static str {
         match self {
             Units::Mm => "G21",
@@ -233,15 +233,15 @@ pub enum PathControl {
     Within(PathTolerance),
 }
 
-/// Maximum distance of the tool from the programmed path, in units of 0.1 nm. Values beyond the range of the type are
-/// limited to it.
+/// Maximum distance of the tool from the programmed path, in units of 0.1 nm. Greater values are limited to the maximum
+/// of the type, about 0.43 m.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PathTolerance {
     /// P of G64, greater than 0: the maximum distance. Merged moves may use the part `merging` of it, rounded corners
     /// the rest.
     pub path: u32,
     /// Q of G64: the part of `path` for merging. If several moves are merged into one, no programmed point is farther
-    /// from the merged move.
+    /// than this from the merged move.
     pub merging: u32,
 }
 
@@ -297,7 +297,7 @@ impl CoordinateSystem {
     /// Number of systems in Grbl's dialect, G54 to G59: the first ones of `ALL`.
     pub const OF_GRBL: usize = 6;
 
-    /// The word that selects the system.
+    /// Returns the word that selects the system.
     pub const fn word(self) -> &'static str {
         match self {
             CoordinateSystem::G54 => "G54",
@@ -316,12 +316,12 @@ impl CoordinateSystem {
 /// The modal state: the mode of each group, and T, F and S in force.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Modal {
-    /// Motion mode.
+    /// Motion mode in force; G0 after a reset.
     pub motion: MotionMode,
-    /// The mode of the latest straight move, [`MotionMode::Rapid`] or [`MotionMode::Linear`]. In dialect seed, axis
-    /// words after G80 move in this mode.
+    /// The mode of the latest straight move, [`MotionMode::Rapid`] or [`MotionMode::Linear`]. G31 returns to this mode
+    /// after its line. In dialect seed, axis words after G80 move in this mode.
     pub straight: MotionMode,
-    /// Work coordinate system.
+    /// Active work coordinate system (G54 to G59.3).
     pub coordinate_system: CoordinateSystem,
     /// Plane of arcs and canned cycles (G17 to G19).
     pub plane: Plane,
@@ -330,9 +330,9 @@ pub struct Modal {
     /// Whether G99 is in force: canned cycles end at R. With G98 (`false`) they end at the level where their series
     /// began, or at R if R is higher.
     pub retract_to_r: bool,
-    /// Distance mode.
+    /// Distance mode (G90, G91).
     pub distance: Distance,
-    /// Distance mode of arc centres.
+    /// Distance mode of arc centres (G90.1, G91.1).
     pub arc_distance: ArcDistance,
     /// Meaning of F (G93 to G95).
     pub feed_mode: FeedMode,

@@ -57,7 +57,7 @@ impl<const N: usize> Default for Offsets<N> {
 }
 
 impl<const N: usize> Offsets<N> {
-    /// The offsets of a new machine: all are zero.
+    /// Creates the offsets of a new machine: all are zero.
     pub const fn new() -> Self {
         let zero = PerAxis::all(Coordinate::ZERO);
         Self {
@@ -96,7 +96,7 @@ impl<const N: usize> Offsets<N> {
         }
     }
 
-    /// The origin of a coordinate system.
+    /// Returns the origin of a coordinate system, in machine coordinates.
     pub fn system(&self, system: CoordinateSystem) -> PerAxis<Coordinate, N> {
         self.systems.get(system as usize).copied().unwrap_or(PerAxis::all(Coordinate::ZERO))
     }
@@ -136,7 +136,8 @@ impl<const N: usize> Offsets<N> {
 
 impl<const N: usize> Offsets<N> {
     /// Returns the rotated plane of `system` with the given G92, tool length offset and G68; `None` without a rotation.
-    /// The angle of the system and G68 must rotate the same plane (X, Y), otherwise an error is returned.
+    /// The angle of a system always rotates X and Y. So if the system has an angle and G68 rotates another plane,
+    /// returns an error.
     #[inline]
     pub(super) fn rotated_plane(
         &self,

@@ -85,7 +85,7 @@ pub(super) struct Parsed<const N: usize> {
     /// M56.
     pub parking_override: bool,
     pub extended: Extended,
-    /// Letters of the words in `value_words`.
+    /// Letters of the axis words, and of the words in `value_words`.
     pub values: Letters,
     /// Axes that have a word.
     pub axes: AxisMask,
@@ -128,7 +128,7 @@ impl ModalWords {
 type ValueWords = heapless::Vec<(u8, Decimal), { VALUES.count() + CENTRE_OF_MACH.count() }>;
 
 impl<const N: usize> Parsed<N> {
-    /// The result for a line without words, to which [`Parsed::read`] adds words.
+    /// Creates the result for a line without words, to which [`Parsed::read`] adds words.
     pub fn empty() -> Self {
         Self {
             groups: Groups::default(),
@@ -175,7 +175,8 @@ impl<const N: usize> Parsed<N> {
         Ok(())
     }
 
-    /// Like `read`, for callers that are not time-critical. It is not inlined, so they share one copy of the code.
+    /// Adds the words of a line like `read`, for callers that are not time-critical. This function is not inlined, so
+    /// all of them share one copy of the code.
     #[inline(never)]
     pub fn read_apart(&mut self, line: &[u8], dialect: Dialect, state: &mut Interpreter<N>) -> Result<(), Error> {
         self.read(line, dialect, state)

@@ -1,9 +1,13 @@
 //! Decides on lines after the end of a program (M2, M30): each line belongs to the next program, or to a subprogram
 //! (`O1001` .. `M99`). Subprograms are held for calls by M98 and G65 (see `computed/subprograms.rs`); their lines are
-//! not executed as they arrive. A build without subprograms refuses these lines. A *rest* is a pause in which the
-//! machine is idle and the host sends no line of a program. An O number (`O1001` .. `M30`) begins the next program only
-//! if it follows a tape mark, a reset, `$X`, or a rest right after the end of the program. Among subprograms, a rest is
-//! enough only if the O number is that of the program before them: then the host sends the same file again.
+//! not executed as they arrive. A build without subprograms refuses these lines.
+//!
+//! A *rest* is a pause in which the machine is idle and the host sends no line of a program. An O number begins the
+//! next program (`O1001` .. `M30`) only if it follows one of these:
+//! * a tape mark (`%`), a reset or `$X`,
+//! * a rest right after the end of the program,
+//! * a rest among subprograms, if the O number is that of the program before them: then the host sends the same file
+//!   again.
 //!
 //! ```text
 //!  Program ──M2, M30──▶ End ──O number──▶ Subprogram ──words outside of a subprogram, an error, $X,──▶ Refused
@@ -14,9 +18,9 @@
 //! ```
 //! A program that is held because it calls an unknown subprogram is dropped in the same cases as a subprogram, although
 //! its place is still `Program`. After a program or subprogram has been dropped, the host can still send its remaining
-//! lines, so these lines are refused. Neither a rest nor the `$X` that ends an alarm ends the refusal: the operator may
-//! only have looked at the machine before the sender continues. An M99 does not end the refusal either, because more
-//! lines of the same subprogram, which a GOTO can reach, may follow it.
+//! lines, so these lines are refused. A rest does not end the refusal, and neither does the `$X` that ends an alarm:
+//! the operator may only have looked at the machine before the sender continues. An M99 does not end the refusal
+//! either, because more lines of the same subprogram, which a GOTO can reach, may follow it.
 
 use super::program_number::{has_program_number, has_return, may_have_program_number};
 use super::state::{Interpreter, ProgramPlace};
@@ -120,9 +124,9 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Records that a line of the held text was refused while it ran, and with it the host's line that started the
-    /// text. Among subprograms, the text is the program that waited for them: this program ends, and the lines after it
-    /// are refused.
+    /// Records that `line`, a line of the held text, was refused while the text ran. The host's line that started the
+    /// text is refused with it. Among subprograms, the text is the program that waited for them: this program ends, and
+    /// the lines that follow are refused.
     #[cfg(feature = "full")]
     #[cold]
     #[inline(never)]

@@ -62,7 +62,8 @@ impl Angle {
         let rest = self.degrees().0 - quarters * QUARTER;
         let x = ((i128::from(rest) * RADIANS) >> (96 - FRACTION)) as i64;
         let square = product(x, x);
-        // 1 - x²/(a·b) · (1 - x²/(c·d) · ...), until the terms are below 2^-62.
+        // The cosine is 1 - x²/(1·2) · (1 - x²/(3·4) · ...), the sine is x · (1 - x²/(2·3) · (1 - x²/(4·5) · ...)),
+        // with x in radians. x is at most π/4, so after ten factors the next term is below 2^-62.
         let series = |first: i64| {
             (0..10).rev().fold(ONE, |sum, term| {
                 let factor = 2 * term + first;

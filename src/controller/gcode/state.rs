@@ -51,7 +51,7 @@ pub struct Interpreter<const N: usize> {
     pub(super) control_points: [ControlPoints; FULL_IMAGE as usize],
     /// Tangent at the end of the most recent G5; takes no memory in a build without splines.
     pub(super) tangent: [Option<Tangent>; FULL_IMAGE as usize],
-    /// The program has named the radius of a tool by D, which has no effect, except that G12 and G13 are refused.
+    /// Whether the program has named the radius of a tool by D. If so, G12 and G13 are refused; D has no other effect.
     pub(super) names_radius: bool,
     /// Where the host's next line is relative to the end of a program (M2, M30).
     pub(super) place: ProgramPlace,
@@ -81,8 +81,9 @@ pub(super) struct Tangent {
 }
 
 impl Tangent {
-    /// Returns the tangent behind the end point of a curve: mirrors the vector `arriving`, which leads from the end
-    /// point to the control point before it.
+    /// Returns the tangent with which the next curve continues smoothly from the end point of this one. `arriving` is
+    /// the vector from the end point to the last control point; the tangent has the opposite direction and the same
+    /// length.
     pub(super) fn behind<const N: usize>(end: &PerAxis<Coordinate, N>, arriving: [Coordinate; 2]) -> Self {
         Self { place: in_xy(end), way: arriving.map(|part| -part) }
     }
@@ -116,7 +117,8 @@ impl<const N: usize> Default for Interpreter<N> {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// The state after power-up of a new machine.
+    /// Creates the state after power-up of a new machine: the modal state is [`Modal::INITIAL`], all offsets and the
+    /// position are 0, and the tool in the spindle is unknown.
     pub fn new(memory: ProgramMemory<N>) -> Self {
         Self {
             modal: Modal::INITIAL,
@@ -239,24 +241,25 @@ impl<const N: usize> Interpreter<N> {
         Some(offset)
     }
 
-    /// Whether neither the table nor the setter nor G43.1 has given any tool a length.
+    /// Whether no length of any tool is known: the tool table is empty, no tool has been measured, and the tool length
+    /// offset is 0.
     pub(super) fn knows_no_length(&self) -> bool {
         self.tools.is_empty()
             && self.measured == Measured::NOTHING
             && self.offsets.tool_length == PerAxis::all(Coordinate::ZERO)
     }
 
-    /// The tool table.
+    /// Returns the tool table, including entries that a program has set in check mode.
     pub fn tools(&self) -> &ToolTable<N> {
         &self.tools
     }
 
-    /// The tool table, for restoring stored entries at power-up.
+    /// Returns the tool table, for restoring stored entries at power-up.
     pub fn tools_mut(&mut self) -> &mut ToolTable<N> {
         &mut self.tools
     }
 
-    /// The machine position at the end of all committed lines.
+    /// Returns the machine position at the end of all committed lines.
     pub fn position(&self) -> &PerAxis<Coordinate, N> {
         &self.position
     }
@@ -272,27 +275,27 @@ impl<const N: usize> Interpreter<N> {
         self.position = position;
     }
 
-    /// The control points of the latest G5.2, including those of a curve that G5.3 has ended.
+    /// Returns the control points of the latest G5.2 curve. They remain after G5.3 has ended the curve.
     pub fn control_points(&self) -> &[WeightedPoint] {
         self.control_points.first().map_or(&[], ControlPoints::all)
     }
 
-    /// The words of the latest canned cycle. They stay in force as long as the motion mode is this cycle.
+    /// Returns the words of the latest canned cycle. They stay in force as long as the motion mode is this cycle.
     pub fn cycle_words(&self) -> &CycleWords {
         &self.cycle
     }
 
-    /// The machine coordinate to which G98 returns in the current series of canned cycles.
+    /// Returns the machine coordinate to which G98 returns in the current series of canned cycles.
     pub fn cycle_level(&self) -> Coordinate {
         self.cycle.level + along(&self.offsets.tool_length, self.cycle.plane.axes().linear)
     }
 
-    /// The modal state.
+    /// Returns the modal state at the end of all committed lines.
     pub fn modal(&self) -> &Modal {
         &self.modal
     }
 
-    /// The modal state of the machine: in check mode, the modal state from before check mode.
+    /// Returns the modal state of the machine: in check mode, the modal state from before check mode.
     pub fn acting_modal(&self) -> &Modal {
         self.before_check.as_ref().map_or(&self.modal, |before| &before.modal)
     }
@@ -303,7 +306,7 @@ impl<const N: usize> Interpreter<N> {
         self.modal.coolant = coolant;
     }
 
-    /// Coordinate systems, G92, tool length offset, and the positions of G28 and G30.
+    /// Returns coordinate systems, G92, tool length offset, and the positions of G28 and G30.
     pub fn offsets(&self) -> &Offsets<N> {
         &self.offsets
     }
@@ -315,9 +318,9 @@ impl<const N: usize> Interpreter<N> {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// Returns the machine position of the work zero, which reports use as the work offset: a reported work position is
-    /// the tool's distance from this zero along the machine's axes. Includes the angle of the coordinate system but not
-    /// G68. In Grbl's dialect there are no rotations.
+    /// Returns the machine position of the work zero. Reports use it as the work offset: a reported work position is
+    /// the distance of the tool from this zero, along the machine's axes. Includes the angle of the coordinate system
+    /// but not G68. In Grbl's dialect there are no rotations.
     pub fn work_zero(&self, dialect: Dialect) -> PerAxis<Coordinate, N> {
         match dialect {
             Dialect::Grbl => self.work_offset(),
@@ -325,7 +328,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// The rotation by G68; `None` if no G68 is in force.
+    /// Returns the rotation by G68; `None` if no G68 is in force.
     pub fn rotation(&self) -> Option<&Rotation> {
         self.rotation.as_ref()
     }
@@ -335,7 +338,7 @@ impl<const N: usize> Interpreter<N> {
         self.computed.has_modal_call()
     }
 
-    /// The scaling by G51; `None` if no G51 is in force.
+    /// Returns the scaling by G51; `None` if no G51 is in force.
     pub fn scaling(&self) -> Option<&Scaling> {
         self.scaling.as_ref()
     }

@@ -38,7 +38,7 @@ impl<const N: usize> ToolTable<N> {
     /// A table in which all entries are free.
     pub const EMPTY: Self = Self([Tool { number: 0, offset: PerAxis::all(Coordinate::ZERO) }; TOOLS]);
 
-    /// All entries, the free ones included.
+    /// Returns all entries, including the free ones.
     pub fn entries(&self) -> &[Tool<N>] {
         &self.0
     }

@@ -199,7 +199,7 @@ pub enum Group {
 /// Returns the modal group of the word `G` or `M` with a number, in a dialect.
 ///
 /// # Errors
-/// The error with which a line that has this word is refused.
+/// The error with which a line is refused because the dialect or the build lacks this word.
 pub fn group_of(letter: u8, number: Decimal, dialect: Dialect) -> Result<Group, Error> {
     let code = Code::of(number);
     match letter {
@@ -234,7 +234,7 @@ impl Groups {
     /// The group of M70 to M73.
     pub const KEEP: Groups = Groups(1 << Group::Keep as u32);
 
-    /// Adds a group; an error if it is there already.
+    /// Adds a group, or returns an error if the set has it already.
     pub fn join(&mut self, group: Group) -> Result<(), Error> {
         if self.has(group) {
             return Err(Error::ModalGroupViolation);
@@ -498,7 +498,7 @@ impl GWord {
         }
     }
 
-    /// The modal group of the word.
+    /// Returns the modal group of the word.
     pub fn group(self) -> Group {
         match self {
             GWord::NonModal(_) => Group::NonModal,
@@ -590,7 +590,7 @@ impl MWord {
         })
     }
 
-    /// The modal group of the word.
+    /// Returns the modal group of the word.
     pub fn group(self) -> Group {
         match self {
             MWord::Pause | MWord::OptionalPause | MWord::End => Group::Flow,

@@ -53,7 +53,7 @@ pub(super) struct Draft<'a, const N: usize> {
     pub(super) purpose: Purpose,
     /// Command that uses the axis words. An implied motion also counts as such a command.
     pub(super) claim: Claim,
-    /// Letters of value words that no step has used yet.
+    /// Letters of the axis words and value words that no step has used yet.
     pub(super) unused: Letters,
     /// Rotation of the line's coordinates; `None` if they are not rotated.
     pub(super) rotated: Option<RotatedPlane>,

@@ -16,7 +16,7 @@ use crate::units::{Coordinate, Decimal};
 const BEFORE_THE_FIRST: usize = CoordinateSystem::OF_GRBL;
 
 impl<const N: usize> Draft<'_, N> {
-    /// G54.1 and G154 select a coordinate system by its number. G8, G187 and M29 only cause a notice.
+    /// G54.1 and G154 select a coordinate system by its number. G8 P, G103, G187 and M29 only cause a notice.
     pub(super) fn habits(&mut self) -> Result<(), Error> {
         let extended = &self.line.extended;
         if !FULL_IMAGE {
@@ -74,7 +74,7 @@ impl<const N: usize> Draft<'_, N> {
     }
 
     /// Whether D is the only unused word of the line and is allowed there: on a line with G40 or G43 to G49, or alone,
-    /// but not beside G12 and G13.
+    /// but not beside G12 and G13. If so, stores in the action whether D names the radius of a tool.
     #[inline(never)]
     pub(super) fn is_radius_register(&mut self) -> Result<bool, Error> {
         let mut others = self.line.values;

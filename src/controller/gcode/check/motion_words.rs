@@ -142,10 +142,11 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// G12 and G13, as on Mach: the tool moves along X by I, round its old position in a full circle, and back. I is
-    /// the radius of the tool's path. On Haas it is the radius of the wall, from which the tool's radius is subtracted, if
-    /// D has named one. So a line with a word of Haas (D, K, L, Q, Z) is refused, and any G12 or G13 after a D other than
-    /// D0.
+    /// G12 and G13, as on Mach: the tool feeds along X by I, moves in a full circle round its starting position, and
+    /// feeds back to that position. I is the radius of the tool's path.
+    ///
+    /// On Haas, I is the radius of the wall; if D has named the radius of a tool, the control subtracts it from I. So a
+    /// G12 or G13 is refused if its line has a word of Haas (D, K, L, Q, Z), or if it follows a D other than D0.
     #[inline(never)]
     fn circle(&mut self, clockwise: bool) -> Result<(), Error> {
         let axes = Plane::Xy.axes();

@@ -14,8 +14,8 @@ use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
 impl<const N: usize> Draft<'_, N> {
-    /// Determines rotation and scaling of the line's coordinates. Grbl's dialect has no words to end them, so neither
-    /// acts there.
+    /// Determines rotation and scaling of the line's coordinates. Grbl's dialect ignores both, because it has no words
+    /// to end them.
     #[inline]
     pub(super) fn rotation(&mut self) -> Result<(), Error> {
         let system = self.action.modal.coordinate_system;

@@ -34,7 +34,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// M70 to M73, which must be alone on their line.
+    /// M70 to M73. They must be alone on their line, except for a line number (N).
     pub(super) fn keep_state(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.extended.keep else { return Ok(()) };
         let mut others = self.line.values;

@@ -45,8 +45,8 @@ impl<const N: usize> Draft<'_, N> {
     }
 
     /// Replaces the coordinates of `target` in the rotated plane: `target` was computed without the rotation, the
-    /// result includes it. Also stores in the action the target's position in this plane, both without and with the
-    /// rotation, so that the next line can start from it without rounding.
+    /// result includes it. Also stores the target's program coordinates and machine coordinates in this plane in the
+    /// action, so that the next line can start from them without rounding.
     fn rotated_target(
         &mut self,
         rotated: RotatedPlane,
@@ -75,8 +75,8 @@ impl<const N: usize> Draft<'_, N> {
         target
     }
 
-    /// Adjusts the target of a G28 or G30 that names only one axis of the rotated plane: the other axis keeps its
-    /// program coordinate.
+    /// Adjusts the target of a G28 or G30 that names only one axis of the rotated plane: along the other axis, the
+    /// target has the same program coordinate as the intermediate point `via`.
     pub(super) fn go_in_rotated_plane(
         &self,
         stored: &PerAxis<Coordinate, N>,

@@ -62,7 +62,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// Modal group 8: sets the tool length offset, which affects the next moves of the axes.
+    /// Modal group 8: sets the tool length offset, which affects moves from this line on.
     pub(super) fn tool_length(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.tool_length else { return Ok(()) };
         let offset = match word {

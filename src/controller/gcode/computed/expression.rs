@@ -98,7 +98,7 @@ const BINARIES: [(&[u8], Binary); 15] = [
 ];
 
 impl Binary {
-    /// The precedence of the operator: a higher one binds more closely (RS274NGC, 3.3.2.3).
+    /// Returns the precedence of the operator: a higher one binds more closely (RS274NGC, 3.3.2.3).
     fn level(self) -> u8 {
         match self {
             Binary::Power => 5,
@@ -180,7 +180,7 @@ struct Reader<'a, F> {
 }
 
 impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
-    /// If `text` comes next, consumes it and returns `true`.
+    /// Consumes `text` if it comes next. Returns whether it came next.
     fn takes(&mut self, text: &[u8]) -> bool {
         match self.rest.strip_prefix(text) {
             Some(rest) => {
@@ -308,7 +308,7 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
     }
 
     /// Computes the waiting operators whose precedence is `level` or higher, the most recent one first. `value` is the
-    /// right operand of this one. Returns the result.
+    /// right operand of the most recent one. Returns the result.
     fn left_sides(&mut self, value: Real, level: u8) -> Result<Real, Error> {
         let mut value = value;
         while let Some(Waiting::Operator(operator, left)) = self.waiting.last().copied() {

@@ -36,9 +36,9 @@ pub(super) const MOST_HELD: usize = 12_288;
 pub const LEAST_HELD: usize = 6144;
 /// Maximum number of bytes of the held text that macros may take; the rest is for programs.
 pub(super) const MOST_MACROS: usize = 3072;
-/// Number of bytes that every line leaves free in the held text, except the first line of a subroutine or loop and the
-/// `ENDSUB` that replaces M99. So the label, by which the last line of the block is recognized, is recorded even if the
-/// other lines do not fit.
+/// Number of bytes that remain free in the held text after a line is added. Only two kinds of lines may use these
+/// bytes: the first line of a subroutine or loop, and the `ENDSUB` that replaces M99. So the label of a block is
+/// recorded even if its other lines do not fit, and the last line of the block is recognized by this label.
 pub(super) const SPARE: usize = 64;
 /// Maximum nesting of conditions, loops and calls: enough for 16 nested calls, each within two conditions.
 const DEPTH: usize = 48;
@@ -115,7 +115,8 @@ pub(super) const KEYWORDS: [(&[u8], Keyword); 15] = [
 ];
 
 /// A line with an O word, or with another word that controls the flow: M98, M99, G65, G66, GOTO, THEN, or an M word
-/// that calls a macro. `label` is empty for M98, M99, G65 and G66.
+/// that calls a macro. `label` is empty for M98, M99, G65 and G66. For THEN, `label` holds the words after THEN, for
+/// GOTO the line number to jump to; `arguments` holds the condition, if there is one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OWord<'a> {
     pub(super) label: &'a [u8],
@@ -253,8 +254,8 @@ impl<'a> OWord<'a> {
         if self.is_well_formed() { Ok(()) } else { Err(Error::FlowSyntax) }
     }
 
-    /// Whether this O word can follow an M2 or M30 of the same program that was only skipped or recorded, because a
-    /// block is open or the program is held. Calls, M99, THEN and GOTO cannot.
+    /// Whether this O word can come after the M2 or M30 of its program, if that M2 or M30 was only skipped or recorded
+    /// (because a block is open, or the program is held). Calls, M99, THEN and GOTO cannot.
     pub(super) fn may_follow_end(&self) -> bool {
         !matches!(
             self.keyword,
@@ -425,7 +426,8 @@ pub(super) struct FlowControl {
 }
 
 impl FlowControl {
-    /// `text`: empty buffer for the held text. `most`: maximum number of bytes of the text.
+    /// Creates the state at power-up. `text`: empty buffer for the held text. `most`: maximum number of bytes of the
+    /// text.
     pub fn new(text: Lent<HeldText>, most: usize) -> Self {
         Self {
             text,
@@ -525,14 +527,14 @@ impl FlowControl {
         self.find_own(label).or_else(|| self.find_macro(label))
     }
 
-    /// Like `find`, but only among the macros.
+    /// Finds a complete subroutine among the macros. Returns the positions of its first and second line.
     pub(super) fn find_macro(&self, label: &[u8]) -> Option<(u16, u16)> {
         let (at, behind) = self.find_sub(0, label)?;
         self.end_of_sub(behind, label).filter(|end| *end <= self.macros)?;
         Some((at, behind))
     }
 
-    /// Like `find`, but only among the subroutines of the program.
+    /// Finds a subroutine or subprogram of the program. Returns the positions of its first and second line.
     pub(super) fn find_own(&self, label: &[u8]) -> Option<(u16, u16)> {
         self.find_sub(self.macros, label)
     }
@@ -577,9 +579,9 @@ impl FlowControl {
         }
     }
 
-    /// Drops a refused subroutine, whose text begins at `from`, and an older subroutine with the same label. In its
-    /// place, a subroutine with this label and an invalid `endsub` remains. So a call of this label is an error, and
-    /// does not run a macro with the same label.
+    /// Drops a refused subroutine, whose text begins at `from`, and an older subroutine with the same label. An empty
+    /// subroutine with this label and an invalid `endsub` takes their place, so that a call of this label is an error
+    /// instead of a call of a macro with the same label. `end`: the `endsub` line without its arguments.
     pub(super) fn refuse_sub(&mut self, from: u16, label: &[u8], end: &[u8]) {
         let opening = 1 + self.line(from).map_or(0, <[u8]>::len);
         self.text.truncate(usize::from(from) + opening);
@@ -620,7 +622,7 @@ impl FlowControl {
         self.labels.get(self.labels.len().saturating_sub(length)..).unwrap_or_default()
     }
 
-    /// The innermost frame, if it has this label.
+    /// Returns the innermost frame, or an error if its label is a different one.
     pub(super) fn last(&mut self, label: &[u8]) -> Result<&mut Frame, Error> {
         if !self.is_of_last(label) {
             return Err(Error::FlowSyntax);
@@ -628,6 +630,8 @@ impl FlowControl {
         self.frames.last_mut().ok_or(Error::FlowSyntax)
     }
 
+    /// Continues with the held line at `at`. Fails after [`PASSES`] jumps within one line of the host, to end endless
+    /// loops.
     pub(super) fn go_back(&mut self, at: u16) -> Result<(), Error> {
         self.passes += 1;
         if self.passes > PASSES {
@@ -637,6 +641,8 @@ impl FlowControl {
         Ok(())
     }
 
+    /// Starts to execute the held text at `at`. `of_loop`: start of a text that was stored only for this execution (see
+    /// [`FlowState::Running`]).
     pub(super) fn run(&mut self, at: u16, of_loop: Option<u16>) {
         self.state = FlowState::Running(of_loop);
         self.next = at;
@@ -651,8 +657,8 @@ impl FlowControl {
         self.held_from = if let FlowState::Running(Some(from)) = self.state {
             from
         } else {
-            // The outermost call is that of a host's line. It returns to the lines that the host sends from now on:
-            // they are held at the end of the text.
+            // A line of the host has made the outermost call. The call returns to the lines that the host sends from
+            // now on, which are held at the end of the text.
             if let Some(call) = self.frames.get_mut(usize::from(self.below)) {
                 call.at = end;
             }

@@ -2,8 +2,9 @@
 //! of O words (see `flow`). Also calls of macros by M words: M10, M11, M100 to M199.
 //!
 //! A jump stays within the running text: a subprogram, a subroutine, a loop, or the held part of a program. It leaves
-//! the loops that do not contain its target. A jump into a loop is an error at the end of that loop. The stream has no
-//! jumps, because its earlier lines are gone and its later ones have not come.
+//! the loops that do not contain its target. A jump into a loop is an error at the end of that loop. A line that is
+//! executed as the host sends it cannot jump, because the lines before it are not stored and the lines after it have
+//! not arrived.
 
 use super::flow::{FlowControl, FlowState, FrameKind, HeldLine, Keyword, OWord};
 use crate::error::Error;

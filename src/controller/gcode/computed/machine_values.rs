@@ -175,7 +175,7 @@ impl<const N: usize> Interpreter<N> {
         })
     }
 
-    /// Returns a named parameter of the machine, whose name begins with `_`; `name` is the rest.
+    /// Returns a named parameter of the machine. `name` is the parameter's name without the leading `_`.
     fn named(&self, name: &[u8]) -> Result<Option<Real>, Error> {
         let modal = &self.modal;
         let truth = |holds| Ok(Some(Real::truth(holds)));

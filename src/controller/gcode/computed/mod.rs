@@ -81,7 +81,7 @@ pub(super) struct Computed<const N: usize> {
     input_read: i8,
     /// O number of the program; 0 if it has none.
     program: u32,
-    /// Size of the most recent held program that did not fit.
+    /// Number of bytes by which the most recent held program that did not fit was too long.
     overflow: Overflow,
 }
 
@@ -99,7 +99,7 @@ impl<const N: usize> Computed<N> {
         }
     }
 
-    /// Forgets parameters and held text, except the macros, and the results of subroutines, probing and M66.
+    /// Forgets the parameters, the results of subroutines, probing and M66, and the held text except the macros.
     pub fn reset(&mut self) {
         self.parameters.reset();
         self.flow.reset();
@@ -120,16 +120,16 @@ impl<const N: usize> Computed<N> {
         self.flow.modal.is_active()
     }
 
-    /// Forgets the program's O number, ends G66, and ends the count of the bytes that a held program lacks. Called when
-    /// another program begins.
+    /// Forgets the program's O number, ends G66, and ends the count of the bytes by which a held program is too long.
+    /// Called when another program begins.
     pub fn forget_number(&mut self) {
         self.end_modal_call();
         self.program = 0;
         self.overflow.end();
     }
 
-    /// If a held program did not fit into the memory, counts a further refused line of it, to tell by how many bytes
-    /// the program is too long. Counts only in builds with `reasons`.
+    /// If a held program did not fit into the memory, adds a further refused line of the program to the count of the
+    /// bytes by which the program is too long. Counts only in builds with `reasons`.
     pub fn count_refused(&mut self, line: &[u8]) {
         if REASONS {
             self.overflow.count(&self.flow, line);
@@ -163,7 +163,7 @@ impl<const N: usize> Computed<N> {
         self.parameters.level()
     }
 
-    /// M2, M30: forgets everything local to the program, including its subroutines.
+    /// Ends the program (M2, M30): forgets everything local to the program, including its subroutines.
     pub fn end_program(&mut self) {
         self.flow.end_program();
         self.parameters.end_program();

@@ -60,7 +60,7 @@ impl ModalCall {
         self.is_due = false;
     }
 
-    /// Called for each line before it runs; `level` is the present level of calls. Ends the modal call if the line has
+    /// Examines each line before it runs; `level` is the present level of calls. Ends the modal call if the line has
     /// G67, or if `level` is lower than that of G66. If the line moves an axis, the call becomes due: it runs after the
     /// line.
     #[inline(never)]

@@ -182,7 +182,7 @@ impl<const N: usize> Interpreter<N> {
         None
     }
 
-    /// Always an error: there is no room for macros.
+    /// Returns an error in all cases: there is no room for macros.
     ///
     /// # Errors
     /// [`Error::ExpressionsLeftOut`]

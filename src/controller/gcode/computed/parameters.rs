@@ -27,7 +27,7 @@ pub(super) const NAME_LENGTH: usize = 32;
 const HEAD: usize = 2;
 /// Size of the part of a cell after its key, in bytes: the parameter's value (mantissa and exponent).
 const TAIL: usize = 9;
-/// Level stored in the cell of a global parameter, in place of the call to which a local parameter belongs.
+/// Level stored in the cell of a global parameter. The cell of a local parameter has the level of its call.
 const GLOBAL: u8 = u8::MAX;
 /// Highest number of a local parameter.
 const LOCAL_END: i64 = 30;

@@ -36,8 +36,8 @@ pub(super) struct Real {
 }
 
 /// Returns the remainder of a division. Not inlined, because the code of an `i128` division takes a few KB on a 32-bit
-/// processor. One of the operands must fit 64 bits; then the remainder does, too, because it is no larger than either
-/// operand.
+/// processor. One of the operands must fit 64 bits. Then the remainder fits 64 bits, too, because it is no larger than
+/// either operand.
 #[inline(never)]
 fn remainder(dividend: i128, divisor: i128) -> i64 {
     (dividend % divisor) as i64
@@ -413,7 +413,8 @@ fn over(a: i64, b: i64) -> i64 {
     ((i128::from(a) << BITS) / i128::from(b)) as i64
 }
 
-/// Returns `first` × (1 - x²/((n)(n+1)) + ...): the sine for `first` = x and `n` = 2, the cosine for 1 and 1.
+/// Returns `first` × (1 - x²/(n(n+1)) + x⁴/(n(n+1)(n+2)(n+3)) - ...), where x is an angle in radians and `square` is
+/// x². The result is the sine of x for `first` = x and `n` = 2, and the cosine of x for `first` = 1 and `n` = 1.
 #[inline(never)]
 fn sine_series(first: i64, square: i64, n: i64) -> i64 {
     let (mut term, mut sum) = (first, first);

@@ -10,11 +10,13 @@
 //!                                                                   ▲   number              │ call of an unknown number
 //!                                                                   └──────────── Waiting ◀─┘
 //! ```
-//! Guarantees: a line of a subprogram is executed only by a call. If a line of the held program or of a subprogram is
-//! refused before the program continues, none of the held lines is executed, and all lines that follow are refused. The
-//! same happens if the machine is idle and the host sends nothing for a while, because the next line can then be that
-//! of another file. M99 without a call means that a subprogram has been taken for the program: all following lines are
-//! refused. A subprogram is valid only in its file: if no program waits for the subprogram, it is read and forgotten.
+//! Guarantees:
+//! * A line of a subprogram is executed only by a call.
+//! * If a line of the held program or of a subprogram is refused before the program continues, the held lines are
+//!   dropped without being executed, and all lines that follow are refused. The same happens if the machine is idle and
+//!   the host sends nothing for a while, because the next line can then belong to another file.
+//! * M99 without a call means that a subprogram has been taken for the program: all following lines are refused.
+//! * A subprogram is valid only in its file. If no program waits for the subprogram, it is read and forgotten.
 //!
 //! M98 and G65 do not call macros. Otherwise a call in a file whose own subprogram comes later would run a macro with
 //! the same number instead.
@@ -158,7 +160,7 @@ impl<const N: usize> Interpreter<N> {
     pub(in crate::gcode) fn look_among_subprograms(&mut self, line: &[u8]) -> bool {
         let flow = &self.computed.flow;
         let belongs = match flow.state {
-            // Whether this line belongs to the held program, `hold_line` decides later. It refuses an O number before
+            // `hold_line` decides later whether this line belongs to the held program. It refuses an O number before
             // the end of the program.
             FlowState::Holding => return true,
             FlowState::Recording(..) => self.is_held(),
@@ -257,10 +259,10 @@ impl<const N: usize> Interpreter<N> {
         Ok(Direction::LeftOut)
     }
 
-    /// Records a line of a subprogram. M99 ends the subprogram, unless the M99 is within a condition or loop. Then the
-    /// program that waits for the subprogram continues. If no program waits, the subprogram is forgotten, because no
-    /// later program may call it. If a line has a program number, M2 or M30, or if the memory is full, refuses the line
-    /// and all lines that follow.
+    /// Records a line of a subprogram. An M99 outside of conditions and loops ends the subprogram, and the program that
+    /// waits for the subprogram continues. If no program waits, the subprogram is forgotten, because no later program
+    /// may call it. If a line has a program number, M2 or M30, or if the memory is full, refuses the line and all lines
+    /// that follow.
     #[inline(never)]
     fn record_subprogram(
         &mut self,

@@ -18,12 +18,12 @@ use crate::gcode::word::{Claim, NonModal, ToolLength};
 use crate::gcode::{Dialect, Reason};
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal, integer_root};
 
-/// The words M62 to M68, in tenths.
+/// The numbers of M62 to M68, in tenths: M62 is 620.
 const PINS: [u16; 7] = [620, 630, 640, 650, 660, 670, 680];
-/// G words that are allowed in a jog, in tenths.
+/// The numbers of the G words that are allowed in a jog, in tenths: G20 is 200.
 const OF_JOGS: [u16; 5] = [200, 210, 530, 900, 910];
-/// A correction of one word of an arc's centre is suggested only if the square of the chord is at most this many times
-/// the square of the chord's part along the axis of that word.
+/// A corrected value of I, J or K is suggested only if the arc's chord is at most 50 times as long as the chord's part
+/// along the axis of that word. This constant is the square of 50, because squares are compared.
 const FLATTEST: f32 = 2500.0;
 
 /// A refused line whose words could be read.
@@ -688,8 +688,8 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         if absolute || self.modal.units == Units::Inch || [x, y] == [0, 0] {
             return say(out, "Correct I, J or the end", &[]);
         }
-        // Usually one of the two words is wrong. Suggest for each the value that goes with the other: a centre at (i, j)
-        // is equally far from both ends if x * i + y * j is half the square of the chord (x, y).
+        // Usually one of the two words is wrong. Suggest for each word the value that fits the other word: a centre at
+        // (i, j) is equally far from both ends if x * i + y * j is half the square of the chord (x, y).
         let [first, second] = [axes.first, axes.second].map(centre_letter);
         let square = x as f32 * x as f32 + y as f32 * y as f32;
         let mut before = "Write ";
@@ -706,7 +706,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             say(out, " with ", &[]);
             let _ = out.push(kept);
             millimetres(out, centre);
-            // Half a number would be a wrong one.
+            // There is no room for the whole suggestion. Remove it, because a truncated number would be a wrong one.
             if out.is_full() {
                 return out.truncate(length);
             }

@@ -171,7 +171,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Explains a refused word: it is wrong by itself, or it conflicts with an earlier word of the line. Writes nothing
-    /// unless its error is `told`, the error with which the line was refused.
+    /// if the error of the word differs from `told`, the error with which the line was refused.
     #[inline(never)]
     pub(super) fn explain_word(&mut self, text: &Text, found: RefusedWord, told: Error, out: &mut Reason) {
         let line = text.line;
