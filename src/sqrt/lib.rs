@@ -20,9 +20,9 @@ pub fn square_root(value: f32) -> f32 {
     libm::sqrtf(value)
 }
 
-/// The square root under the C library's name. LLVM knows what a function with this name returns and sees that this one
-/// has no other effect, so it replaces each call by the instruction `vsqrt`. Then no registers are saved around a call,
-/// and code that does not use the result can run before the result is ready.
+/// The square root under the C library's name. LLVM recognizes a function of this name as the square root and detects
+/// that this one has no other effect, so it replaces each call by the instruction `vsqrt`. Then no registers are saved
+/// around a call, and code that does not use the result can run before the result is ready.
 ///
 /// Inline assembly cannot name floating-point registers as operands on this processor. So `s0` is used by name, and its
 /// value is restored.

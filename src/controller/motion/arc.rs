@@ -142,8 +142,8 @@ struct Plain {
 
 /// Returns the sine of an angle in rad. An angle above 90 degrees counts as 90 degrees.
 ///
-/// Computed in integers, because the sine of `libm` computes in `f64`, which these processors do in software, and fills
-/// 5 KB of flash.
+/// Computed in integers, because the sine of `libm` takes 5 KB of flash and computes in `f64`, which these processors
+/// emulate in software.
 #[inline(never)]
 fn sine(angle: f32) -> f32 {
     const QUARTER_BITS: u32 = core::f32::consts::FRAC_PI_2.to_bits();
@@ -187,7 +187,7 @@ impl<const N: usize> ArcGeometry<N> {
         let end_radius = integer_length(to[0].0, to[1].0);
         let first = direction(from[0].0, from[1].0, start_radius);
         let last = direction(to[0].0, to[1].0, end_radius);
-        // A product of two 2^-30 fractions has 60 bits, and the sum of two products 61.
+        // Each product is at most 2^60, so the sum of two products is at most 2^61 and fits an `i64`.
         let cross = (product(first[0], last[1]) - product(first[1], last[0])) as f32;
         let dot = (product(first[0], last[0]) + product(first[1], last[1])) as f32;
         let mut sweep = libm::atan2f(cross, dot);
@@ -216,7 +216,8 @@ impl<const N: usize> Arc<N> {
         let turns = geometry.turns as f32 * TURN;
         let angle = if geometry.clockwise { sweep - turns } else { sweep + turns };
 
-        // The sagitta of a chord with half angle h is r·(1 - cos h).
+        // A chord with half angle h deviates from its arc by r·(1 - cos h), the sagitta. `half` is the h whose sagitta
+        // equals the tolerance.
         let radius = Coordinate(start_radius.max(end_radius)).to_mm();
         let tolerance = tolerance.max(LEAST_TOLERANCE);
         let half = if tolerance < radius {
@@ -335,7 +336,7 @@ impl<const N: usize> Arc<N> {
     }
 
     /// Returns the point of the arc in the direction `unit` from the centre. `share`: the share of the whole arc before
-    /// it, from which its radius and the other axes follow.
+    /// this point. It determines the radius (on a spiral) and the positions of the other axes.
     #[inline(always)]
     fn point(&self, share: f32) -> PerAxis<Coordinate, N> {
         let [x, y] = self.unit;

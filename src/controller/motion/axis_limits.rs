@@ -22,7 +22,7 @@ const GREATEST_CURVE_SHARE: f32 = 100.0;
 const GREATEST_DEVIATION: f32 = 1.0e3;
 /// Lower bound of an axis' jerk setting, mm/s³, if the setting is not 0.
 const LEAST_JERK: f32 = 1.0;
-/// Upper bound of an axis' jerk setting, mm/s³; also stands for no limit.
+/// Upper bound of an axis' jerk setting, mm/s³; also the value for an axis without a limit.
 const GREATEST_JERK: f32 = 1.0e10;
 /// Minimum time in which the maximum acceleration is built up, s. It is as long as several segments: the acceleration
 /// is constant within a segment, so a single one cannot build it up gradually.
@@ -95,7 +95,8 @@ impl<const N: usize> AxisLimits<N> {
         bounded(programmed, self.least_feed, GREATEST_SPEED)
     }
 
-    /// Returns the maximum acceleration and speed along a straight path with displacement `way`.
+    /// Returns the maximum acceleration (mm/s²) and the maximum speed (mm/s) along a straight path with the
+    /// displacement `way` and the length `length`, both in mm.
     pub(super) fn along(&self, way: &PerAxis<f32, N>, length: f32) -> (f32, f32) {
         self.along_shares(&shares(way, length))
     }

@@ -1,6 +1,7 @@
-//! Backlash compensation. After a reversal a motor must turn through the slack of its drive before the tool follows.
-//! This module tracks the *lead* of each motor, the number of steps by which the motor is ahead of the tool. It adds
-//! the steps through the slack to the moves after the reversal: the motor *takes up* the slack.
+//! Backlash compensation. After a reversal, a motor must turn through the backlash of its drive (`slack`, in steps)
+//! before the tool follows. This module tracks the *lead* of each motor: the number of steps by which the motor is
+//! ahead of the tool. To the moves after a reversal it adds the steps that turn the motor through the backlash: the
+//! motor *takes up* the backlash.
 //!
 //! ```text
 //!   - ◀───▶ +    The motor M moves in a gap of the tool's drive. The gap is as wide as the slack.
@@ -8,32 +9,32 @@
 //!   [M      ]    M moves to negative and pushes at the lower end of the gap: motor = tool
 //!   [      M]    M moves to positive and pushes at the upper end of the gap: motor = tool + slack
 //! ```
-//! The extra steps change the direction of the motors' path. They are spread over so much of the tool's path that the
-//! corner rule ([`super::junction`]) allows this change of direction at full speed. In this file, steps are motor
-//! steps.
+//! The extra steps change the direction of the motors' path. They are spread over a part of the tool's path that is
+//! long enough for the corner rule ([`super::junction`]) to allow this change of direction at full speed. In this file,
+//! steps are motor steps.
 //!
 //! Guarantees:
 //! * When the queue has run empty and the machine is at rest, all extra steps have been made.
 //! * The position of the tool is known at any time, because it follows from that of the motors: the tool moves only
-//!   while its motor pushes against one end of the slack.
+//!   while its motor pushes against one end of the gap.
 
 use super::trapezoid::{lesser, square_root};
 use crate::axes::PerAxis;
 
-/// Minimum of [`share`], even if the corner rule allows less: a motor may always turn through its slack by 2 % of a
-/// move's length. With a smaller share the tool would be off its position for a long distance (with a junction
-/// deviation of 0, for ever).
+/// Minimum of [`share`], even if the corner rule allows less: a motor may always take up backlash of 2 % of the move's
+/// length (2 mm in a move of 100 mm). With a smaller share, the tool would be off its position for a long distance (for
+/// ever, if the junction deviation is 0).
 const LEAST_SHARE: f32 = 0.02;
-/// Maximum of [`share`]: a motor may turn through its slack by at most a move's length. With more, the motor would
-/// exceed twice the tool's speed.
+/// Maximum of [`share`]: in a move, a motor takes up at most as much backlash as the move is long. With more, the motor
+/// would exceed twice the tool's speed.
 const GREATEST_SHARE: f32 = 1.0;
 
-/// The slack of each motor's drive, and the state of its compensation at the end of the queue.
+/// The backlash of each motor's drive, and the state of its compensation at the end of the queue.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Backlash<const N: usize> {
-    /// Steps of slack; 0 = none.
+    /// Backlash in steps; 0 = none.
     slack: [i32; N],
-    /// Whether any motor has slack.
+    /// Whether any motor has backlash.
     is_on: bool,
     /// Steps by which each motor leads the tool at the end of the queue, 0 to `slack`.
     lead: [i32; N],
@@ -64,14 +65,14 @@ impl<const N: usize> Motors<N> {
 impl<const N: usize> Backlash<N> {
     pub(super) const NONE: Self = Self { slack: [0; N], is_on: false, lead: [0; N], wanted: [0; N] };
 
-    /// Sets the slacks, and limits each lead to them.
+    /// Sets the backlash of each motor, and limits each lead to it.
     pub(super) fn configure(&mut self, slack: [i32; N]) {
         self.slack = slack;
         self.is_on = slack.iter().any(|slack| *slack != 0);
         self.rest(self.lead);
     }
 
-    /// Returns `lead` limited to the slack.
+    /// Returns `lead` with the steps of each motor limited to the range from 0 to its backlash.
     pub(super) fn lead_within(&self, mut lead: Lead<N>) -> Lead<N> {
         for (lead, slack) in lead.iter_mut().zip(self.slack) {
             *lead = (*lead).clamp(0, slack);
@@ -96,7 +97,7 @@ impl<const N: usize> Backlash<N> {
         self.wanted = lead;
     }
 
-    /// Returns whether any motor has slack.
+    /// Returns whether any motor has backlash.
     #[inline]
     pub(super) fn is_on(&self) -> bool {
         self.is_on
@@ -140,9 +141,9 @@ impl<const N: usize> Backlash<N> {
     }
 
     /// Returns the signed steps that each motor must still make at the end of the queue, and counts them as made.
-    /// `short`: for each motor, the signed steps that the tool still lacks to its programmed position. They are not 0
-    /// if a move after a reversal ended before the motor had turned through the slack. In that case the returned steps
-    /// bring the tool to its position.
+    /// `short`: for each motor, the signed steps by which the tool is short of its programmed position. They are not 0
+    /// if a move after a reversal ended before the motor had turned through the backlash. In that case the returned
+    /// steps bring the tool to its position.
     pub(super) fn finish(&mut self, short: &[i32; N]) -> [i32; N] {
         let mut taken = [0; N];
         let wanted = self.wanted.into_iter().zip(self.slack).zip(short);
@@ -178,7 +179,7 @@ impl<const N: usize> Backlash<N> {
 /// length. This share is the angle (rad) by which the extra steps change the direction of the path. It is half of the
 /// angle that the corner rule allows at `speed` (mm/s); the other half is left for changes of direction in the tool's
 /// path, such as those between the chords of an arc. For a small angle φ the rule is v² = 8·a·d/φ²
-/// (`TurnRule::junction2`).
+/// (`TurnRule::junction2`), with the speed v, the acceleration a (mm/s²), and the junction deviation d (mm).
 pub(super) fn share(acceleration: f32, deviation: f32, speed: f32) -> f32 {
     let angle = 0.5 * square_root(8.0 * acceleration * deviation) / speed;
     // If `angle` is NaN, the comparison is false, and the share is the minimum.

@@ -24,9 +24,9 @@
 //!
 //! Instead of one turn by t, the path makes two turns by t/2, for which the rule for turns ([`super::junction`]) allows
 //! a higher speed v. The piece between them has the length L that the axes need for this speed: v² - v·J = a·L/t, with
-//! the acceleration a and the speed J that the rule allows at the unchanged corner. From this follows the radius: L =
-//! 2·r·tan(t/4). It is smaller if the maximum e or d requires it. If the turns by t/2 limit the speed more than the
-//! maximum e and d do, and t exceeds 1.2 rad, four turns by t/4 replace them.
+//! the acceleration a and the speed J that the rule allows at the unchanged corner. From this L follows the radius r,
+//! because L = 2·r·tan(t/4). The radius is smaller if the maximum e or d requires it. If the turns by t/2 limit the
+//! speed more than the maximum e and d do, and t exceeds 1.2 rad, four turns by t/4 replace the two turns.
 //!
 //! Two kinds of turns are not cut off:
 //! * Turns of 0.25 to 0.6 rad: the two halves would count as a bend ([`super::curvature`]), for which the speed J of a
@@ -74,10 +74,11 @@ impl Tolerance {
     /// No deviation: the tool follows the programmed path exactly.
     pub const EXACT: Self = Self { path: 0.0, merging: 0.0 };
 
-    /// Returns the usable tolerance for a junction deviation d. Merging is limited to half of the total, which leaves
-    /// the rest for the corners at the ends of the merged move. It is also limited to d, so that it slows down no
-    /// curve: moves along a curve of radius R, merged with a deviation of m, meet at corners of t = 2·√(2·m/R). Such a
-    /// corner allows J² = 8·a·d/t² = a·R·d/m, which is no less than the curve's a·R if m ≤ d.
+    /// Returns the usable tolerance for a junction deviation d. The deviation m of merged moves is limited to
+    /// * half of the total, which leaves the rest for the corners at the ends of the merged move;
+    /// * d, so that merging slows down no curve. Moves along a curve of radius R that are merged with the deviation m
+    ///   meet at corners of the angle t = 2·√(2·m/R). With the acceleration a, such a corner allows the speed² J² =
+    ///   8·a·d/t² = a·R·d/m. If m ≤ d, this is at least a·R, the speed² that the curve itself allows.
     pub(super) fn bounded(self, junction_deviation: f32) -> Self {
         let merging = lesser(lesser(self.merging, 0.5 * self.path), junction_deviation);
         Self { merging, ..self }
@@ -127,8 +128,7 @@ impl<const N: usize> Slopes<N> {
         }
     }
 
-    /// Returns whether the straight line from the start to `way` passes all points that were added within their
-    /// distance.
+    /// Returns whether the straight line from the start to `way` passes all added points closely enough.
     fn allow(&self, way: &[f32; N]) -> bool {
         let Some(along) = self.along(way) else { return false };
         let share = 1.0 / along;
@@ -379,7 +379,6 @@ impl<const N: usize> Blend<N> {
         self.held.iter_mut().flatten().last()
     }
 
-    /// Returns whether there is no room for another move.
     pub(super) fn is_full(&self) -> bool {
         self.held.iter().all(Option::is_some)
     }

@@ -18,7 +18,7 @@ pub(super) const SCALE_POWER: u8 = 4;
 pub(super) const MARK_SHIFT: u32 = 3;
 
 /// The dominant axis of a block must have fewer steps than this. At 16 units per step, the block then has less than
-/// 2^30 units. The countdown to an axis' next step (`dda`) lies between minus and plus this number, so it fits a signed
+/// 2^30 units. The countdown to an axis' next step (`dda`) is between minus and plus this number, so it fits a signed
 /// 32-bit number.
 pub(super) const MAX_STEPS: u32 = 1 << AxisSteps::STEP_BITS;
 
@@ -58,7 +58,7 @@ pub struct Block<const N: usize> {
     pub(super) jerk: f32,
     /// Ramp from the entry to the next anchor; only with a jerk limit.
     pub(super) ramp: Ramp,
-    /// The bend on which the block lies. It takes a part of `acceleration` that grows with the speed.
+    /// The bend that the block is part of. The bend takes a share of `acceleration` that grows with the speed.
     pub(super) curve: CurveLoad,
     pub(super) power: u16,
     pub(super) directions: u8,
@@ -77,8 +77,8 @@ fn of_upper(upper: u16) -> f32 {
 /// The upper half of an infinite `f32` ([`upper`]).
 const INFINITY: u16 = 0x7F80;
 
-/// A bend of radius R on which a block lies. At its maximum speed v² = a·R the bend takes all of the acceleration a, at
-/// a lower speed the share r = v²/(a·R). The rest is left for speeding up and braking.
+/// A bend of radius R that a block is part of. At its maximum speed v, where v² = a·R, the bend takes all of the
+/// acceleration a. At a lower speed, it takes the share r = v²/(a·R). The rest is left for speeding up and braking.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CurveLoad {
     /// [`INFINITY`] minus the upper half (16 bits) of the bend's maximum speed², an `f32`. So 0 means no bend.
@@ -157,11 +157,13 @@ impl CurveLoad {
         }
     }
 
-    /// Returns how much of the acceleration `along` (allowed in the path's direction) is left at a speed². Each of two
-    /// values keeps the accelerations along and across the path together within each axis' limit (a and r as in
-    /// [`CurveLoad`]). The first is a·√(1 - r²), because the two accelerations are perpendicular; its root is at least
-    /// [`LEAST_SHARE`]. The second is along·(1 - r), because the shares r and 1 - r of an axis' limit add up to 1.
-    /// Returns the larger value, at most `along`.
+    /// Returns how much of the acceleration `along` (the maximum in the path's direction) is left at a speed². Two
+    /// formulas keep the accelerations along and across the path together within each axis' limit (a and r as in
+    /// [`CurveLoad`]):
+    /// * a·√(1 - r²), because the two accelerations are perpendicular; the root counts as at least [`LEAST_SHARE`];
+    /// * along·(1 - r), because the shares r and 1 - r of an axis' limit add up to 1.
+    ///
+    /// Returns the larger result, at most `along`.
     #[inline]
     pub(super) fn left(self, along: f32, speed2: f32) -> f32 {
         if self.is_none() { along } else { self.left_in_bend(along, speed2) }
@@ -291,8 +293,8 @@ impl<const N: usize> Block<N> {
 
     /// Returns the bounds on changes of speed in the block.
     ///
-    /// In a bend, this is the acceleration that the bend leaves at nine tenths of the maximum entry speed², because a
-    /// ramp needs its maximum acceleration about half way up, below that speed.
+    /// In a bend, the acceleration bound is the acceleration that the bend leaves at nine tenths of the maximum entry
+    /// speed², because a ramp needs its maximum acceleration about half way up, below that speed.
     #[inline]
     pub(super) fn bounds(&self) -> Bounds {
         let acceleration = self.acceleration_at(RAMP_SHARE * self.max_entry2);

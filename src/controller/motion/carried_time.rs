@@ -8,18 +8,18 @@
 use super::Speed;
 use super::trapezoid::{greater, lesser};
 
-/// Maximum time by which preceding moves without a step prolong a feed move, s. A feed move of longer duration is
-/// prolonged by its own duration at most.
+/// Maximum time by which preceding moves without a step prolong a feed move, s. If the feed move itself takes longer
+/// than this, it is prolonged by its own duration at most.
 const MOST_SLOWED_S: f32 = 0.05;
 
-/// The programmed time of the length carried over to the next block, that of moves without a step. Meaningless while no
+/// The programmed time of moves without a step whose length is carried over to the next block. Meaningless while no
 /// length is carried over.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CarriedTime {
     /// Duration of these moves, s; negative if the last block was longer than its moves; NaN (unknown) if there are
     /// rapids among them.
     seconds: f32,
-    /// The common feed of the carried length, mm/s; 0: several feeds.
+    /// The common feed of the carried length, mm/s; 0: several feeds, or rapids.
     feed: f32,
 }
 

@@ -67,9 +67,9 @@ impl<const N: usize> Contact<N> {
 /// complete. `interval`: interval of the present tick, in the same fixed point; `braking`: units per squared step-clock
 /// tick.
 ///
-/// A tick of `u` units at the interval T is a speed v = u/T, and v² falls by 2·a·u from tick to tick: with k = a·T²/u
-/// the next interval is T / sqrt(1 - 2k), computed by the first terms of its series. The ramp ends with the tick that
-/// would reduce v² to 0.
+/// A tick that advances u units in the interval T has the speed v = u/T. With the deceleration a (`braking`), v² falls
+/// by 2·a·u from tick to tick. So the next interval is T / √(1 - 2k), where k = a·T²/u. It is computed by the first
+/// terms of its series. The ramp ends with the tick that would reduce v² to 0.
 #[inline(always)]
 pub(super) fn braked_interval(interval: u32, units_per_tick: u32, braking: f32) -> Option<u32> {
     let ticks = interval as f32 / (1 << INTERVAL_FRACTION_BITS) as f32;

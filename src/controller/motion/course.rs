@@ -1,8 +1,9 @@
 //! The block that the step generator is running ([`Course`]): rates, threshold and length in units (16 for each step of
 //! the axis with the most steps), and the exact start of each axis between two steps.
 //!
-//! No position is counted, because that would take time at each tick. The position follows exactly from the units that
-//! the block has advanced and from each axis' remainder until its next step. The arithmetic is that of `measure`.
+//! The position is not updated at each tick, because that would take time. When it is needed, it is computed exactly
+//! from the units that the block has advanced and from each axis' remainder until its next step. The arithmetic is that
+//! of `measure`.
 
 use super::measure::{Measure, advance, inverse, parts_beyond, signed_add, steps_and_rest};
 use crate::axes::PerAxis;
@@ -13,8 +14,8 @@ use core::sync::atomic::{Ordering, compiler_fence};
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(super) struct Course<const N: usize> {
-    /// Offset of each axis' exact start from the nearest full step; a step counts as `threshold`. Negative numbers are
-    /// wrapped.
+    /// Offset of each axis' exact start from the nearest full step, in parts of a step: a full step has `threshold`
+    /// parts. Negative numbers are wrapped.
     pub(super) beyond: [u32; N],
     /// Amount by which each unit reduces an axis' remainder until its next step.
     pub(super) rates: [u32; N],

@@ -68,7 +68,7 @@ const HISTORY: usize = 4;
 const _: () = assert!(HISTORY.is_power_of_two(), "the indices of a ring wrap");
 /// Sideways error that rounding of the coordinates can cause at the two ends of a span together, in digits (values of
 /// the last decimal place). Half a digit on each of two axes shifts a point by 0.71 digits, on each of three axes by
-/// 0.87; 1.5 lies between the sums for two points, 1.41 and 1.73.
+/// 0.87; 1.5 is between the sums for two points, 1.41 and 1.73.
 pub(super) const DIGITS_ASIDE: f32 = 1.5;
 /// Minimum ratio of a span's chord to its path. Below it the span does not count as the chord of a bend. Half a circle
 /// has 2/π = 0.64.
@@ -79,9 +79,9 @@ const LARGE_TURN2: f32 = 0.36;
 /// A large turn over several spans counts as a bend, not as a corner between straight pieces, only if its first and its
 /// last turn from span to span each have at least this share of its q².
 const ENDS2: f32 = 1.0 / 36.0;
-/// Maximum radius of a large turn (its path length L divided by its angle t), as a multiple of the junction deviation,
-/// up to which [`ENDS2`] alone decides. Beyond it, the J² of the smaller turns from span to span is negligible compared
-/// with a·L/t.
+/// Maximum radius of a large turn, as a multiple of the junction deviation, up to which [`ENDS2`] alone decides whether
+/// the turn counts as a bend. The radius is the turn's path length L divided by its angle t. Beyond this radius, the J²
+/// of the smaller turns from span to span is negligible compared with a·L/t.
 const VAGUE: f32 = 72.0;
 /// Of three consecutive turns, the middle one is no corner if its q² is less than this multiple of the lower q² of the
 /// other two.
@@ -89,8 +89,8 @@ const EVEN2: f32 = 9.0;
 /// Maximum q² (0.25 rad) of a turn between two spans from which a radius of curvature is computed. The radius of a
 /// larger turn would only be a mean over a long distance.
 const GENTLE2: f32 = 0.0625;
-/// Maximum q² (0.1 rad) of a turn that [`Span::note_turn`] compares with the speed in advance. [`HISTORY`] such turns
-/// in a row have a q of at most 0.1 · [`HISTORY`] in total.
+/// Maximum q² (0.1 rad) of a turn for which [`Span::note_turn`] checks in advance whether the turn allows the
+/// attainable speed. [`HISTORY`] such turns in a row have a q of at most 0.1 · [`HISTORY`] in total.
 const LITTLE_TURN2: f32 = 0.01;
 /// Lower bound of s = cos(t/2) for a turn t that consists of [`HISTORY`] turns of at most 0.1 rad ([`LITTLE_TURN2`]).
 const LITTLE_TURNS_SINE: f32 = 0.95;
@@ -100,8 +100,9 @@ const STEEP: f32 = 1.005;
 /// If a bend's speed² exceeds the maximum speed² by more than this factor, the bend leaves the acceleration along the
 /// path unchanged, within 5 %.
 pub(super) const NOTICEABLE: f32 = 3.2;
-/// Number of points of which [`LastDigit`] keeps the finest resolution. One point is not enough, because a number
-/// without its trailing zeros seems to have a coarser resolution than the program.
+/// Number of points in a record of [`LastDigit`]. It keeps the finest resolution of two records, the present one and
+/// the one before. One point is not enough, because a number without its trailing zeros seems to have a coarser
+/// resolution than the program.
 const POINTS: u8 = 32;
 
 /// A limit for the blocks from `nearest` to `farthest`, counted back from the newest one, which is 0.
@@ -228,8 +229,8 @@ impl<const N: usize> Span<N> {
             return None;
         }
         let length = between + old.half() + self.half();
-        // A first check with bounds on the safe side: subtracting noise does not make the turn larger, and s = √(1 -
-        // q²/4) is no less than 1 - q²/4.
+        // A first check with bounds on the safe side: subtracting noise can only make the turn smaller, and s = √(1 -
+        // q²/4) is at least 1 - q²/4.
         if rule.is_surely_faster(rule.least, length, all2, 1.0 - 0.25 * all2, fast2) {
             return None;
         }
@@ -320,7 +321,7 @@ pub(super) struct PathPiece<'a, const N: usize> {
     pub digit: f32,
 }
 
-/// The two limits of a block that bound the speed which the machine can reach in it.
+/// The two limits of a block that determine the maximum speed that the machine can reach in the block.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EntryLimit {
     /// Maximum speed² at the block's entry.
@@ -363,7 +364,8 @@ impl<const N: usize> Finder<'_, N> {
         let length = if behind > 0 { length + self.newest } else { length };
         if LEAVES_OUT && bend.once.is_none() && length <= self.since_steep {
             // If the bend is found late, the machine may already be too fast for it. But when the machine reached the
-            // bend, it could still stop within `length`, because the queue ended within this distance.
+            // bend, it could still stop within `length`, because the queue ended within this distance. So its speed²
+            // was at most `rise2` there, and it rises by at most `rise2` up to the end of the newest piece.
             let rise2 = rise2(self.rule.most, length);
             self.attainable2 = lesser(self.attainable2, greater(bend.speed2, rise2) + rise2);
         }
@@ -480,8 +482,8 @@ impl<const N: usize> History<N> {
     }
 }
 
-/// The path measured on one scale, which gives the minimum length of a span: the last completed spans, and the
-/// unfinished one, which is still shorter than that.
+/// The path measured on one scale: the last completed spans, and the unfinished one, which is still shorter than the
+/// scale's minimum length.
 #[derive(Clone, Copy, Debug)]
 pub struct Scale<const N: usize> {
     history: History<N>,
@@ -566,8 +568,8 @@ pub(super) struct Chain<const N: usize> {
     /// [`Finder::attainable2`] at the end of the last piece.
     attainable2: f32,
     /// Path length since the last steep block, mm. A block is steep if its acceleration along its path exceeds
-    /// [`TurnRule::most`], that of a path on which all axes reach their limits. This is possible because moves without
-    /// a step have lengthened the block's path, but not the displacement of its axes.
+    /// [`TurnRule::most`], the acceleration on a path on which all axes reach their limits. This is possible because
+    /// moves without a step have lengthened the block's path, but not the displacement of its axes.
     since_steep: f32,
 }
 

@@ -1,5 +1,5 @@
-//! The DDA of the step generator (Bresenham's algorithm): which axes step at a tick. `step_axes` computes one tick,
-//! `steps_into` many ticks in a row.
+//! The DDA (digital differential analyser, here Bresenham's algorithm) of the step generator: which axes step at a
+//! tick. `step_axes` computes one tick, `steps_into` many ticks in a row.
 //!
 //! One threshold serves all axes. Each axis has a remainder until its next step. A tick subtracts from it the axis'
 //! rate times the units that the tick advances (a unit is 1/16 step of the axis with the most steps, the dominant one).
@@ -15,7 +15,7 @@
 
 use core::sync::atomic::{Ordering, compiler_fence};
 
-/// Maximum number of axes of a step task.
+/// Maximum number of axes that [`steps_into`] can step.
 const MOST_AXES: usize = 4;
 
 /// Executes one tick: reduces each axis' remainder by its increment. Returns the axes that step, bit 0 for X.
@@ -23,15 +23,17 @@ const MOST_AXES: usize = 4;
 pub(super) fn step_axes<const N: usize>(left: &mut [u32; N], increments: &[u32; N], threshold: u32) -> u8 {
     let mut minus_steps = 0_i32;
     let threshold = threshold as i32;
-    // Begins with the last axis, because each pass of the loop shifts the bits of the axes that it has already handled
-    // up by one.
+    // Begins with the last axis: each pass of the loop shifts the bits of all axes handled before up by one, so the
+    // first axis ends in bit 0.
     for (left, increment) in left.iter_mut().zip(increments).rev() {
-        // `left` and `increment` lie between 0 and the threshold (at most 2^30), or a few parts of a step outside this
-        // range. So the sign of `rest` shows whether the axis steps. `stepping` is all ones or all zeros, which avoids
-        // a branch. No axis steps twice in a tick: a tick advances the dominant axis by one step at most, and begins at
-        // a multiple of the units that it advances. In such a tick, an axis with as many steps as the dominant one
-        // makes at most one step, even if its exact start and end lie between two steps; an axis with fewer steps
-        // travels less.
+        // `left` and `increment` are between 0 and the threshold (at most 2^30), or a few parts of a step outside this
+        // range. So the sign of `rest` shows whether the axis steps. If it steps, `stepping` is all ones, otherwise all
+        // zeros; this avoids a branch.
+        //
+        // No axis steps twice in a tick: a tick advances the dominant axis by one step at most, and begins at a
+        // multiple of the units that it advances. In such a tick, an axis with as many steps as the dominant one makes
+        // at most one step, even if its exact start and end are between two steps; an axis with fewer steps travels
+        // less.
         let rest = left.wrapping_sub(*increment) as i32;
         let stepping = rest >> 31;
         *left = rest.wrapping_add(threshold & stepping) as u32;
@@ -63,8 +65,8 @@ pub(super) fn steps_into<const N: usize, const WORDS: usize>(
 ) {
     const { assert!(N <= MOST_AXES && WORDS == 1 << N, "a word for each combination of axes") };
     let mut always = 0_usize;
-    // Each axis is put in front of the others in the array, the last axis first, rather than written to a computed
-    // index, so that the array stays in registers.
+    // Inserts each axis at the front of the array, the last axis first. No index is computed, so the array stays in
+    // registers.
     let mut counting = [Countdown::NONE; MOST_AXES];
     let mut count = 0_usize;
     for (axis, (left, increment)) in left.iter().zip(increments).enumerate().rev() {
@@ -122,7 +124,7 @@ fn count_down<const N: usize, const K: usize, const OF_THEM: usize, const WORDS:
     for word in words {
         let mut steps = 0_usize;
         for (bit, of) in axes.iter_mut().enumerate() {
-            // As in `step_axes`: the sign says whether the axis steps.
+            // As in `step_axes`: the sign shows whether the axis steps.
             of.left = of.left.wrapping_sub(of.increment);
             if (of.left as i32) < 0 {
                 of.left = of.left.wrapping_add(threshold);

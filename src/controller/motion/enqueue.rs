@@ -87,7 +87,8 @@ struct MotorSteps<const N: usize> {
 struct StepSizes {
     /// Number of steps of the dominant motor.
     dominant: u32,
-    /// Minimum length of the block, mm: for the motor that needs most, the distance of its steps, less half a step.
+    /// Minimum length of the block, mm: each motor needs the distance of its steps, less half a step; this is the
+    /// longest of these distances.
     least_mm: f32,
     /// Size of a step of the coarsest motor that moves, mm.
     coarsest_mm: f32,
@@ -129,8 +130,8 @@ impl<const N: usize> MoveQueue<N> {
         {
             return self.put_timed(m, seconds, curve_speed2, chord);
         }
-        // A probing move must not be divided, because it brakes within its own block. So no move that ignores overrides
-        // is divided.
+        // A probing move must not be divided, because it brakes within its own block. Probing moves ignore overrides,
+        // so moves that ignore overrides are not divided.
         if self.backlash.is_on() && !m.no_feed_override {
             if !chord {
                 self.take_up_before_plunge(m);
@@ -261,8 +262,8 @@ impl<const N: usize> MoveQueue<N> {
         self.push(block, &piece, span);
     }
 
-    /// Returns the speed of a block whose `length` differs from that of its move. Carries the excess length, as a
-    /// negative one of at most `most` mm, over to the next block.
+    /// Returns the speed of a block whose `length` differs from that of its move. Carries the excess length over to the
+    /// next block, as a negative length of at most `most` mm.
     #[cold]
     #[inline(never)]
     fn carry_over(&mut self, m: &Move<N>, path: &Path<N>, length: f32, most: f32) -> Speed {
@@ -274,8 +275,9 @@ impl<const N: usize> MoveQueue<N> {
         speed
     }
 
-    /// Sets a block's speed limit, acceleration and jerk from the shares of the axes in it (`moved`), and its
-    /// programmed speed. With backlash, adds the compensation to the motors' steps. Returns `RAPID` or 0.
+    /// Sets a block's programmed speed, and its speed limit, acceleration and jerk from `moved`, the displacement of
+    /// each axis as a share of the block's length. With backlash, adds the compensation to the motors' steps. Returns
+    /// `RAPID` or 0.
     #[inline]
     fn set_speeds(
         &mut self,
@@ -406,8 +408,8 @@ impl<const N: usize> MoveQueue<N> {
         Some([start, end])
     }
 
-    /// If a move reverses a motor and is longer than backlash compensation needs, cuts off as much of its beginning as
-    /// compensation needs, and queues that as a block of its own.
+    /// If a move reverses a motor, and backlash compensation needs less than two thirds of the move, queues the
+    /// beginning of the move, as much as compensation needs, as a block of its own.
     #[inline(never)]
     fn begin_taking_up(&mut self, m: &Move<N>, curve_speed2: f32, chord: bool) {
         let steps = self.kinematics.steps(&m.target);
@@ -494,8 +496,8 @@ impl<const N: usize> MoveQueue<N> {
         self.turn_motors(&taken, line_number);
     }
 
-    /// Takes up the remaining backlash of the first two motors before a move in neither X nor Y. If it were taken up
-    /// during a plunge, it would drag the drill sideways.
+    /// Takes up the remaining backlash of the first two motors before a move without X and Y, such as a plunge. If the
+    /// backlash were taken up during the plunge, the drill would be dragged sideways.
     #[inline(never)]
     fn take_up_before_plunge(&mut self, m: &Move<N>) {
         // Only after a move mainly in X and Y: at the corner to Z the machine is slow anyway, so the additional stop

@@ -8,7 +8,7 @@ use crate::units::Coordinate;
 const TURN: f32 = core::f32::consts::TAU;
 const QUARTER: f32 = core::f32::consts::FRAC_PI_2;
 
-/// Returns the minimum and the maximum coordinates on an arc or helix.
+/// Returns the minimum and the maximum machine coordinate of each axis on an arc or helix.
 #[inline(never)]
 pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, PerAxis<Coordinate, N>) {
     let mut least = arc.start.zip(&arc.target, |a, b| a.min(b));
@@ -33,7 +33,7 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
     // it beyond that end.
     let radius = integer_length(arc.offset_0.0, arc.offset_1.0).max(integer_length(to[0].0, to[1].0));
     let radius = Coordinate(radius);
-    // The circle's farthest points lie at 0, 90, 180 and 270 degrees from axis 0.
+    // The circle's farthest points are at 0, 90, 180 and 270 degrees from axis 0.
     let farthest: [(f32, Axis, Coordinate); 4] = [
         (0.0, arc.axis_0, centre[0] + radius),
         (QUARTER, arc.axis_1, centre[1] + radius),

@@ -73,7 +73,8 @@ pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
     if distance <= 0.0 {
         return to;
     }
-    // For the change of speed x: (to + x / 2)·(x / a + a / j) = distance.
+    // If the ramp reaches the maximum acceleration a: (to + x / 2)·(x / a + a / j) = distance, with the change of speed
+    // x and the jerk j.
     let least = to * acceleration / jerk;
     if distance > least {
         let half = to / acceleration + 0.5 * acceleration / jerk;
@@ -82,8 +83,8 @@ pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
             return to + change;
         }
     }
-    // With y = √x: y³ + 2·to·y = distance·√j. The left side is convex, so Newton's method converges from a y that is
-    // too great. Setting either term on the left alone equal to the right side gives such a y.
+    // Otherwise, with y = √x: y³ + 2·to·y = distance·√j. The left side is convex, so Newton's method converges from a y
+    // that is too great. Setting either term on the left alone equal to the right side gives such a y.
     let wanted = distance * square_root(jerk);
     let mut root = cube_root(wanted);
     if 2.0 * to * root > wanted {
@@ -114,7 +115,7 @@ pub(super) fn cube_root(value: f32) -> f32 {
 }
 
 impl PathState {
-    /// Returns the maximum speed of the ramp on which this state lies, and the distance to the point of that speed,
+    /// Returns the maximum speed of the ramp that contains this state, and the distance to the point of that speed,
     /// where the acceleration is 0. The distance is positive for an accelerating machine, which reaches the point after
     /// easing off, and negative for a braking one, which has passed the point.
     #[inline]
@@ -269,7 +270,7 @@ mod tests {
     }
 
     /// If `lands` is true, a braking machine that reduces its deceleration at once gets down to the target speed within
-    /// the distance, unless it would stay faster anyway.
+    /// the distance. Skips states in which the deceleration reaches 0 above the target speed.
     #[test]
     fn easing_off_at_once_comes_down_in_time() {
         let jerk = BOUNDS.jerk;

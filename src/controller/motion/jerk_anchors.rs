@@ -1,6 +1,6 @@
-//! Data of the look-ahead with a jerk limit: what the reverse pass and the running ramp must know about the path to the
-//! next anchor. An anchor is an entry (the start of a block) at which a ramp ends; [`super::planner`] describes how
-//! anchors are found.
+//! Look-ahead with a jerk limit: the data that the reverse pass and the running ramp need about the path to the next
+//! anchor. An anchor is an entry (the start of a block) at which a ramp ends; [`super::planner`] describes how anchors
+//! are found.
 
 use super::block::{Block, CurveLoad};
 use super::jerk::{Bounds, PathState, ramp_distance, ramp_speed};

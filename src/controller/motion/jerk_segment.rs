@@ -43,7 +43,7 @@ pub(super) fn next_cut<const N: usize>(
     let state = PathState { speed: motion.pace.speed * millimetre, acceleration: motion.acceleration };
     let nominal = if braking { 0.0 } else { square_root(run.nominal2) * millimetre };
     // If the machine can stop within one step, the shape of the speed change has no effect on the motor: use a
-    // trapezoid. But a machine that already brakes, in a hold, comes to rest with limited jerk.
+    // trapezoid. But a machine that already brakes, for example in a hold, comes to rest with limited jerk.
     let fastest = greater(nominal, state.speed);
     if state.acceleration >= 0.0 && ramp_distance(fastest, 0.0, bounds) < UNITS_PER_STEP as f32 * millimetre {
         let (curve, left) = run.trapezoid(motion.pace, braking, planner)?;
@@ -79,7 +79,8 @@ struct SegmentStart<'a, const N: usize> {
     bounds: Bounds,
     /// Estimated duration of the segment, s.
     guess: f32,
-    /// Maximum change of the acceleration during the segment, mm/s²: what the jerk bound allows within `guess`.
+    /// Maximum change of the acceleration during the segment, mm/s²: the change that the jerk bound allows within
+    /// `guess`.
     change: f32,
     planner: &'a Planner<N>,
 }
@@ -162,9 +163,10 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Travelled { seconds: 2.0 * self.way / (self.state.speed + speed), end: PathState { speed, acceleration } }
     }
 
-    /// Tries to end the segment with `best`, the acceleration that leads to the nominal speed soonest. If
-    /// [`Planner::allows`] the state at its end, returns the lowest acceleration bound of the blocks on which the
-    /// machine can then reduce this acceleration to 0, and the segment's time and end state.
+    /// Tries to end the segment with `best`, the acceleration that leads to the nominal speed soonest. Returns the
+    /// lowest acceleration bound of the blocks on which the machine can then reduce this acceleration to 0, and the
+    /// segment's time and end state. Returns `None` if [`Planner::allows`] forbids the state at its end, or if the
+    /// acceleration there exceeds this bound and `best` is at least the present acceleration.
     #[inline]
     fn to_nominal(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
         let travelled = self.to(best);
@@ -179,8 +181,9 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Some((ahead, if arrives { self.at_speed(self.nominal, 0.0) } else { travelled }))
     }
 
-    /// Tries to keep the present acceleration, like [`SegmentStart::to_nominal`]. Returns `None` if it is negative or
-    /// not less than `best`, or if [`Planner::allows`] forbids the state at the end of the segment.
+    /// Tries to keep the present acceleration, like [`SegmentStart::to_nominal`]. Returns `None` if the present
+    /// acceleration is negative, at least `best`, or above the bound of the blocks ahead, or if [`Planner::allows`]
+    /// forbids the state at the end of the segment.
     #[inline]
     fn as_before(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
         let acceleration = self.state.acceleration;

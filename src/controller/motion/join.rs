@@ -14,9 +14,10 @@
 //!
 //! A block is taken back by restoring the previous end of the queue. So lengths, corners and curvature are the same as
 //! if the program contained the joined move. The chain (the last pieces of the path, from which [`super::curvature`]
-//! determines bends) gets a block's piece only when no more moves are joined to the block; until then the plan ends at
-//! rest at the end of this piece. Only a block that has not begun is taken back, and the new block can be entered as
-//! fast as the old one. So the speeds planned for earlier blocks stay valid.
+//! determines bends) gets a block's piece only when no more moves are joined to the block. That is early enough: until
+//! then the block is the last one of the queue, and the plan ends at rest there. Only a block that has not begun is
+//! taken back, and the new block can be entered as fast as the old one. So the speeds planned for earlier blocks stay
+//! valid.
 
 use super::curvature::PathPiece;
 use super::kinematics::Kinematics;
@@ -94,7 +95,7 @@ impl<const N: usize> Join<N> {
         self.half_mm = kinematics.half_mm();
     }
 
-    /// Ends joining: the block that is being made will not be replaced by a longer one.
+    /// Ends joining: no later move is joined to the block that is being made.
     #[inline]
     pub(super) fn close(&mut self) {
         self.open = false;
@@ -160,8 +161,8 @@ impl<const N: usize> Join<N> {
         true
     }
 
-    /// Returns whether the straight line from the start to `way` (displacements of the motors) passes all added points
-    /// within their distance.
+    /// Returns whether the straight line from the start to `way` (displacements of the motors) passes each added point
+    /// within the distance allowed for that point.
     pub(super) fn allows(&self, way: &[f32; N]) -> bool {
         let Some(along) = self.along(way) else { return false };
         let share = 1.0 / along;

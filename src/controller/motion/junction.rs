@@ -2,7 +2,8 @@
 //! within the axes' accelerations. [`super::curvature`] derives the rule and applies it to the whole path.
 //!
 //! Notation: for a turn by the angle t, q = 2·sin(t/2) (length of the difference of the unit vectors) and s = cos(t/2).
-//! In names, `turn2` is q² and `sine` is s.
+//! In names, `turn2` is q² and `sine` is s, because s is also the sine of half the angle between the two pieces of the
+//! path (π - t, the angle in Grbl's formula).
 
 use super::trapezoid::{greater, lesser, square_root};
 
@@ -112,10 +113,10 @@ impl<const N: usize> TurnRule<N> {
         least * turn / least_part
     }
 
-    /// Returns the maximum acceleration in any direction of a turn's plane at which no axis exceeds its limit. It
-    /// limits the centripetal acceleration of a bend. With the normal n and the tangent t, axis i gets at most
-    /// `a·√(n_i² + t_i²)`, wherever on the bend the machine is. So the limit is the same for the whole bend, and the speed on a
-    /// circle is constant.
+    /// Returns the acceleration a that the machine can have in every direction of a turn's plane without any axis
+    /// exceeding its limit. It limits the centripetal acceleration of a bend. With the unit vectors n (normal) and t
+    /// (tangent) of the turn, axis i gets at most `a·√(n_i² + t_i²)` at any point of the bend. So the limit is the same
+    /// for the whole bend, and the speed on a circle is constant.
     #[inline]
     pub(super) fn in_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32, moving: MovingAxes) -> f32 {
         // The plane of two axes contains both of them, so n_i² + t_i² = 1.
@@ -163,9 +164,9 @@ impl<const N: usize> TurnRule<N> {
         bend * bend > 9.0 * turn2 * fast2 * fast2
     }
 
-    /// Returns J² of a turn, the square of the speed that the junction deviation allows (junction velocity): v² = a·d·s
-    /// / (1 - s). For gentle turns 1 - s would be a small difference, so it is computed as q² / (4·(1 + s)), with q² =
-    /// 4·(1 - s²).
+    /// Returns J² of a turn, the square of the speed that the junction deviation allows (junction velocity): J² = a·d·s
+    /// / (1 - s), with the acceleration a ([`TurnRule::across`], mm/s²) and the junction deviation d (mm). For gentle
+    /// turns 1 - s would be a small difference, so it is computed as q² / (4·(1 + s)), with q² = 4·(1 - s²).
     #[inline]
     pub(super) fn junction2(&self, across: f32, sine: f32, turn2: f32) -> f32 {
         across * self.deviation * sine * (1.0 + sine) / (0.25 * turn2)

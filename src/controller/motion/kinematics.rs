@@ -78,7 +78,8 @@ impl<const N: usize> Kinematics<N> {
         beyond
     }
 
-    /// Returns the position of each motor's belt or screw for a position of the tool.
+    /// Returns the position of each motor's belt or screw for a position of the tool. `turned`: memory for the result
+    /// if it differs from `place` (CoreXY).
     #[inline]
     fn of_motors<'a>(
         &self,

@@ -1,6 +1,6 @@
-//! The exact arithmetic of steps within a block: how many steps each axis has taken after how many units. Both the step
-//! generator and the code that cuts segments use this module, so they agree on where a segment ends. All computations
-//! use whole numbers and are exact; there is no state.
+//! The exact arithmetic of steps within a block: how many steps each axis has taken after a number of units. Both the
+//! step generator and the code that cuts segments use this module, so they agree on where a segment ends. All
+//! computations use whole numbers and are exact; there is no state.
 //!
 //! With each unit, the remainder until an axis' next step falls by the axis' rate; each step adds the threshold (see
 //! `dda`). On a line, an axis' rate is its number of steps, and the threshold is the number of units: 16 for each step
@@ -27,6 +27,7 @@ pub(super) struct Measure {
 }
 
 impl Measure {
+    /// Maximum number of steps of a block that can be counted in sevenths: its threshold is at most 2^30.
     pub(super) const MOST_STEPS: u32 = (1 << 30) / (UNITS_PER_STEP * AxisSteps::PARTS);
 
     #[inline(always)]
@@ -52,16 +53,16 @@ impl Measure {
     }
 
     /// Returns the sum with which [`steps_taken`] begins at the start of the block: half a step, plus the offset of the
-    /// axis' exact start; a step counts as the threshold. 1 is subtracted, so that exactly half way between two steps
-    /// the lower one counts.
+    /// axis' exact start, scaled so that a step equals `threshold`. 1 is subtracted, so that exactly half way between
+    /// two steps the lower one counts.
     #[inline(always)]
     pub(super) fn credit(&self, axis_steps: AxisSteps) -> u32 {
         (self.threshold / 2).wrapping_add(parts_beyond(self.total, axis_steps)).wrapping_sub(1)
     }
 }
 
-/// Returns the steps that an axis has taken after `units` of a block, from its rate and credit ([`Measure`]): the exact
-/// quotient of credit + rate × units and the threshold, rounded down.
+/// Returns the steps that an axis has taken after `units` of a block, from its rate and credit ([`Measure`]):
+/// (credit + rate × units) / threshold, computed exactly and rounded down.
 #[inline]
 pub(super) fn steps_taken(rate: u32, credit: u32, threshold: u32, units: u32) -> u32 {
     if threshold == 0 {
@@ -74,8 +75,8 @@ pub(super) fn steps_taken(rate: u32, credit: u32, threshold: u32, units: u32) ->
     }
 }
 
-/// Returns the offset of an axis' exact start from the step nearest to it; a step counts as the threshold. Negative
-/// numbers are wrapped.
+/// Returns the offset of an axis' exact start from the step nearest to it, scaled so that a step equals the threshold.
+/// Negative numbers are wrapped. `total`: length of the block in units.
 #[inline(always)]
 pub(super) fn parts_beyond(total: u32, axis_steps: AxisSteps) -> u32 {
     (axis_steps.start() as u32).wrapping_mul(total)
@@ -87,8 +88,9 @@ pub(super) fn advance(rate: u32, units: u32) -> u64 {
     (i64::from(rate as i32) * i64::from(units as i32)) as u64
 }
 
-/// Returns [`steps_taken`] and the remainder until the next step. Divides bit by bit, which is slow but small: the step
-/// task has no room for a 64-bit division, and calls this function only at rest.
+/// Returns [`steps_taken`] and the remainder until the next step. `first`: this remainder at the start of the block.
+/// Divides bit by bit, which is slow but small: the step task has no room for a 64-bit division, and calls this
+/// function only at rest.
 pub(super) fn steps_and_rest(rate: u32, first: u32, threshold: u32, units: u32) -> (u32, u32) {
     let mut sum = advance(rate, units).wrapping_add(u64::from(threshold.wrapping_sub(first)));
     let mut taken = 0;

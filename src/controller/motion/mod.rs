@@ -8,8 +8,8 @@
 //! ```
 //! `queue` is the input side: it holds the blocks and the end of the path. `enqueue` appends blocks there, and
 //! `short_moves` joins short moves into one block. `segment_source` is the output side: it holds the running block, the
-//! state of motion after the segment handed over last to the step task, and the segments in flight. `queue` does not
-//! depend on `segment_source`; this file connects them.
+//! state of motion at the end of the last segment handed over to the step task, and the segments in flight. `queue`
+//! does not depend on `segment_source`; this file connects them.
 //!
 //! Guarantees:
 //! * Rounding errors do not add up: a chain of moves ends on the step nearest to its programmed end.
@@ -319,7 +319,8 @@ impl<const N: usize> Motion<N> {
         self.queue.planner.capacity()
     }
 
-    /// Returns how many more moves can be queued; 0 while a move of 2^26 steps or more is still being divided.
+    /// Returns how many more moves can be queued if each needs one block; 0 while a move of 2^26 steps or more is still
+    /// being divided. Blocks that backlash compensation or the moves held back for rounding can need are not counted.
     pub fn free_blocks(&self) -> usize {
         self.queue.free_blocks()
     }
@@ -329,8 +330,8 @@ impl<const N: usize> Motion<N> {
         self.queue.planner.len()
     }
 
-    /// Returns by how many steps each motor leads the tool at the end of the segment handed over last (backlash
-    /// compensation).
+    /// Returns the number of steps by which each motor leads the tool at the end of the last handed-over segment
+    /// (backlash compensation).
     pub fn lead(&self) -> [i32; N] {
         self.prepared().lead
     }
@@ -361,8 +362,8 @@ impl<const N: usize> Motion<N> {
     }
 
     /// Starts to execute the queue. If the queue has no block, first queues the moves held back for rounding; without
-    /// any moves, has no effect. No segments are handed over before the first call, nor between the time at which the
-    /// queue has run empty and the next call.
+    /// any moves, has no effect. Segments are handed over from this call on until the queue has run empty; after that,
+    /// `start` must be called again.
     pub fn start(&mut self) {
         if self.queue.planner.len() == 0 {
             self.queue.release();
@@ -380,7 +381,7 @@ impl<const N: usize> Motion<N> {
     }
 
     /// Like [`Motion::next`], without a new observation. The controller calls this very often, and usually no message
-    /// is wanted. So only the check whether one is wanted is inlined.
+    /// is due. So only the check for that is inlined.
     #[inline]
     pub fn next_message(&mut self) -> Option<ToStep> {
         if self.source.wants_more() { self.wanted_message() } else { None }
@@ -401,7 +402,7 @@ impl<const N: usize> Motion<N> {
     }
 
     /// Call when the last block has been handed over completely. Queues a block for the rest of the backlash
-    /// compensation; if nothing is left to compensate, ends handing over.
+    /// compensation. If nothing is left to compensate, no more segments are handed over until the next start.
     #[inline(never)]
     fn run_out(&mut self) {
         if self.queue.backlash.is_on() {
@@ -412,8 +413,8 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// Returns the deceleration of the first block in the queue, in units per squared step-clock tick; 0 if the queue
-    /// is empty.
+    /// Returns the deceleration of the first block in the queue, in units per squared step-clock tick (a unit is 1/16
+    /// step of the block's dominant axis); 0 if the queue is empty.
     pub fn braking(&self) -> f32 {
         let clock = self.source.step_clock_hz() as f32;
         self.queue.planner.first().map_or(0.0, |block| {
@@ -448,13 +449,13 @@ impl<const N: usize> Motion<N> {
         self.settings
     }
 
-    /// Returns whether a hold is in force, and the segment handed over last ends at rest.
+    /// Returns whether a hold is in force and the last handed-over segment ends at rest.
     pub fn is_held(&self) -> bool {
         self.source.is_held()
     }
 
-    /// Sets feed override and rapid override, as factors (1 = as programmed). They take effect with the next segment
-    /// handed over.
+    /// Sets feed override and rapid override, as factors (1 = as programmed), limited to 0.001 to 100. They take effect
+    /// with the next segment handed over.
     pub fn set_overrides(&mut self, feed: f32, rapid: f32) {
         let overrides = OverrideFactors {
             feed: bounded(feed, LEAST_OVERRIDE, GREATEST_OVERRIDE),
@@ -479,7 +480,7 @@ impl<const N: usize> Motion<N> {
         self.queue.planner.replan(self.queue.overrides, state, left);
     }
 
-    /// Discards all queued moves, and ends a hold. Has an effect only if the segment handed over last ends at rest.
+    /// Discards all queued moves, and ends a hold. Has an effect only if the last handed-over segment ends at rest.
     pub fn discard(&mut self) {
         if !self.source.ends_at_rest() {
             return;
@@ -500,7 +501,7 @@ impl<const N: usize> Motion<N> {
         self.source.stop();
     }
 
-    /// Updates which segments have begun, from the progress of the step task.
+    /// Updates the record of the segments that have begun, from the progress of the step task.
     pub fn observe(&mut self, observed: &Observed) {
         self.step_idle = observed.step_idle;
         self.source.in_flight.observe(observed.segments_begun, observed.step_idle);
@@ -518,7 +519,7 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.is_empty() && self.step_idle && self.source.ends_at_rest() && !self.source.is_on()
     }
 
-    /// Returns whether the segment handed over last ends at rest, so that there is no deadline for the next one.
+    /// Returns whether the last handed-over segment ends at rest, so that there is no deadline for the next one.
     pub fn ends_at_rest(&self) -> bool {
         self.source.ends_at_rest()
     }
@@ -544,17 +545,17 @@ impl<const N: usize> Motion<N> {
         self.source.queued_us()
     }
 
-    /// Returns the machine position in steps at the end of the segment begun last.
+    /// Returns the machine position in steps at the end of the last segment begun.
     pub fn machine_steps(&self) -> PerAxis<i32, N> {
         self.source.in_flight.current().position
     }
 
-    /// Returns the machine position at the end of the segment begun last.
+    /// Returns the machine position at the end of the last segment begun.
     pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
         self.queue.kinematics.place(&self.machine_steps())
     }
 
-    /// Returns the step counters at the end of the segment handed over last.
+    /// Returns the step counters at the end of the last handed-over segment.
     pub fn step_counters(&self) -> PerAxis<i32, N> {
         self.prepared().steps.zip(&self.origin, i32::wrapping_sub)
     }
@@ -576,8 +577,8 @@ impl<const N: usize> Motion<N> {
         self.origin = self.origin.zip(&moved, i32::wrapping_add);
         self.source.in_flight.forget(new, old.lead);
         self.plan_from(Motors { steps: old.steps.zip(&moved, i32::wrapping_add), lead: old.lead });
-        // `plan_from` has set the end of the path to the position of the nearest steps. The next move is measured from
-        // the programmed position, so set this exact one.
+        // `plan_from` has set the end of the path to the position of the nearest full steps. The next move must be
+        // measured from `position` itself.
         self.queue.set_position(position);
     }
 
@@ -621,14 +622,14 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// Returns the mark of the block begun last ([`Motion::set_mark`]).
+    /// Returns the mark of the last block begun ([`Motion::set_mark`]).
     pub fn begun_mark(&self) -> u8 {
         self.source.in_flight.current().mark
     }
 
-    /// Returns the power of the move whose segments are being handed over to the step task, or of the next one. `None`
-    /// without a move, and for a move that overrides have no effect on (jog, homing, probing). The step task first
-    /// executes the segments that it has got already.
+    /// Returns the power of the move whose segments are being handed over to the step task, or of the next one. This
+    /// move can be ahead of the machine, because the step task first executes the segments that it already has. `None`
+    /// without a move, and for a move that overrides have no effect on (jog, homing, probing).
     pub fn running_power(&self) -> Option<u16> {
         match self.queue.planner.first() {
             Some(block) => (block.flags & NO_OVERRIDE == 0).then_some(block.power),
@@ -641,13 +642,14 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.current().line_number
     }
 
-    /// Returns the line number of the move handed over last (completely or in part), 0 if none. The step task executes
-    /// this move only after the motion that is already queued there.
+    /// Returns the line number of the last move that has been handed over, completely or in part; 0 if none. This move
+    /// can be ahead of the machine, because the step task first executes the segments that it already has.
     pub fn running_line_number(&self) -> u32 {
         self.source.running.line_number
     }
 
-    /// Returns the line number of the move handed over last, then those of the moves queued after it.
+    /// Returns [`Motion::running_line_number`], then the line numbers of all queued moves. A move that has been handed
+    /// over only in part is still queued, so its number comes twice.
     pub fn queued_line_numbers(&self) -> impl Iterator<Item = u32> {
         let planner = &self.queue.planner;
         let queued = (0..planner.len()).filter_map(|place| planner.block(place)).map(|block| block.line_number);
@@ -660,7 +662,7 @@ impl<const N: usize> Motion<N> {
         self.queue.numbering = Numbering::Given(number);
     }
 
-    /// Returns the position and lead of the motors at the end of the segment handed over last.
+    /// Returns the position and lead of the motors at the end of the last handed-over segment.
     fn prepared(&self) -> Motors<N> {
         self.source.motors(&self.queue.backlash)
     }

@@ -48,7 +48,7 @@ const STRAIGHT: f32 = 1.0e-6;
 
 /// A position in X and Y relative to the first control point, in units of 0.1 nm.
 type Place = [i64; 2];
-/// The first places, as many as the order of the curve, are the control points of a piece.
+/// The control points of a piece: the first places, as many as the order of the curve. The other places are unused.
 type Piece = [Place; ORDER_MAX];
 
 /// A curve with its control points.
@@ -71,8 +71,7 @@ pub struct Nurbs<const N: usize> {
     span: usize,
     /// End of the previous chord, as a share of the span.
     at: i64,
-    /// Length with which the next piece is tried, as a share of the span; halved until the piece is within the
-    /// tolerance.
+    /// Initial length of the next piece, as a share of the span. It is halved until the piece is within the tolerance.
     step: i64,
     curve_radius: f32,
 }
@@ -187,14 +186,15 @@ impl<const N: usize> NurbsGeometry<'_, N> {
         (sum, pieces)
     }
 
-    /// Returns whether the curve leaves a convex region. Also returns `true` if the curve runs so close along the
-    /// region's edge that more than `MOST_PIECES` pieces would have to be examined.
+    /// Returns whether the curve leaves a convex region. `outside`: returns whether a position is outside the region.
+    /// Also returns `true` if the curve runs so close along the region's edge that more than `MOST_PIECES` pieces would
+    /// have to be examined.
     #[inline(never)]
     pub fn leaves(&self, outside: impl Fn(&PerAxis<Coordinate, N>) -> bool) -> bool {
         let degree = usize::from(self.order).clamp(2, ORDER_MAX) - 1;
         let [first_x, first_y] = self.points.first().map_or([0; 2], |first| first.place.map(|part| part.0));
         let is_out = |place: &Place| outside(&self.place(*place));
-        // The curve lies within the polygon of its control points: if no control point is outside, nor is the curve.
+        // The curve lies within the polygon of its control points: if all of them are inside, so is the curve.
         let corner = |point: &WeightedPoint| minus(point.place.map(|part| part.0), [first_x, first_y]);
         if !self.points.iter().map(corner).any(|place| is_out(&place)) {
             return false;

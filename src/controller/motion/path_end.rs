@@ -1,5 +1,6 @@
-//! The end of the queue, where the next move begins: the programmed position, and where the last block ended, as
-//! programmed and in steps. Also keeps the length of moves too short for a step, to carry it over to the next block.
+//! The end of the queue, where the next move begins: the programmed end of the last move, and the end of the last
+//! block, as programmed and in steps. Also keeps the length of moves too short for a step, to carry it over to the next
+//! block.
 
 use super::trapezoid::square_root;
 use crate::axes::PerAxis;

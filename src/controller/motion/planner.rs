@@ -12,12 +12,12 @@
 //! not reached, so holds, overrides and late blocks never require the queue to be repaired. A new block changes earlier
 //! entries only as far as the old end of the queue limited them; the pass stops at the first unchanged entry.
 //!
-//! The pass is postponed until an entry that it could change is needed. An entry at its cap (corner and nominal speeds)
-//! cannot rise, nor can the entries before it. These entries are settled: they are final, whatever is appended. So in a
-//! long queue one pass serves many new blocks.
+//! The pass is postponed until the planner needs an entry speed that the pass could change. An entry at its cap (corner
+//! and nominal speeds) cannot rise, nor can the entries before it. These entries are settled: they are final, whatever
+//! is appended. So in a long queue one pass serves many new blocks.
 //!
-//! With a jerk limit the unit is a ramp, not a block. A ramp has zero acceleration only at its two ends and can span
-//! hundreds of blocks. The reverse pass finds anchors, the entries at which ramps end:
+//! With a jerk limit, the pass plans ramps instead of blocks. A ramp has zero acceleration only at its two ends and can
+//! span hundreds of blocks. The reverse pass finds anchors, the entries at which ramps end:
 //!
 //! ```text
 //!        cap of the entries: corner and nominal speeds             speed
@@ -25,13 +25,13 @@
 //!          └─┐                              ┌───────┘              .  entry on the way to an anchor: how far it is,
 //!            │ .  .                         │ .                       and the tightest bounds on the way
 //!            │       .                     _o
-//!            │         '  .           _ '                          The ramp before an anchor rises, seen backwards, by its
-//!            └────────────── o ────o                               own length formula until it meets the next cap.
+//!            │         '  .           _ '                          Seen backwards, the ramp before an anchor rises
+//!            └────────────── o ────o                               by its length formula until it meets the next cap.
 //! ```
 //! * An entry whose cap exceeds the maximum speed of any ramp to the anchor (v² + 2·a·distance, as without a jerk
 //!   limit) does not limit the ramp.
-//! * Any other entry lowers the ceiling of the ramp.
-//! * The first entry, walking back, from which the distance suffices to slow down from the ceiling is the next anchor.
+//! * Any other entry lowers the ceiling of the ramp, the maximum speed with which the ramp can begin.
+//! * Walking back, the next anchor is the first entry from which the distance suffices to slow down from the ceiling.
 //!
 //! The pass computes only the speeds of anchors, so a ramp can start within a block, and from any state of motion,
 //! without changes to the queue.
@@ -133,7 +133,6 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Returns how many blocks the ring can hold.
     #[inline]
     pub(super) fn capacity(&self) -> usize {
         self.blocks.len()
@@ -504,9 +503,10 @@ impl<const N: usize> Planner<N> {
         if place < self.len { self.blocks.get(self.slot(place)) } else { None }
     }
 
-    /// Checks whether a machine `left` mm before the end of the first block is allowed to be in this state. It is
-    /// allowed if it can ease off its acceleration, or continue to brake, and still meet all later anchors. In that
-    /// case, returns the minimum acceleration bound over the distance in which the machine eases off.
+    /// Checks whether a machine `left` mm before the end of the first block is allowed to be in this state. The state
+    /// is allowed if the machine can ease off its acceleration, or continue to brake, and still meet all later anchors,
+    /// and if its speed is at most `nominal` (mm/s) once its acceleration is 0. In that case, returns the minimum
+    /// acceleration bound over the distance in which the machine eases off.
     pub(super) fn allows(&self, state: PathState, left: f32, nominal: f32) -> Option<f32> {
         let first = self.first()?;
         if state.acceleration < 0.0 {

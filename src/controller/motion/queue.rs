@@ -24,8 +24,8 @@ pub(super) const MOST_BACKLASH: i32 = 10_000;
 /// the beginning of the move, which is cut off, and one for the rest of the move.
 pub(super) const MOST_BLOCKS_OF_A_MOVE: usize = 3;
 
-/// A move with more steps than a block can have. It is divided into equal pieces, which are queued one at a time, when
-/// there is room.
+/// A move with more steps than a block can have. It is divided into equal pieces, each of which is queued as soon as
+/// there is room for it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LongMove<const N: usize> {
     pub start: PerAxis<Coordinate, N>,
@@ -35,7 +35,7 @@ pub(super) struct LongMove<const N: usize> {
     pub next: u32,
 }
 
-/// Which line numbers the blocks get for reports.
+/// Source of the blocks' line numbers, which appear in reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Numbering {
     /// The N word of the program line that the block comes from.

@@ -9,7 +9,7 @@ use super::curvature::Bend;
 pub(super) struct Walk {
     /// Exit speed² of the next block to process.
     pub exit2: f32,
-    /// Whether the pass has not yet found a settled entry: one that is final, whatever is appended.
+    /// Whether the pass is still searching for a settled entry: one that is final, whatever is appended.
     pub searching: bool,
     /// Place of the last settled entry, the one nearest to the end of the queue; 0: none.
     pub settled: usize,

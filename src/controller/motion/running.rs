@@ -9,8 +9,8 @@ use super::trapezoid::{OFF_CURVE, Pace, Trapezoid, lesser};
 use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{AxisSteps, ToStep};
 
-/// In a hold, a machine stops at once if it takes longer than this time, s, for two units, and can stop within one
-/// unit.
+/// In a hold, a machine stops at once if it needs more than this time (s) for two units, and could brake to rest within
+/// one unit.
 const CRAWL_S: f32 = 0.001;
 
 /// The next message about a block to the step task.
@@ -30,15 +30,15 @@ pub(super) enum BlockStage {
     Segments,
 }
 
-/// State of motion at the end of the segment handed over last.
+/// State of motion at the end of the last handed-over segment.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathMotion {
     /// Speed, in units/s of the running block; mm/s between blocks.
     pub pace: Pace,
     /// Acceleration along the path, mm/s²; only with a jerk limit.
     pub acceleration: f32,
-    /// Lowest acceleration bound of the blocks on which the acceleration can be eased off, mm/s²; only with a jerk
-    /// limit.
+    /// Lowest acceleration bound, mm/s², of the blocks that the machine would pass if it began to reduce its
+    /// acceleration to 0 now; only with a jerk limit.
     pub ease_off_limit: f32,
 }
 
@@ -207,8 +207,8 @@ impl<const N: usize> Running<N> {
         self.flags >> MARK_SHIFT
     }
 
-    /// Returns spindle or laser power at a speed (mm/s). With M4 in laser mode, power is scaled with the speed (dynamic
-    /// laser power).
+    /// Returns spindle or laser power, 0 to 65535, at a speed (mm/s). The power depends on the speed only if
+    /// [`Running::scales_power`] returns `true` (M4 in laser mode).
     #[inline]
     pub(super) fn power_at(&self, speed: f32) -> u16 {
         if !self.scales_power() {
@@ -277,10 +277,10 @@ impl<const N: usize> Running<N> {
         Some((Trapezoid { acceleration, nominal2: pace.speed2, exit2: 0.0 }, stop))
     }
 
-    /// Returns the acceleration, units/s². In a bend it is the acceleration that the bend leaves at the present speed
-    /// or the planned exit speed, whichever is lower, as the reverse pass assumes. If the bend was found late, later
-    /// blocks were planned with all of the acceleration, so the machine can be too fast for the exit. In that case it
-    /// brakes as hard as necessary.
+    /// Returns the acceleration, units/s². `exit2`: planned exit speed², mm²/s². In a bend, the acceleration is what
+    /// the bend leaves at the present speed or the exit speed, whichever is lower, as the reverse pass assumes. If the
+    /// bend was found late, later blocks were planned with all of the acceleration, so the machine can be too fast for
+    /// the exit. In that case it brakes as hard as necessary, at most with all of the block's acceleration.
     #[inline]
     fn acceleration_towards(&self, exit2: f32, pace: Pace, planner: &Planner<N>) -> f32 {
         match planner.first() {

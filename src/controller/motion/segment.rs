@@ -1,11 +1,12 @@
 //! Cuts the next segment out of a block's speed curve: a number of ticks with linearly changing intervals, at the AMASS
-//! level that suits the speed. As in Grbl, the level says how fine the ticks are: at level n, a step of the dominant
-//! axis (the one with the most steps) takes 2^n ticks.
+//! level that suits the speed. As in Grbl, the level determines how fine the ticks are: at level n, a step of the
+//! dominant axis (the one with the most steps) takes 2^n ticks.
 //!
 //! A segment has whole ticks. It does not continue beyond the phase of the curve (accelerate, cruise or brake) in which
 //! it begins, except to the next tick or whole step. It lasts at most 1 ms, or 2 ms if the speed is constant or nearly
-//! so (or one tick, if that is longer). The sum of its intervals is the exact time of the curve. The remainder that the
-//! fixed-point intervals cannot represent is carried over to the next segment, so no time is lost or gained.
+//! so and the power does not follow the speed (or one tick, if that is longer). The sum of its intervals is the exact
+//! time of the curve. The remainder that the fixed-point intervals cannot represent is carried over to the next
+//! segment, so no time is lost or gained.
 
 use super::stepper::MAX_LEVEL;
 use super::trapezoid::{Pace, Trapezoid, lesser};
@@ -14,8 +15,8 @@ use crate::messages::{INTERVAL_FRACTION_BITS, UNITS_PER_STEP};
 /// Maximum duration of a segment of several ticks while the speed changes, s. Limits how far the ticks, whose intervals
 /// change linearly, deviate from the speed curve, and how coarsely dynamic laser power follows the speed.
 const SEGMENT_TIME: f32 = 0.001;
-/// Maximum duration of a segment while speed and power are constant or nearly so, s. Limits the delay of a hold or an
-/// override, and how far ahead the reported position can be.
+/// Maximum duration of a segment while the speed is constant or nearly so and the power does not follow it, s. Limits
+/// the delay of a hold or an override, and how far ahead the reported position can be.
 const STEADY_TIME: f32 = 0.002;
 /// Ratio of acceleration to speed, 1/s, up to which the speed counts as nearly constant: it changes by 1 % within
 /// [`STEADY_TIME`]. If the intervals of the ticks change linearly, the acceleration is proportional to the cube of the
@@ -192,7 +193,7 @@ pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace, scales_po
 pub(super) struct Intervals {
     pub interval: u32,
     pub ramp: i32,
-    /// Duration of the segment in whole step-clock ticks, for the account of queued time.
+    /// Duration of the segment in whole step-clock ticks; summed up to the queued time.
     pub clocks: u32,
 }
 

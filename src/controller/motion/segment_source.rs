@@ -32,7 +32,7 @@ const SHORT_MS: u32 = 8;
 /// Duration of the segment that puts the step task to rest when there is nothing to brake, in microseconds.
 const REST_US: u32 = 20;
 
-/// Whether segments are handed over to the step task, and whether a hold is in force.
+/// State of the output side: whether segments are handed over to the step task, and whether a hold is in force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum FeedState {
     /// Nothing is handed over: not started, or the queue has run empty.
@@ -63,9 +63,9 @@ const fn at_least_one(clocks: u32) -> u32 {
 #[repr(C)]
 pub(super) struct SegmentSource<const N: usize> {
     state: FeedState,
-    /// Whether the segment handed over last ends at rest.
+    /// Whether the last handed-over segment ends at rest.
     rest: bool,
-    /// State of motion at the end of the segment handed over last.
+    /// State of motion at the end of the last handed-over segment.
     pub(super) motion: PathMotion,
     pub(super) running: Running<N>,
     /// Position and lead of the motors at the start of the running block.
@@ -108,7 +108,6 @@ impl<const N: usize> SegmentSource<N> {
         self.pacer = Pacer::new(self.step_clock_hz);
     }
 
-    /// Returns the ticks of the step timer per second.
     pub(super) fn step_clock_hz(&self) -> u32 {
         self.step_clock_hz
     }
@@ -172,7 +171,7 @@ impl<const N: usize> SegmentSource<N> {
         }
     }
 
-    /// Returns whether a hold is in force, and the segment handed over last ends at rest.
+    /// Returns whether a hold is in force and the last handed-over segment ends at rest.
     pub(super) fn is_held(&self) -> bool {
         self.state == FeedState::Held
     }
@@ -183,7 +182,7 @@ impl<const N: usize> SegmentSource<N> {
         matches!(self.state, FeedState::Running | FeedState::Braking)
     }
 
-    /// Returns whether the segment handed over last ends at rest.
+    /// Returns whether the last handed-over segment ends at rest.
     #[inline]
     pub(super) fn ends_at_rest(&self) -> bool {
         self.rest
@@ -214,7 +213,7 @@ impl<const N: usize> SegmentSource<N> {
             && !self.ends_at_rest()
     }
 
-    /// Returns speed and acceleration along the path at the end of the segment handed over last, and the distance from
+    /// Returns speed and acceleration along the path at the end of the last handed-over segment, and the distance from
     /// there to the end of the first block, mm.
     pub(super) fn path_state(&self, first: Option<&Block<N>>) -> (PathState, f32) {
         let millimetre = if self.running.is_active() { 1.0 / self.running.scale } else { 1.0 };
@@ -238,8 +237,8 @@ impl<const N: usize> SegmentSource<N> {
         if let Some(long) = &mut self.long_tick
             && long.cut.acceleration == 0.0
         {
-            // The pending tick is rescheduled in proportion, as if the speed had changed at once: this jump of the
-            // speed affects only a sixteenth of a step.
+            // The time of the pending tick is scaled, as if the speed had changed at once. This jump of the speed
+            // affects only a sixteenth of a step.
             let speed = long.cut.units as f32 / long.cut.seconds;
             let changed = square_root(nominal2.min(speed * speed + 2.0 * self.running.acceleration));
             long.time = (long.time as f32 * (speed / changed)) as u64;
@@ -250,7 +249,7 @@ impl<const N: usize> SegmentSource<N> {
         }
     }
 
-    /// Returns the position and lead of the motors at the end of the segment handed over last.
+    /// Returns the position and lead of the motors at the end of the last handed-over segment.
     pub(super) fn motors(&self, backlash: &Backlash<N>) -> Motors<N> {
         if self.running.is_active() { self.motors_in_block(backlash) } else { self.block_start }
     }
@@ -276,7 +275,8 @@ impl<const N: usize> SegmentSource<N> {
         &self.last_rest
     }
 
-    /// Returns the next message for the step task. Without a block, ends handing over (and a hold) and returns `None`.
+    /// Returns the next message for the step task. Without a block, returns `None`, ends a hold, and hands over nothing
+    /// more until the next start.
     #[inline]
     pub(super) fn next_message(
         &mut self,
@@ -372,8 +372,8 @@ impl<const N: usize> SegmentSource<N> {
         self.hand_over(&still, &motors, Segment::FLAG_WAIT | Segment::FLAG_LAST, interval, 0, 1, clocks)
     }
 
-    /// Hands over a piece with its time. If it is the last one of the block, removes the block from the queue. If it
-    /// ends at rest, a hold is complete.
+    /// Hands over a piece with its time. If the piece is the last one of the block, removes the block from the queue.
+    /// If the piece ends at rest during a hold, the hold is complete.
     #[inline]
     fn emit(&mut self, cut: &Cut, time: u32, planner: &mut Planner<N>, backlash: &Backlash<N>) -> Segment {
         let intervals = self.pacer.intervals(time, cut.ticks, cut.ramp);

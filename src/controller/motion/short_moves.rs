@@ -11,8 +11,8 @@ use crate::axes::PerAxis;
 use crate::units::{Coordinate, DECIMAL_ONE};
 
 /// Maximum length of a move that is joined, as the sum of its displacements in all axes (0.045 mm). Longer moves remain
-/// separate blocks. In X and Y, 512 of these longer moves make a look-ahead of at least 16 mm, in which a machine at
-/// 100 mm/s can brake to rest at 313 mm/s².
+/// separate blocks. In X and Y, 512 moves just above this limit make a look-ahead of at least 16 mm, in which a machine
+/// at 100 mm/s can brake to rest at 313 mm/s².
 const MOST_PIECE: i64 = DECIMAL_ONE / 1000 * 45;
 /// Maximum length of a block of joined moves, mm.
 const MOST_JOINED: f32 = 0.5;

@@ -1,6 +1,6 @@
-//! The step generator (`Stepper`). Each call gives one `Tick`: which axes step, the directions, and the time to the
-//! next tick. The stepper runs the current block and segment and continues with the next ones without a gap. It stops
-//! immediately on request, and brakes at a probe's contact.
+//! The step generator (`Stepper`). Each call of `tick` returns one `Tick`: which axes step, the directions, and the
+//! time to the next tick; `plain_ticks` computes many ticks at once. The stepper runs the current block and segment and
+//! continues with the next ones without a gap. It stops immediately on request, and brakes at a probe's contact.
 //!
 //! Guarantees:
 //! * No step without a segment.
@@ -211,7 +211,6 @@ impl<const N: usize> Stepper<N> {
         self.courses.get(usize::from(self.odd != next)).unwrap_or(&Course::NOWHERE)
     }
 
-    /// Like [`Stepper::course`], mutable.
     #[inline(always)]
     fn course_mut(&mut self, next: bool) -> Option<&mut Course<N>> {
         self.courses.get_mut(usize::from(self.odd != next))
@@ -455,7 +454,7 @@ impl<const N: usize> Stepper<N> {
             self.leave_midst();
         }
         self.odd = !self.odd;
-        // Not `Course::first`: when built for size, the array that it returns is copied three times.
+        // Does not call `Course::first`: when built for size, the compiler would copy the returned array three times.
         let course = self.courses.get(usize::from(self.odd)).unwrap_or(&Course::NOWHERE);
         let Course { beyond, threshold, entered, directions, .. } = course;
         for (left, beyond) in self.left.iter_mut().zip(beyond) {

@@ -19,7 +19,6 @@ pub(super) fn lesser(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// Returns the greater of two numbers.
 #[inline]
 pub(super) fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }

@@ -1,5 +1,5 @@
-//! Checks the shortcuts of the module: the limits that it finds must be those of the complete rule, and limits that it
-//! leaves out because the machine cannot exceed them must hardly make a difference.
+//! Checks the shortcuts of the module: the limits that it finds must be those of the complete rule, and leaving out
+//! limits that the machine cannot exceed must hardly change the speeds.
 
 use super::*;
 
@@ -179,7 +179,7 @@ fn no_turn_that_limits_is_left_out_in_advance() {
 }
 
 /// Returns the ratio of path length to straight length for the piece with number `place`. It exceeds 1 for some pieces,
-/// as for blocks that moves without a step have preceded.
+/// as for blocks after moves without a step.
 fn winding(place: usize) -> f32 {
     if place % 50 < 15 { 1.0 + 0.3 * (place % 50) as f32 } else { 1.0 }
 }
@@ -257,7 +257,8 @@ fn entry_limits(points: &[[f32; 2]], fast2: f32, rule: &TurnRule<2>, attainable:
                 *limit2 = limit2.min(bend.speed2);
             }
         });
-        // The bound of the speed holds for a machine that speeds up from rest as far as the limits allow.
+        // `attainable2` must be an upper bound of the speed² of a machine that speeds up from rest as far as the limits
+        // allow.
         let mut speed2 = 0.0_f32;
         rises2.push(2.0 * acceleration * piece.path);
         for (limit2, rise2) in limits2.iter().zip(&rises2) {

@@ -15,7 +15,8 @@ fn f(coordinate: Coordinate) -> f64 {
     coordinate.0 as f64 / DECIMAL_ONE as f64
 }
 
-/// Returns a geometry from polar coordinates.
+/// Returns the geometry of an arc around `centre`, from the angle `from` over the angle `sweep` (rad; negative:
+/// clockwise; more than 6.3 in either direction: a full circle). `rise`: displacement of the linear axis, mm.
 fn geometry(
     plane: usize,
     radius: f64,

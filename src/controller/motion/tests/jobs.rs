@@ -368,8 +368,8 @@ fn every_stop_is_marked() {
     assert!(last.is_some_and(|s| s.flags & Segment::FLAG_LAST != 0));
 }
 
-/// The full image leaves out limits that the machine cannot exceed, and the small image computes them all: both make the
-/// same steps at the same times.
+/// Both images make the same steps at the same times, although the full image skips more of the limits that the machine
+/// cannot exceed.
 #[test]
 fn tight_curves_have_the_same_steps_in_both_images() {
     let micrometres = |mm: f64| (mm * 1000.0).round() / 1000.0;

@@ -37,7 +37,7 @@ enum Change {
     Configure(bool),
 }
 
-/// On which bends the blocks of a generated path lie.
+/// The kind of bends in a generated path.
 #[derive(Clone, Copy, Debug)]
 enum Path {
     Straight,
