@@ -27,12 +27,12 @@ impl Axis {
     /// All axes that a board can have, in order.
     pub const ALL: [Axis; 6] = [Axis::X, Axis::Y, Axis::Z, Axis::A, Axis::B, Axis::C];
 
-    /// Index of the axis in a [`PerAxis`], 0 for X.
+    /// Returns the index of the axis in a [`PerAxis`], 0 for X.
     pub const fn index(self) -> usize {
         self as usize
     }
 
-    /// The letter that names the axis in a program.
+    /// Returns the upper-case letter that names the axis in a program.
     pub const fn letter(self) -> u8 {
         match self {
             Axis::X => b'X',
@@ -44,7 +44,7 @@ impl Axis {
         }
     }
 
-    /// The axis of a program letter (upper case), if the letter names one.
+    /// Returns the axis that an upper-case letter names; `None` if the letter names no axis.
     pub const fn from_letter(letter: u8) -> Option<Axis> {
         match letter {
             b'X' => Some(Axis::X),
@@ -57,17 +57,17 @@ impl Axis {
         }
     }
 
-    /// Whether the axis is rotary: its coordinates are degrees.
+    /// Returns whether the axis is rotary: its coordinates are degrees.
     pub const fn is_rotary(self) -> bool {
         self as usize >= LINEAR
     }
 
-    /// Whether the travel of the axis is limited. A rotary axis with `travel` 0 turns without limit.
+    /// Returns whether the travel of the axis is limited. A rotary axis with `travel` 0 turns without limit.
     pub fn has_ends(self, travel: f32) -> bool {
         !self.is_rotary() || travel > 0.0
     }
 
-    /// The axes of a machine with `N` axes, in order.
+    /// Returns the axes of a machine with `N` axes, in order.
     pub fn of_machine<const N: usize>() -> impl Iterator<Item = Axis> {
         Axis::ALL.into_iter().take(N)
     }
@@ -91,17 +91,17 @@ pub enum Arrangement {
 pub struct PerAxis<T, const N: usize>(pub [T; N]);
 
 impl<T: Copy, const N: usize> PerAxis<T, N> {
-    /// The same value for every axis.
+    /// Returns the same value for every axis.
     pub const fn all(value: T) -> Self {
         Self([value; N])
     }
 
-    /// Makes the value of each axis by a call of `make` with that axis.
+    /// Calls `make` for each axis, in order, to get its value.
     pub fn from_axis(mut make: impl FnMut(Axis) -> T) -> Self {
         Self(core::array::from_fn(|i| make(Axis::ALL.get(i).copied().unwrap_or(Axis::X))))
     }
 
-    /// The value of an axis; `None` if this machine does not have the axis.
+    /// Returns the value of an axis; `None` if this machine does not have the axis.
     pub fn get(&self, axis: Axis) -> Option<T> {
         self.0.get(axis.index()).copied()
     }
@@ -124,12 +124,12 @@ impl<T: Copy, const N: usize> PerAxis<T, N> {
         PerAxis(core::array::from_fn(|i| make(self.0[i], other.0[i])))
     }
 
-    /// The values in axis order.
+    /// Returns the values in axis order.
     pub fn iter(&self) -> impl Iterator<Item = &T> {
         self.0.iter()
     }
 
-    /// The values in axis order, mutable.
+    /// Returns the values in axis order, so that the caller can change them.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut T> {
         self.0.iter_mut()
     }
@@ -154,12 +154,12 @@ impl AxisMask {
         AxisMask(self.0 | (1 << axis.index()))
     }
 
-    /// Whether the axis is in the set.
+    /// Returns whether the axis is in the set.
     pub const fn has(self, axis: Axis) -> bool {
         self.0 & (1 << axis.index()) != 0
     }
 
-    /// Whether the set is empty.
+    /// Returns whether the set is empty.
     pub const fn is_empty(self) -> bool {
         self.0 == 0
     }

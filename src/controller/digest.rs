@@ -21,7 +21,7 @@ impl Default for Digest {
 }
 
 impl Digest {
-    /// The digest before the first step event.
+    /// Returns the digest before the first step event.
     pub const fn new() -> Self {
         Self { time: BASIS, order: BASIS }
     }
@@ -35,12 +35,12 @@ impl Digest {
         self.order = (self.order ^ bits).wrapping_mul(PRIME);
     }
 
-    /// Digest over the time, step bits and direction bits of all events.
+    /// Returns the digest over the time, step bits and direction bits of all events.
     pub fn time_hash(&self) -> u64 {
         self.time
     }
 
-    /// Digest over the step and direction bits in their order, without the times.
+    /// Returns the digest over the step and direction bits in their order, without the times.
     pub fn order_hash(&self) -> u64 {
         self.order
     }

@@ -2,10 +2,10 @@
 //! [`Controller::event`] takes an event, [`Controller::output`] returns the next thing to do, and
 //! [`Controller::next_wakeup`] returns when the controller must be called again.
 //!
-//! Every call returns after a bounded piece of work: at most one line, one chord or one segment. Work that has to wait
-//! (for room in the look-ahead, for the end of a motion or a dwell, for a record to be stored) is kept as data and
-//! continued in a later call, so it never delays `?`, `!` or a reset. [`Controller::event`] and [`Controller::output`]
-//! get the current time as an argument.
+//! Every call returns after a bounded piece of work: at most one line, one chord or one segment. Some work has to wait:
+//! for room in the look-ahead, for the end of a motion or a dwell, for a record to be stored. Such work is kept as data
+//! and continued in a later call, so it never delays `?`, `!` or a reset. [`Controller::event`] and
+//! [`Controller::output`] get the current time as an argument.
 
 use crate::image::FULL_IMAGE;
 use crate::memory::Memory;
@@ -48,7 +48,8 @@ pub struct Profile {
     pub oscillator_mhz: u8,
     /// Whether settings survive power-off. If not, the controller requests no store operations.
     pub has_store: bool,
-    /// Whether `$DFU` may restart the board into its boot loader: hosts reach it over USB, and it starts no load.
+    /// Whether `$DFU` may restart the board into the chip's boot loader: hosts can reach the boot loader over USB, and
+    /// the boot loader switches on no load of the board.
     pub has_loader: bool,
 }
 
@@ -170,7 +171,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether the controller accepts a line byte.
+    /// Returns whether the controller accepts a byte of a line now.
     pub fn wants_line(&self) -> bool {
         self.task.is_none()
             && !self.m.lines.holds()
@@ -179,21 +180,21 @@ impl<const N: usize> Controller<N> {
             && self.m.replies.has_room()
     }
 
-    /// Whether received lines stay in the queue, because the machine waits for the operator, homes or brakes. Bytes
-    /// that a later reset has made invalid stay there too, until [`Controller::drop_old`] drops them.
+    /// Returns whether received lines stay in the queue, because the machine waits for the operator, homes or brakes.
+    /// Bytes that a later reset has made invalid stay there too, until [`Controller::drop_old`] drops them.
     pub fn lets_lines_wait(&self) -> bool {
         !self.state.takes_lines()
     }
 
-    /// Whether the step task will soon run out of segments although the motion continues.
+    /// Returns whether the step task will soon run out of segments although the motion continues.
     pub fn is_short_of_segments(&self) -> bool {
         self.m.motion.is_short_of_segments()
     }
 
     /// Returns when the controller must be called again if nothing happens before; `None` if it need not be called.
     pub fn next_wakeup(&self) -> Option<Instant> {
-        // Motion that a hold or a door has interrupted continues only after an event, so it needs no wake-up while it
-        // is at rest.
+        // Motion that a hold or a door has interrupted continues only after an event. While such motion is at rest, no
+        // wake-up is needed.
         let moving = !self.m.motion.is_at_rest()
             || !self.m.parking.motion().is_at_rest()
             || self.m.step_supply.is_running() && !self.state.is_suspended();
@@ -227,8 +228,8 @@ impl<const N: usize> Controller<N> {
         [moving, spindle, task, outputs, self.m.drivers.off_at(), silent, lost].into_iter().flatten().min()
     }
 
-    /// Returns whether the board must restart now (`$REBOOT`, `$DFU`), and whether into the boot loader of the chip. The
-    /// platform asks for this after its rounds; the answer to the command has been sent some time before.
+    /// Returns `Some` if the board must restart now (`$REBOOT`, `$DFU`); the value is whether it restarts into the
+    /// chip's boot loader. The platform calls this after its rounds. By then the answer to the command has been sent.
     pub fn reboot_due(&self) -> Option<bool> {
         // Any change of the state cancels the restart (`Controller::enter`), so here nothing moves.
         match self.task {
@@ -245,12 +246,17 @@ impl<const N: usize> Controller<N> {
     /// Does a bounded piece of work at `now` and returns the next output for which the pump has `room`. Call until it
     /// returns `None`.
     ///
-    /// Everything that takes longer than handling an event happens here, in order of urgency: handle ended motions and
-    /// delays; output stops, pins and records; fill the step queue if it is short; send replies; do one bounded piece
-    /// of the current task; hand further segments to the step task. After a piece of a task the result is
-    /// [`Output::Worked`] or [`Output::Answer`], and there may be more to do. A line that moves takes at least three
-    /// calls: to execute and answer it, to start its motion, and to hand its segments to the step task, one segment per
-    /// call.
+    /// Everything that takes longer than handling an event happens here, in order of urgency:
+    /// 1. handle ended motions and delays;
+    /// 2. output stops, pins and records;
+    /// 3. fill the step queue if it is short;
+    /// 4. send replies;
+    /// 5. do one bounded piece of the current task;
+    /// 6. hand further segments to the step task.
+    ///
+    /// After a piece of a task the result is [`Output::Worked`] or [`Output::Answer`], and there may be more to do. A
+    /// line that moves takes at least three calls: to execute and answer it, to start its motion, and to hand its
+    /// segments to the step task, one segment per call.
     pub fn output(&mut self, now: Instant, room: Room) -> Option<Output> {
         self.m.now = now;
         if self.may_have_changed()
@@ -291,13 +297,13 @@ impl<const N: usize> Controller<N> {
         None
     }
 
-    /// Whether anything that [`Controller::look_round`] checks may have changed since it was last called.
+    /// Returns whether anything that [`Controller::look_round`] checks may have changed since it was last called.
     fn may_have_changed(&self) -> bool {
         !self.m.pins.are_calm() || self.m.step_supply.is_running() && self.m.motion.is_idle()
     }
 
-    /// Whether only motion is in progress. Until that motion ends, passing time and the progress of the step task
-    /// change nothing that [`Controller::look_round`] checks.
+    /// Returns whether only motion is in progress. Until that motion ends, passing time and the progress of the step
+    /// task change nothing that [`Controller::look_round`] checks.
     fn only_moves(&self) -> bool {
         matches!(self.state, State::Normal)
             && self.m.probe.is_over()
@@ -370,8 +376,8 @@ impl<const N: usize> Controller<N> {
         if let Some(ToStep::Segment(segment)) = &mut message {
             segment.power = self.overridden_power(segment.power);
         }
-        // The drivers need not be on for a message that lets the step task run again or watches the probe: it moves
-        // nothing.
+        // A message that lets the step task run again or watches the probe moves nothing, so the drivers need not be on
+        // for it.
         let moves = !matches!(message, None | Some(ToStep::Resume { .. } | ToStep::Watch { .. }));
         if moves && self.m.drivers.switch_on() {
             self.m.pins.disturb();
@@ -379,8 +385,8 @@ impl<const N: usize> Controller<N> {
         message
     }
 
-    /// Returns the next message for the step task: first [`ToStep::Resume`], which lets the step task run again after a
-    /// stop, then the start or end of watching the probe, then parking moves, and last the job's motion.
+    /// Returns the next message for the step task, in this order: [`ToStep::Resume`], which lets the step task run
+    /// again after a stop; the start or end of watching the probe; parking moves; motion of the job.
     #[inline(never)]
     fn message_in_turn(&mut self) -> Option<ToStep> {
         if !self.m.stops.is_open() {
@@ -446,7 +452,7 @@ impl<const N: usize> Controller<N> {
     /// Starts queued motion when there is no reason to wait for further moves.
     fn auto_start(&mut self) {
         // Motion is still running, but the last segment of the previous move may already be in the step queue. A move
-        // queued after that continues this motion, and without this start it would never begin.
+        // queued after that segment continues this motion. It would never begin without this start.
         if self.m.step_supply.is_running() && matches!(self.state, State::Normal | State::Jog { cancelling: false }) {
             self.m.motion.start();
             return;

@@ -17,12 +17,12 @@ macro_rules! codes {
             /// All codes in the order of their numbers.
             pub const ALL: &'static [$codes] = &[$($codes::$name),*];
 
-            /// The number on the wire.
+            /// Returns the number on the wire.
             pub const fn code(self) -> u8 {
                 self as u8
             }
 
-            /// The text that explains the code to people, in English.
+            /// Returns the English text that explains the code.
             pub const fn text(self) -> &'static str {
                 match self {
                     $($codes::$name => $text,)*

@@ -8,7 +8,7 @@
 //! 1. `protocol::realtime` passes its bytes on (a `?` between them would be answered at once);
 //! 2. `protocol::line_filter` collects them, without blanks, as `G1X10F600`;
 //! 3. `gcode` reads words, checks them against each other and the modal state, and returns an action: feed, target;
-//! 4. `work` waits for room in the look-ahead, takes the new modal state over and hands the move to `motion`;
+//! 4. `work` waits for room in the look-ahead, applies the new modal state and hands the move to `motion`;
 //! 5. `motion::planner` makes a block of whole motor steps and fits its speeds to those of its neighbours;
 //! 6. `host` answers `ok`;
 //! 7. `motion::segment` cuts the block into segments of about a millisecond, each with evenly changing tick intervals;

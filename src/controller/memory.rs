@@ -1,4 +1,4 @@
-//! Memory for the large parts of a controller, which the caller provides for good: motion with its look-ahead, the
+//! Memory for the large parts of a controller, which the caller provides permanently: motion with its look-ahead, the
 //! interpreter, queued replies and stored texts, 20 to 70 KB in all. The parts are built one after the other, so the
 //! stack never holds more than one of them.
 
@@ -75,7 +75,7 @@ mod on_board {
             records: MaybeUninit::uninit(),
         };
 
-        /// Builds the parts in this storage, and returns references to them that stay valid for good.
+        /// Builds the parts in this storage, and returns `'static` references to them.
         #[inline(never)]
         pub fn lend(&'static mut self, profile: &Profile) -> Memory<N> {
             let clock = profile.step_clock_hz;

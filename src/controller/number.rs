@@ -8,8 +8,8 @@ use crate::units::{DECIMAL_PLACES, Decimal};
 pub enum Digits {
     /// All digits before the point and [`DECIMAL_PLACES`] after it; further ones are dropped.
     Exact,
-    /// Grbl's rule: the first eight digits, leading zeros included. Further digits before the point count as zeros,
-    /// further digits after it are dropped.
+    /// Grbl's rule: the first eight digits, leading zeros included. Further digits before the point count as zeros
+    /// (`12345678901` is 12345678000); further digits after it are dropped.
     Eight,
 }
 
@@ -31,7 +31,7 @@ pub struct Number {
     pub places: u8,
 }
 
-/// Parses the decimal text (sign, digits, at most one point) at the start of `text`; `None` without any digit.
+/// Parses the decimal text (sign, digits, at most one point) at the start of `text`; `None` if there is no digit.
 #[inline(never)]
 pub fn read(text: &[u8], digits: Digits) -> Option<Number> {
     read_here(text, digits)

@@ -24,9 +24,9 @@ use crate::states::stops::orders::Stops;
 use crate::units::{Duration, Instant};
 use crate::work::probe::phases::Probe;
 
-/// If a line arrives at least 5 s after the answer to the line before it, an O number in it begins the next program,
-/// and a program that waits for one of its subprograms is dropped. A sender that continues its file sends its next line
-/// sooner.
+/// Pause of the host after which its next line may belong to another program, 5 s after the answer to the line before.
+/// An O number in such a line begins the next program, and a program that waits for one of its subprograms is dropped.
+/// A sender that continues its file sends its next line sooner.
 const REST: Duration = Duration::from_ticks(5_000_000);
 
 // Small fields come first, because one load or store instruction reaches only 4 KiB from the base.
@@ -44,8 +44,9 @@ pub(crate) struct Machine<const N: usize> {
     pub pins: Pins,
     pub settings_lock: SettingsLock,
     pub now: Instant,
-    /// When the host's last line was answered (`$` lines do not count) or the last hold or door ended, whichever was
-    /// later.
+    /// When the host's last line was answered, or when the last hold, door or other suspended state ended, whichever
+    /// was later. Of the `$` lines, only jogs, `$H`, `$I=` and others that end in `Controller::finish` with
+    /// `Answer::Host` count.
     pub last_line_at: Instant,
     pub lines: LineIntake,
     pub interpreter: Lent<Interpreter<N>>,
@@ -79,7 +80,6 @@ impl<const N: usize> Machine<N> {
         }
     }
 
-    /// Starts the queued motion.
     pub(crate) fn start_motion(&mut self) {
         self.step_supply.start();
         self.motion.start();
@@ -100,13 +100,13 @@ impl<const N: usize> Machine<N> {
         }
     }
 
-    /// Whether M6 pauses for a tool change (`$918`).
+    /// Returns whether M6 pauses for a tool change (`$918`).
     pub(crate) fn prompts_for_tools(&self) -> bool {
         self.settings.is_on(Key::ToolChange)
     }
 
-    /// Whether the machine is at rest, and the host has sent no line for so long that the next line can be that of another
-    /// program.
+    /// Returns whether the machine is at rest, and the host has sent no line for at least 5 s ([`REST`]), so that the
+    /// next line may belong to another program.
     #[inline(never)]
     pub(crate) fn has_rested(&self) -> bool {
         self.motion.is_idle() && self.now.checked_duration_since(self.last_line_at).is_some_and(|rest| rest >= REST)

@@ -5,15 +5,15 @@
 //! ```text
 //!  round ─▶ observe ─▶ events, source by source ─▶ bytes of lines ─▶ outputs ─┬─▶ none: the round ends
 //!    ▲                                                                        │
-//!    └── a segment for the step task, a line, a stop, a question to the store ◀┘
+//!    └── a segment for the step task, a line, a stop, a change for the store ─◀┘
 //! ```
 //! Each segment for the step task and each executed line starts another round. So before each segment is cut, the
 //! look-ahead is as full as the received bytes allow, and the steps do not depend on the speed of the processor.
 //! Segments come before lines only if the processor is so slow that the step task will soon run out of segments during
 //! a motion.
 //!
-//! An output that is answered by an event (a stop, a stored record, the view of the pins) starts another round too: the
-//! answer is passed on before the next output, so at most one output of each kind is pending.
+//! Some outputs are answered by an event: a stop, a stored record, the view of the pins. They start another round too,
+//! in which the answer is passed on before the next output. So at most one output of each kind is pending.
 
 use crate::dispatch::Controller;
 use crate::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, REALTIME_DEPTH, Room};
@@ -49,7 +49,7 @@ pub trait Pump<const N: usize> {
     /// Whether the pump is woken again if input arrives or room is made during a round. If not, a round in which
     /// anything was done is followed by another round.
     const IS_WOKEN: bool;
-    /// The controller that this pump drives.
+    /// Returns the controller that this pump drives.
     fn controller(&mut self) -> &mut Controller<N>;
     /// Begins a round, one run of [`round`], and returns the time that is used for the whole round. Only line bytes
     /// queued by now are read in the round, so a report requested by `?` comes before the answer to a line that ends

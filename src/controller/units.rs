@@ -1,6 +1,6 @@
-//! The quantities the controller computes with, each a type of its own: `Coordinate` in 0.1 nm (50 m at most),
-//! `Decimal` in 10^-7, `StepsPerMm`, `Instant` and `Duration` in microseconds, the `WeightedPoint` of a curve. Integer
-//! arithmetic is exact; sums saturate.
+//! The quantities with which the controller computes. Each has a type of its own: `Coordinate` in 0.1 nm (50 m at
+//! most), `Decimal` in 10^-7, `StepsPerMm`, `Instant` and `Duration` in microseconds, and `WeightedPoint` for the
+//! control points of a curve. Integer arithmetic is exact; sums saturate.
 //!
 //! Positions are integers: [`Coordinate`] counts 0.1 nm (exact for seven decimals of a millimetre and for six of an
 //! inch), steps count motor steps. The conversion between them is integer arithmetic ([`StepsPerMm`]), so a million
@@ -12,10 +12,10 @@ pub const DECIMAL_PLACES: u32 = 7;
 /// 10 to the power of [`DECIMAL_PLACES`].
 pub const DECIMAL_ONE: i64 = 10_000_000;
 
-/// Returns `value` / [`DECIMAL_ONE`], rounded down, in a fifth of the time of the division. The processor of a board
-/// has no instruction that divides more than 32 bits, but one that multiplies 32 by 32 bits.
+/// Returns `value` / [`DECIMAL_ONE`], rounded down, five times as fast as a 64-bit division. The processor of a board
+/// multiplies 32 by 32 bits in one instruction, but has no instruction that divides more than 32 bits.
 pub(crate) const fn ones(value: u64) -> u64 {
-    /// 10^7 = 2^7 × 5^7.
+    /// 5^7, the odd factor of 10^7 = 2^7 × 5^7.
     const ODD: u32 = 78_125;
     /// 2^48 / 5^7, rounded down.
     const INVERSE: u64 = (1 << 48) / ODD as u64;
@@ -84,7 +84,7 @@ impl Decimal {
     /// Zero.
     pub const ZERO: Decimal = Decimal(0);
 
-    /// The decimal of a whole number.
+    /// Returns the decimal of a whole number.
     pub const fn from_int(value: i32) -> Decimal {
         Decimal(value as i64 * DECIMAL_ONE)
     }
@@ -127,12 +127,13 @@ impl Coordinate {
     /// Maximum distance from the origin that the controller computes with: 50 m. Targets beyond it are refused.
     pub const LIMIT: Coordinate = Coordinate(50_000 * DECIMAL_ONE);
 
-    /// A length in millimetres as the program wrote it.
+    /// Converts a length in millimetres, as a program writes it.
     pub const fn from_mm(value: Decimal) -> Coordinate {
         Coordinate(value.0)
     }
 
-    /// A length in inches as the program wrote it (25.4 mm each; exact for six decimals, rounded to 0.1 nm beyond).
+    /// Converts a length in inches (25.4 mm each), as a program writes it. Exact for up to six decimals; further
+    /// decimals are rounded to 0.1 nm.
     pub const fn from_inches(value: Decimal) -> Coordinate {
         // 25.4 = 254 / 10. Adding a half with the sign of the value rounds to nearest. Values are below 2^50 after
         // range checks; wider ones saturate far outside LIMIT.
@@ -141,7 +142,7 @@ impl Coordinate {
         Coordinate(wide.saturating_add(half) / 10)
     }
 
-    /// A length from whole millimetres.
+    /// Converts whole millimetres.
     pub const fn mm(value: i32) -> Coordinate {
         Coordinate(value as i64 * DECIMAL_ONE)
     }
@@ -153,13 +154,13 @@ impl Coordinate {
         if self.0 < 0 { whole.wrapping_neg() } else { whole }
     }
 
-    /// The length in mm as the nearest `f32`.
+    /// Returns the length in mm as the nearest `f32`.
     #[inline]
     pub fn to_mm(self) -> f32 {
         wide_to_f32(self.0) / DECIMAL_ONE as f32
     }
 
-    /// The coordinate nearest to a length in mm.
+    /// Returns the coordinate nearest to a length in mm.
     ///
     /// Beyond ±9 × 10¹¹ mm the result saturates.
     #[inline]
@@ -173,7 +174,7 @@ impl Coordinate {
         self.clamp(-Self::LIMIT, Self::LIMIT)
     }
 
-    /// Whether the coordinate is within ±[`Coordinate::LIMIT`].
+    /// Returns whether the coordinate is within ±[`Coordinate::LIMIT`].
     pub const fn in_range(self) -> bool {
         self.0 <= Self::LIMIT.0 && self.0 >= -Self::LIMIT.0
     }
@@ -267,15 +268,15 @@ impl StepsPerMm {
     pub fn sevenths_beyond(self, coordinate: Coordinate, steps: i32) -> i32 {
         /// One step in the unit of `rest`.
         const STEP: i32 = DECIMAL_ONE as i32;
-        // Both products can overflow, but their wrapping difference is right: it is at most half a step, which is below
-        // 2^56, and 10^7 / 2 after the shift.
+        // Both products can overflow, but their wrapping difference is right. The difference is at most half a step:
+        // below 2^56 before the shift, at most 10^7 / 2 after it.
         let product = coordinate.0.wrapping_mul(i64::from(self.mantissa));
         let whole = i64::from(steps).wrapping_mul(DECIMAL_ONE << self.shift);
         let rest = (product.wrapping_sub(whole) >> self.shift) as i32;
         ((rest.clamp(-STEP / 2, STEP / 2) * 7 + 7 * STEP / 2) / STEP - 3).min(3)
     }
 
-    /// The coordinate nearest to a step.
+    /// Returns the coordinate nearest to a step.
     // Not inlined, because each caller converts all axes and would contain the code several times.
     #[inline(never)]
     pub fn coordinate(self, steps: i32) -> Coordinate {
@@ -309,7 +310,7 @@ pub fn per_minute(per_second: f32) -> f32 {
 pub struct WeightedPoint {
     /// Machine coordinates X and Y.
     pub place: [Coordinate; 2],
-    /// How strongly the curve is drawn to the point, above 0.
+    /// Weight of the point, above 0: a higher weight pulls the curve closer to the point.
     pub weight: f32,
 }
 
@@ -318,7 +319,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// The step nearest to a coordinate, by the division that the fast code replaces.
+    /// Returns the step nearest to a coordinate, computed by the division that the fast code replaces.
     fn divided(scale: StepsPerMm, coordinate: Coordinate) -> i32 {
         let product = coordinate.0.saturating_mul(i64::from(scale.mantissa));
         let divisor = DECIMAL_ONE << scale.shift;

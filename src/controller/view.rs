@@ -16,7 +16,7 @@ use crate::work::task::{Stage, Task};
 const NEVER: Instant = Instant::from_ticks(u64::MAX / 4);
 
 impl<const N: usize> Controller<N> {
-    /// Whether nothing is queued, moving, waited for or unanswered.
+    /// Returns whether nothing is queued or moving, the controller waits for nothing, and every line is answered.
     pub fn is_idle(&self) -> bool {
         self.has_nothing_to_do()
             && self.m.stops.is_idle()
@@ -26,42 +26,43 @@ impl<const N: usize> Controller<N> {
             && self.m.records.are_stored()
     }
 
-    /// Whether another host may take over: the controller is idle, and no subroutine, loop or condition is open.
-    /// Otherwise the remaining lines of an open subroutine, loop or condition would be executed as if they stood
+    /// Returns whether another host may take over: the controller is idle, and no subroutine, loop or condition is
+    /// open. Otherwise the remaining lines of an open subroutine, loop or condition would be executed as if they were
     /// outside of it.
     pub fn is_free(&self) -> bool {
         self.is_idle() && !self.m.interpreter.is_within_block()
     }
 
-    /// Whether UTF-8 characters in comments are text. In Grbl's dialect each of their bytes is a command or is ignored.
+    /// Returns whether UTF-8 characters in comments are text. In Grbl's dialect each of their bytes is a command or is
+    /// ignored.
     pub fn reads_characters(&self) -> bool {
         self.dialect() != Dialect::Grbl
     }
 
-    /// Whether answers wait for room in the output queue.
+    /// Returns whether answers wait for room in the output queue.
     pub fn has_answers(&self) -> bool {
         self.m.replies.are_waiting()
     }
 
-    /// Whether a job is in progress. A laser that burns at rest counts as a job.
+    /// Returns whether a job is in progress. A laser that burns at rest counts as a job.
     pub(crate) fn is_at_work(&self) -> bool {
         let has_task = !matches!(self.task, Task::None | Task::Rebooting { .. });
         self.m.step_supply.is_running() || !self.m.motion.is_idle() || has_task || self.burns()
     }
 
-    /// Whether the laser burns at rest.
+    /// Returns whether the laser burns at rest.
     pub(crate) fn burns(&self) -> bool {
         self.m.settings.is_on(Key::Laser) && self.resting_power() != 0
     }
 
-    /// Whether the spindle must be up to speed: program lines are being executed, and none of them is waiting for
-    /// spin-up.
+    /// Returns whether the spindle must be up to speed: program lines are being executed, and none of them is waiting
+    /// for spin-up.
     pub(crate) fn needs_speed(&self) -> bool {
         let works = self.m.step_supply.is_running() || !self.m.motion.is_idle() || self.task.is_program();
         matches!(self.state, State::Normal) && works && !self.task.is_spinning_up()
     }
 
-    /// Whether a turning spindle stays on at this alarm.
+    /// Returns whether a turning spindle stays on at this alarm.
     pub(crate) fn keeps_spindle_on(&self, alarm: Alarm) -> bool {
         let reaction = match alarm {
             Alarm::AbortInMotion => Reaction::of(Key::HostReaction, &self.m.settings),
@@ -93,8 +94,8 @@ impl<const N: usize> Controller<N> {
         self.task.is_none() && !matches!(self.state, State::Homing(_))
     }
 
-    /// Whether the controller is idle and spindle and laser are off. Only then may the pump stop for a second to erase
-    /// flash.
+    /// Returns whether the controller is idle and spindle and laser are off. Only then may the pump stop for a second
+    /// to erase flash.
     pub fn is_quiet(&self) -> bool {
         self.is_idle() && self.is_off()
     }
@@ -109,9 +110,9 @@ impl<const N: usize> Controller<N> {
         self.m.pins.are_off()
     }
 
-    /// Position of the tool in machine coordinates.
+    /// Returns the position of the tool in machine coordinates.
     pub fn machine_position(&self) -> PerAxis<Coordinate, N> {
-        // A parked machine is where the parking moves have taken it.
+        // While the tool is parked, its position is that of the parking moves.
         if self.m.parking.is_away() {
             self.m.parking.motion().machine_position()
         } else {
@@ -119,23 +120,23 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Position of the tool in the active coordinate system.
+    /// Returns the position of the tool in the active coordinate system.
     pub fn work_position(&self) -> PerAxis<Coordinate, N> {
         self.machine_position().zip(&self.m.interpreter.work_zero(self.dialect()), |m, o| m - o)
     }
 
-    /// N word of the move in execution, 0 = none.
+    /// Returns the N word of the move in execution, 0 = none.
     pub fn line_number(&self) -> u32 {
         self.m.motion.line_number()
     }
 
-    /// N word of the move that was last handed to the step task. [`Controller::line_number`] returns the N word of the
-    /// move in execution.
+    /// Returns the N word of the move that was last handed to the step task. [`Controller::line_number`] returns the N
+    /// word of the move in execution.
     pub fn handed_line_number(&self) -> u32 {
         self.m.motion.running_line_number()
     }
 
-    /// N words of the move that was last handed to the step task, and of the moves queued after it.
+    /// Returns the N words of the move that was last handed to the step task, and of the moves queued after it.
     pub fn queued_line_numbers(&self) -> impl Iterator<Item = u32> {
         self.m.motion.queued_line_numbers()
     }
@@ -146,8 +147,8 @@ impl<const N: usize> Controller<N> {
         self.m.motion.number_moves(number);
     }
 
-    /// The tool in the spindle during the motion of the line being executed; without such a line, the current tool. 0
-    /// if no M6 has named one.
+    /// Returns the tool in the spindle during the motion of the line being executed; without such a line, the current
+    /// tool; 0 if no M6 has named one.
     pub fn tool_in_work(&self) -> u32 {
         match self.task {
             Task::Job(_) => self.line.action.spindle_tool(),
@@ -155,12 +156,13 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// S of the line being executed, without overrides; 0 while the spindle is off or no line is being executed.
+    /// Returns S of the line being executed, without overrides; 0 while the spindle is off or no line is being
+    /// executed.
     pub fn speed_in_work(&self) -> f32 {
         if matches!(self.task, Task::Job(_)) { self.line.action.turning_speed() } else { 0.0 }
     }
 
-    /// Whether the line being executed is an arc or a spline.
+    /// Returns whether the line being executed is an arc or a spline.
     pub fn is_arc_in_work(&self) -> bool {
         matches!(self.task, Task::Job(_))
             && matches!(
@@ -169,8 +171,8 @@ impl<const N: usize> Controller<N> {
             )
     }
 
-    /// Returns when the line being executed has waited long enough for the spindle, so that its own dwell (G4) begins.
-    /// 0 if the line waits only for its dwell, `NEVER` if it has no dwell; `None` if the line does not wait.
+    /// Returns when the line being executed ends its wait for the spindle, so that its own dwell (G4) begins. Returns 0
+    /// if the line waits only for its dwell, `NEVER` if the line has no dwell, and `None` if the line does not wait.
     pub fn waits_for_spindle_until(&self) -> Option<Instant> {
         let Task::Job(job) = &self.task else { return None };
         match (job.stage, self.line.action.dwell) {
@@ -181,55 +183,57 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Number of lines read since power-up (wrapping), accepted or not.
+    /// Returns the number of lines read since power-up (wrapping), accepted or not.
     pub fn lines_read(&self) -> u32 {
         self.m.lines.lines_read()
     }
 
-    /// The line, as counted by [`Controller::lines_read`], that began the outermost subroutine, loop or condition that
-    /// is open now, or that was open when the program ended.
+    /// Returns the line, as counted by [`Controller::lines_read`], that began the outermost subroutine, loop or
+    /// condition that is open now, or that was open when the program ended.
     pub fn open_since(&self) -> Option<u32> {
         self.m.interpreter.open_since()
     }
 
-    /// A program that calls a subprogram defined after it has to be held in memory. Returns by how many bytes at least
-    /// such a program was too long; `None` if it was not.
+    /// Returns the minimum number of bytes by which a held program exceeded the memory; `None` if it did not. A program
+    /// is held in memory if it calls a subprogram that is defined after it.
     pub fn lacking_bytes(&self) -> Option<usize> {
         self.m.interpreter.lacking_bytes()
     }
 
-    /// The active alarm, if any.
+    /// Returns the active alarm, if any.
     pub fn alarm(&self) -> Option<Alarm> {
         self.state.alarm()
     }
 
-    /// Whether the machine is where the position says, as far as can be known. False after a stop at speed, an
-    /// underrun, or a power-up or sleep with homing on, until the machine has been homed.
+    /// Returns whether the reported position is that of the machine, as far as the controller can detect. See
+    /// [`Reference`](crate::machine::reference::Reference) for the events that make the position untrusted; homing
+    /// makes it trusted again.
     pub fn is_trusted(&self) -> bool {
         self.m.reference.is_trusted()
     }
 
-    /// Whether stored settings were damaged and have not been confirmed.
+    /// Returns whether stored settings were damaged and have not been confirmed.
     pub fn is_store_damaged(&self) -> bool {
         self.m.records.are_damaged()
     }
 
-    /// The settings in force.
+    /// Returns the settings in force.
     pub fn settings(&self) -> &Settings<N> {
         &self.m.settings
     }
 
-    /// The interpreter, in its state after the last line taken.
+    /// Returns the interpreter, in its state after the last line that it has taken.
     pub fn interpreter(&self) -> &Interpreter<N> {
         &self.m.interpreter
     }
 
-    /// Whether the program has paused (M0, or a feed hold) and waits for `~` at rest.
+    /// Returns whether the program has paused (M0, or a feed hold) and waits for `~` at rest.
     pub fn is_paused(&self) -> bool {
         matches!(self.state, State::Hold(_)) && self.m.motion.is_at_rest()
     }
 
-    /// Whether hosts are answered like grblHAL (`$900=3`). The words of a program are those of [`Dialect::Oxmill`].
+    /// Returns whether hosts are answered like grblHAL (`$900=3`). The words of a program are those of
+    /// [`Dialect::Oxmill`].
     #[inline]
     pub fn speaks_grblhal(&self) -> bool {
         self.m.settings.speaks_grblhal()

@@ -19,14 +19,14 @@
 //!
 //! # Damage
 //! Flash may lose a bit, and a file that holds the log may be overwritten. A record with a wrong crc is skipped, and
-//! the next record is looked for word by word. Any record with a right crc after the damage belongs to this log,
-//! because records begin at multiples of 4 and a sector is erased as a whole. (A text that a host can store never looks
-//! like a record, because its characters are neither the kind `PUT` nor the length of a `REMOVE`.) One wrong byte in a
-//! header is corrected by means of its crc.
+//! the next record is looked for word by word. Any record with a right crc after the damage belongs to this log, not to
+//! an older one, because records begin at multiples of 4 and a sector is erased as a whole. (A text that a host can
+//! store never looks like a record, because its characters are neither the kind `PUT` nor the length of a `REMOVE`.)
+//! One wrong byte in a header is corrected by means of its crc.
 //!
 //! A power cut leaves a partial record at the end: some words, the last with only some of its bits programmed, then
-//! only erased words. This counts as damage only if a complete record with one wrong byte would look the same, which is
-//! possible only if the cut hit the last word of a record.
+//! only erased words. This counts as damage only if a complete record with one wrong byte would look the same. That is
+//! possible only if the power was cut during the last word of a record.
 //!
 //! Damage is reported as a record with the key [`STORE_DAMAGED`] until that record is removed. The report survives
 //! power cycles and compaction. Removing the record compacts the log into the spare sector. Opening a damaged log
@@ -183,7 +183,7 @@ fn crc(words: &[u32]) -> u32 {
 }
 
 /// Looks for a single wrong byte that explains why the last word is not the crc of the words before it. Returns the
-/// index of the word that contains it, and the wrong bits in that word.
+/// index of the word that contains this byte, and the wrong bits in that word.
 fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
     let (sum, covered) = words.split_last()?;
     let mut difference = crc(covered) ^ sum;
@@ -191,8 +191,8 @@ fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
         if difference.to_le_bytes().iter().filter(|byte| **byte != 0).count() <= 1 {
             return Some((index, difference));
         }
-        // `difference` holds the wrong bits if the error is in the word `index`. If it is in the word before, it has
-        // other wrong bits there: since the CRC is linear, running it backwards over one word computes them.
+        // If the error is in word `index`, `difference` holds the wrong bits of that word. An error in the word before
+        // has other wrong bits. The CRC is linear, so running it backwards over one word computes them.
         for _ in 0..32 {
             difference = if difference >> 31 == 0 { difference << 1 } else { (difference ^ POLYNOMIAL) << 1 | 1 };
         }
@@ -232,7 +232,7 @@ impl Entry {
         words
     }
 
-    /// For a record that removes keys: returns the first key after the removed range.
+    /// Returns the first key after the removed range, for a record that removes keys.
     fn until(&self) -> u16 {
         match self.value.as_slice() {
             [low, high, ..] => u16::from_le_bytes([*low, *high]),
@@ -300,7 +300,7 @@ impl<F: Flash> Log<F> {
     pub fn open(flash: F) -> Result<Self, F::Error> {
         let mut log = Self::over(flash);
         if !log.find_sector()? {
-            // Only here is the sector in use erased: there is no log that could be lost.
+            // This is the only place that erases the sector in use. No log can be lost, because there is none.
             log.sector = Sector::A;
             log.sequence = 1;
             log.appendable = true;
@@ -412,8 +412,8 @@ impl<F: Flash> Log<F> {
         };
         let (outline, size) = (Outline::read(first), until - self.end);
         let cut_short = size < outline.size() || size == outline.size() && crc(covered) & !last == 0;
-        // One wrong byte explains these words only if the corrected record has exactly as many words. If it has not,
-        // the crc fits by chance.
+        // One wrong byte explains these words only if the corrected record has exactly as many words. Otherwise the crc
+        // fits by chance.
         let one_byte = wrong_byte(&words).is_some_and(|(index, bits)| {
             let mended = if index == 0 { Outline::read(first ^ bits) } else { outline };
             mended.is_possible() && mended.size() == size
@@ -479,10 +479,10 @@ impl<F: Flash> Log<F> {
                 Entry { kind: REMOVE, key: *from, value }
             }
         };
-        // Flash cannot be repaired in place. So a change that removes the report of damage (the user confirms it)
-        // copies the valid records into the spare sector.
+        // Flash cannot be repaired in place. So a change that removes the report of damage (the user confirms the
+        // damage) copies the valid records into the spare sector.
         let cleans = self.unsound && entry.kind == REMOVE && entry.replaces(STORE_DAMAGED);
-        // After a failed write (`appendable` is false), store the change even if it seems to have no effect: the failed
+        // After a failed write (`appendable` is false), store the change even if it seems to have no effect. The failed
         // record is ignored now, but a restart could find it as valid.
         if !cleans && self.appendable && self.holds(&entry)? {
             return Ok(());
@@ -552,8 +552,8 @@ impl<F: Flash> Log<F> {
             end = self.copy(target, end, coming)?;
         }
         let sequence = self.sequence.wrapping_add(1);
-        // If the last word of the header fails, nothing may be appended to the old sector any more: a restart can find
-        // the new sector valid, and records that were appended to the old sector meanwhile would be lost.
+        // If the write of the last header word fails, nothing more may be appended to the old sector. A restart can
+        // find the new sector valid, and would then lose any record appended to the old sector.
         self.appendable = false;
         self.write_header(target, sequence)?;
         self.sector = target;
@@ -654,8 +654,8 @@ impl<F: Flash> Log<F> {
     }
 
     /// Finds the valid records of `KEYS` consecutive keys, beginning with `from`. Returns their addresses, and the next
-    /// key after these that has a record. Walks over the log once for all keys: to search the rest of the log for a
-    /// newer record of each key would take seconds if the log is full.
+    /// key after these that has a record. Walks over the log once for all keys. A search for newer records of each key
+    /// separately would take seconds in a full log.
     fn counting(&mut self, from: u16) -> Result<(Places, Option<u16>), F::Error> {
         let mut places = [NOWHERE; KEYS];
         let index = |key: u16| usize::from(key.saturating_sub(from)).min(KEYS);

@@ -13,7 +13,7 @@ use std::vec::Vec;
 
 const SIZE: u32 = 512;
 
-/// Number of random cases of each property: 64, or `PROPTEST_CASES`.
+/// Returns the number of random cases of each property: 64, or `PROPTEST_CASES`.
 fn some_cases() -> ProptestConfig {
     let cases = std::env::var("PROPTEST_CASES").map_or(64, |cases| cases.parse().expect("a number"));
     ProptestConfig { cases, ..ProptestConfig::default() }

@@ -51,8 +51,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Sends the message of a line that is executed. `remark`: first a byte that tells whether parameters in the
-    /// message are replaced by their values, then the message. Sends nothing in an alarm, or if the line would exceed
+    /// Sends the message of a line that is executed. `remark`: a mark, then the message. With the mark [`WITH_VALUES`],
+    /// parameters in the message are replaced by their values. Sends nothing in an alarm, or if the line would exceed
     /// the travel. When the message is sent, moves queued before the line can still be running.
     pub(crate) fn tell_remark(&mut self, remark: &[u8]) {
         if let Some((mark, written)) = remark.split_first() {
@@ -84,7 +84,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// If the program waits for a subprogram, tells the host which one.
+    /// Reports the subprogram that the program waits for, if any.
     #[inline(never)]
     pub(crate) fn tell_awaited(&mut self) {
         if let Some(number) = self.m.interpreter.awaited_subprogram() {
@@ -178,7 +178,7 @@ impl<const N: usize> Controller<N> {
         self.say(|out| reply_texts::message(out, text));
     }
 
-    /// Tells the host how to unlock the machine.
+    /// Reports how the machine can be unlocked; nothing if it is not locked.
     pub(crate) fn tell_lock(&mut self) {
         match self.state {
             State::Alarm(_) if self.m.records.are_damaged() => self.tell_damage(),
@@ -204,9 +204,9 @@ impl<const N: usize> Controller<N> {
         self.m.settings_lock.host_greeted();
     }
 
-    /// Tells a host that takes over about conditions that no report shows. Most of the messages are those that the
-    /// previous host got. A wait that was not reported to the previous host, such as a dwell, is reported to this one.
-    /// Sends nothing in Grbl's dialect, because Grbl does not know of several hosts.
+    /// Reports conditions that no status report shows to a host that takes over. Most of these messages repeat those
+    /// that the previous host got. A wait that was not reported to the previous host, such as a dwell, is reported to
+    /// this one. Sends nothing in Grbl's dialect, because Grbl has only one host.
     #[inline(never)]
     pub(crate) fn tell_inherited(&mut self) {
         // Only the full image has these texts.
@@ -349,12 +349,12 @@ impl<const N: usize> Controller<N> {
         self.say(|out| status_report::status(out, &status, form));
     }
 
-    /// Returns the form in which positions are reported.
+    /// Returns the number of axes and the unit in which positions are reported.
     pub(crate) fn place_form(&self) -> PlaceForm {
         PlaceForm { axes: self.m.settings.axes_in_use(), inches: self.m.settings.is_on(Key::ReportInches) }
     }
 
-    /// Returns the inputs in the form that a report shows: limit switches as axes.
+    /// Returns the inputs for the status report. The limit switch of a second motor counts as a switch of its axis.
     fn shown_signals(&self) -> Signals {
         let signals = *self.m.inputs.signals();
         Signals { limits: levels::axes_of_switches(signals.limits, &self.m.settings), ..signals }

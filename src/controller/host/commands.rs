@@ -138,9 +138,10 @@ impl<const N: usize> Controller<N> {
         self.fall_asleep();
     }
 
-    /// Answers, and restarts the board as soon as the answer has had time to reach the host. Refused while an output is
-    /// on: a restart lets go of everything, and in the boot loader nothing is driven at all. Refused in an alarm that the
-    /// restart would clear: an alarm ends by `$X` or `$H`.
+    /// Answers, and restarts the board after `REBOOT_DELAY`, so that the answer can reach the host. Refused while the
+    /// spindle, the coolant or another output is on, because a restart switches all outputs off, and the boot loader
+    /// drives no outputs at all. `$REBOOT` is also refused in an alarm that the restart would clear (homing is off),
+    /// because only `$X` or `$H` may end an alarm.
     fn reboot(&mut self, into_loader: bool) -> Result<(), Error> {
         self.must_hold_nothing()?;
         if into_loader && !self.m.settings_lock.has_loader() {
@@ -242,9 +243,9 @@ impl<const N: usize> Controller<N> {
         if accepted? != 0.0 {
             match number {
                 DOOR_FITTED if self.m.inputs.pins().door => return Err(Error::DoorOpen),
-                // These settings are refused while their input is active. Only an input that becomes active has an
-                // effect. So a button that is pressed already would cause no alarm after the change, and a door that is
-                // open already no stop.
+                // These settings are refused while their input is active, because only an input that becomes active has
+                // an effect. A button that is pressed already would cause no alarm after the change, and a door that is
+                // open already would cause no stop.
                 RESET_IS_EMERGENCY_STOP if self.m.inputs.pins().reset => return Err(Error::EmergencyStop),
                 _ => {}
             }
@@ -266,8 +267,8 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Sets a setting to an accepted value, and carries out the effects of the change, except those of a change of
-    /// dialect. The caller stores the value.
+    /// Sets a setting to an accepted value, hands the value to the store, and carries out the other effects of the
+    /// change, except those of a change of dialect. The caller waits until the value is stored.
     fn change_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
         let before = self.m.settings.by_number(number);
         let soft_limits = self.m.settings.is_on(Key::SoftLimits);

@@ -17,8 +17,8 @@ use crate::units::Instant;
 use crate::view::dialect;
 use crate::work::task::{Answer, Caller, Task};
 
-/// A mark and the message of a line. The mark is the byte that tells whether parameters in the message are replaced by
-/// their values.
+/// A mark and the message of a line. The mark is [`WITH_VALUES`] if parameters in the message are replaced by their
+/// values, otherwise [`AS_WRITTEN`].
 type Remark = heapless::Vec<u8, { line_filter::MESSAGE_LENGTH + 1 }>;
 
 impl<const N: usize> Controller<N> {
@@ -200,8 +200,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Reads the message of the line into `remark`, after a byte that tells whether parameters in the message are
-    /// replaced by their values. Without a message, and in Grbl's dialect, `remark` stays empty.
+    /// Reads the mark and the message of the line into `remark` (see [`Remark`]). Without a message, and in Grbl's
+    /// dialect, `remark` stays empty.
     fn read_remark(&self, remark: &mut Remark) {
         if let Some((has_values, text)) = self.m.lines.message()
             && self.dialect() != Dialect::Grbl
@@ -266,7 +266,7 @@ impl<const N: usize> Controller<N> {
             // `has_rested` measures.
             Some(b'$') => true,
             // If the host has paused long enough for another program, a line without words does not end the pause,
-            // because the next program can begin with remarks.
+            // because the next program can begin with comments.
             None => rested,
             _ => false,
         };
@@ -365,12 +365,12 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// Whether a `$` line sets a startup line or a macro.
+/// Returns whether a `$` line sets a startup line or a macro.
 fn keeps_line(line: &[u8]) -> bool {
     matches!(line, [b'$', b'N' | b'M', b'0'..=b'9', ..])
 }
 
-/// Returns the text of a line; `None` if a nested remark has not ended, because the text is then unknown.
+/// Returns the text of a line; `None` if a nested comment has not ended, because the text is then unknown.
 fn known_text(text: &[u8]) -> Option<&[u8]> {
     Some(text).filter(|text| *text != [line_filter::OPEN_REMARK])
 }

@@ -38,7 +38,7 @@ impl<const N: usize> Controller<N> {
                 if !self.measures_tools() {
                     return Err(Error::InvalidStatement);
                 }
-                // Without a contact there is nothing to refer to, and an earlier reference stays.
+                // Without a probe contact there is no position to refer to, and an earlier reference stays.
                 let (place, true) = self.m.probe.result() else { return Err(Error::InvalidStatement) };
                 self.m.interpreter.set_tool_reference(Some(place));
                 self.say_ok();

@@ -7,12 +7,11 @@ use crate::settings::Key;
 use crate::states::State;
 use crate::work::task::{Stage, Task};
 
-/// Number of the alarm with which grblHAL asks for homing. Only reports with all fields (0x87) show the number of an
-/// alarm.
+/// Number of grblHAL's alarm "homing required". Only reports with all fields (0x87) show the number of an alarm.
 const HOMING_REQUIRED: u8 = 11;
 
 impl<const N: usize> Controller<N> {
-    /// Whether M6 waits for the operator.
+    /// Returns whether M6 waits for the operator.
     pub(crate) fn waits_for_tool(&mut self) -> bool {
         let Task::Job(job) = self.task else { return false };
         matches!(self.state, State::Hold(_))

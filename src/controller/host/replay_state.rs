@@ -1,5 +1,5 @@
 //! State from which a replay of a recording can begin: a machine at rest with nothing switched on and no override.
-//! Reads this state from a controller, and puts another controller into it. Also sends the pieces of a recording while
+//! Reads this state from a controller, and puts another controller into it. Also sends the items of a recording while
 //! `$REC` lists it.
 
 use crate::axes::{Axis, PerAxis};
@@ -20,7 +20,7 @@ impl<const N: usize> Controller<N> {
         self.m.motion.step_counters()
     }
 
-    /// Whether the machine is locked, so that lines of a program are refused.
+    /// Returns whether the machine is locked, so that lines of a program are refused.
     pub fn is_locked(&self) -> bool {
         self.state.is_alarm()
     }
@@ -87,7 +87,7 @@ impl<const N: usize> Controller<N> {
         self.m.pins.disturb();
     }
 
-    /// Returns `Some` if the next piece of the recording must be requested; `true` stands for the first piece.
+    /// Returns `Some` if the next item of the recording must be requested; `Some(true)` requests the first item.
     pub(crate) fn take_ask(&mut self) -> Option<bool> {
         let Task::Listing(Listing::Recording(ask @ Ask::Due), line) = &mut self.task else { return None };
         *ask = Ask::Asked;

@@ -4,7 +4,7 @@
 //! Such a setting locks motion. If there are several, the first one that [`Settings::unrunnable`] finds is named to the
 //! host: after the `ok` to the change that caused the lock, and before the first `error:9` to a line that would move.
 //! The name is not repeated after that. Otherwise a sender that restores one setting after the other, or streams a job
-//! into a locked machine, would get it at each line.
+//! into a locked machine, would get the name at each line.
 
 use crate::dispatch::Profile;
 use crate::settings::{Key, Settings};
@@ -14,8 +14,9 @@ use crate::step_rates::StepRates;
 /// properties of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SettingsLock {
-    /// Name of the board, and frequency of its oscillator, MHz.
+    /// Name of the board.
     board: &'static str,
+    /// Frequency of the board's oscillator, MHz; 0 if it has none.
     oscillator_mhz: u8,
     /// The board has a fault: motion stays locked until the next start.
     has_board_fault: bool,
@@ -122,8 +123,8 @@ impl SettingsLock {
         })
     }
 
-    /// Returns the setting that locks motion. Determines it anew by `unrunnable` only if a setting has changed since
-    /// the previous call, that is, if `revision` is another one.
+    /// Returns the setting that locks motion. Calls `unrunnable` to determine this setting only if `revision` has
+    /// changed since the previous call, that is, after a change of any setting.
     fn look(&mut self, revision: u32, unrunnable: impl FnOnce() -> Option<u16>) -> Option<u16> {
         if self.revision != Some(revision) {
             let setting = unrunnable();
@@ -134,16 +135,16 @@ impl SettingsLock {
         self.setting
     }
 
-    /// Returns the setting that locks motion, if the host must get its name after setting `changed` got a new value.
-    /// That is so if `changed` locks motion itself, or if another setting or none locked motion at the previous call.
-    /// Call `Self::setting` first.
+    /// Returns the setting to be named to the host after setting `changed` got a new value, if any. If a setting locks
+    /// motion, it is named in two cases: it is `changed` itself, or at the previous call another setting or none locked
+    /// motion. Call `Self::setting` first.
     pub(crate) fn name_after_change(&mut self, changed: u16) -> Option<u16> {
         let named = core::mem::replace(&mut self.named, self.setting);
         self.setting.filter(|setting| *setting == changed || named != Some(*setting))
     }
 
-    /// Returns the setting that locks motion, if the host must get its name before the error of a refused line. That is
-    /// so only for the first refused line since this setting locked motion, or since a host was greeted.
+    /// Returns the setting to be named to the host before the error of a refused line, if any. The setting that locks
+    /// motion is named only at the first refused line since it locked motion, or since a host was greeted.
     pub(crate) fn name_at_line(&mut self) -> Option<u16> {
         let refused = core::mem::replace(&mut self.refused, true);
         self.setting.filter(|_| !refused)

@@ -138,7 +138,7 @@ impl Records {
 
     // Changes on their way to the store
 
-    /// Whether a change waits to be handed to the store.
+    /// Returns whether a change waits to be handed to the store.
     pub(crate) fn has_next(&self) -> bool {
         !self.stores.is_empty()
     }
@@ -156,7 +156,7 @@ impl Records {
         self.are_stored() && core::mem::take(&mut self.failed)
     }
 
-    /// Whether the store has answered all changes, as stored or failed.
+    /// Returns whether the store has answered all changes, as stored or failed.
     pub(crate) fn are_stored(&self) -> bool {
         self.unstored == 0
     }
@@ -254,12 +254,12 @@ impl Records {
 
     // Stored texts
 
-    /// Whether records survive power-off.
+    /// Returns whether records survive power-off.
     pub(crate) fn has_store(&self) -> bool {
         self.has_store
     }
 
-    /// Returns a startup line, if the number exists.
+    /// Returns the startup line with this index, 0 or 1; `None` for any other index.
     pub(crate) fn startup_line(&self, index: usize) -> Option<&StoredText> {
         self.startup_lines.get(index)
     }
@@ -307,7 +307,7 @@ impl Records {
 
     // Damaged records
 
-    /// Whether stored settings were damaged and have not been confirmed.
+    /// Returns whether stored settings were damaged and have not been confirmed.
     pub(crate) fn are_damaged(&self) -> bool {
         self.damage != Damage::None
     }

@@ -38,7 +38,7 @@ pub struct InputLevels {
     last_event: Signals,
 }
 
-/// What has changed from one message of the inputs task to the next.
+/// Changes from one message of the inputs task to the next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InputChange {
     /// Number of times that armed inputs, which stop the step task directly (see [`armed`]), have done so since the
@@ -95,7 +95,8 @@ impl InputLevels {
         &self.signals
     }
 
-    /// Returns the control inputs and limit switches that became active most recently, together.
+    /// Returns the control inputs and limit switches that became active most recently, all in the same message of the
+    /// inputs task.
     pub fn last_event(&self) -> &Signals {
         &self.last_event
     }
@@ -105,7 +106,7 @@ impl InputLevels {
         &self.pins
     }
 
-    /// Whether the inputs task has sent levels since power-up.
+    /// Returns whether the inputs task has sent levels since power-up.
     pub fn are_known(&self) -> bool {
         self.known
     }
@@ -199,7 +200,8 @@ pub fn armed<const N: usize>(settings: &Settings<N>, homing: bool) -> u32 {
         | u32::from(fault) << input::DRIVER_FAULT
 }
 
-/// Returns the axes of these limit switches; the switch of a second motor belongs to the axis of that motor.
+/// Returns the axes of these limit switches as a mask, bit 0 for X. The switch of a second motor belongs to the axis of
+/// that motor.
 pub fn axes_of_switches<const N: usize>(switches: u8, settings: &Settings<N>) -> u8 {
     match settings.ganged_axis() {
         Some(axis) if switches & SECOND_SWITCH != 0 => switches & !SECOND_SWITCH | AxisMask::NONE.with(axis).0,

@@ -1,4 +1,4 @@
-//! Input pins: what they mean, and what follows a change.
+//! The inputs: their levels as the controller uses them, and the reactions to their changes.
 
 pub(crate) mod levels;
 mod pin_changes;

@@ -85,7 +85,7 @@ impl Accessories {
         *self = Accessories { digital, ..Accessories::OFF };
     }
 
-    /// The digital outputs of the program.
+    /// Returns the digital outputs of the program.
     pub fn digital(&self) -> &DigitalOutputs {
         &self.digital
     }
@@ -95,7 +95,7 @@ impl Accessories {
         &mut self.digital
     }
 
-    /// The overrides as the operator has set them, including those that the program has disabled.
+    /// Returns the overrides as the operator has set them, including those that the program has disabled.
     pub fn overrides(&self) -> Overrides {
         self.overrides
     }
@@ -115,27 +115,27 @@ impl Accessories {
         core::mem::take(&mut self.overrides_due)
     }
 
-    /// Direction of the spindle as programmed.
+    /// Returns the direction of the spindle as programmed.
     pub fn spindle(&self) -> SpindleDirection {
         self.direction
     }
 
-    /// Whether the program has the spindle on.
+    /// Returns whether the program has the spindle on.
     pub fn is_on(&self) -> bool {
         self.direction != SpindleDirection::Off
     }
 
-    /// Whether the program has the spindle on, with S0.
+    /// Returns whether the program has the spindle on, with S0.
     pub fn is_on_without_speed(&self) -> bool {
         self.is_on() && self.speed == 0.0
     }
 
-    /// Whether the spindle is stopped although the program has it on.
+    /// Returns whether the spindle is suspended: stopped although the program has it on.
     pub fn is_suspended(&self) -> bool {
         self.suspended
     }
 
-    /// Direction of the spindle output: off while the spindle is suspended.
+    /// Returns the direction of the spindle output: off while the spindle is suspended.
     pub fn spindle_output(&self) -> SpindleDirection {
         if self.suspended { SpindleDirection::Off } else { self.direction }
     }
@@ -205,13 +205,13 @@ impl Accessories {
         core::mem::take(&mut self.suspended)
     }
 
-    /// Whether a cut has to wait for the spindle's at-speed input (`$915`).
+    /// Returns whether a cut has to wait for the spindle's at-speed input (`$915`).
     pub fn must_tell_speed<const N: usize>(&self, settings: &Settings<N>) -> bool {
         settings.whole(Key::AtSpeed) != 0 && !settings.is_on(Key::Laser) && self.is_on()
     }
 
-    /// Whether the spindle is up to speed. Always true if no cut has to wait for the at-speed input. `input`: level of
-    /// this input.
+    /// Returns whether the spindle is up to speed. Always true if no cut has to wait for the at-speed input. `input`:
+    /// level of this input.
     pub fn is_at_speed<const N: usize>(&self, input: bool, settings: &Settings<N>) -> bool {
         !self.must_tell_speed(settings) || input == (settings.whole(Key::AtSpeed) == 1)
     }
@@ -234,8 +234,8 @@ impl Accessories {
         if now < until { until } else { until + settings.seconds(Key::AtSpeedWithin) }
     }
 
-    /// Whether the spindle's speed is monitored during a job (`$915`, `$929`). If not, clears what the monitor has
-    /// recorded.
+    /// Returns whether the spindle's speed is monitored during a job (`$915`, `$929`). If not, clears what the monitor
+    /// has recorded.
     pub fn watches_speed<const N: usize>(&mut self, settings: &Settings<N>) -> bool {
         let watches = self.must_tell_speed(settings) && settings.is_on(Key::SpeedLoss) && !self.suspended;
         if !watches {
@@ -249,8 +249,8 @@ impl Accessories {
         self.watch = SpeedWatch::NONE;
     }
 
-    /// Whether the spindle has been below speed for longer than `$929` while a job is `at_work`. After a change of
-    /// direction or `power`, the spindle first has the time of `$916` to reach its speed.
+    /// Returns whether the spindle has been below speed for longer than `$929` while a job is `at_work`. After a change
+    /// of direction or `power`, the spindle first has the time of `$916` to reach its speed.
     pub fn has_lost_speed<const N: usize>(
         &mut self,
         at_work: bool,
@@ -280,14 +280,14 @@ impl Accessories {
         now >= *self.watch.fault_at.get_or_insert(fault_at) && at_work
     }
 
-    /// When the loss of the spindle's speed becomes a fault, if it lasts.
+    /// Returns when the loss of the spindle's speed becomes a fault, if it lasts; `None` if the speed is not lost.
     pub fn speed_lost_at(&self) -> Option<Instant> {
         self.watch.fault_at
     }
 
-    /// Power of the output while no segment sets it. A laser with constant power (M3) stays on between feed motions if
-    /// `burns_at_rest`; with scaled power (M4) it is off at zero speed. `running`: power of the move that is being
-    /// handed to the step task, or else of the next move, if there is one. `percent`: the override.
+    /// Returns the power of the output while no segment sets it. A laser with constant power (M3) stays on between feed
+    /// motions if `burns_at_rest`; with scaled power (M4) it is off at zero speed. `running`: power of the move that is
+    /// being handed to the step task, or else of the next move, if there is one. `percent`: the override.
     pub fn resting_power<const N: usize>(
         &self,
         settings: &Settings<N>,

@@ -3,6 +3,10 @@
 //!
 //! A group collects the changes that were requested between two motions. Each block of motion carries a mark: the count
 //! of groups that come before it. When a block begins, the groups up to its mark are due.
+//!
+//! Example: in `M62 P0`, `M62 P1`, `G1 X1`, `M63 P0`, `G1 X2`, the first two changes form group 1 and the third is
+//! group 2. The block to X1 has mark 1, so P0 and P1 switch on when it begins. The block to X2 has mark 2, so P0
+//! switches off when it begins.
 
 /// Maximum number of groups. A group is the changes that wait for the same motion. If a change needs one more group,
 /// its G-code line waits until a motion has begun and the changes of its group have been made.
@@ -44,7 +48,7 @@ impl DigitalOutputs {
         self.levels
     }
 
-    /// Whether a change waits for a motion.
+    /// Returns whether a change waits for a motion.
     pub fn is_waiting(&self) -> bool {
         self.count > 0
     }
@@ -54,7 +58,7 @@ impl DigitalOutputs {
         self.apply(DueTogether::of(number, on));
     }
 
-    /// Whether another change can be kept until the next motion. `idle`: no motion is queued.
+    /// Returns whether another change can be kept until the next motion. `idle`: no motion is queued.
     pub fn has_room(&self, idle: bool) -> bool {
         self.open || idle || usize::from(self.count) < GROUPS
     }

@@ -18,7 +18,7 @@ impl Drivers {
     /// Off: nothing has moved yet.
     pub const OFF: Drivers = Drivers { on: false, off_at: None };
 
-    /// Whether the drivers have current, with this `$1` (ms).
+    /// Returns whether the drivers have current, with this `$1` (ms).
     pub fn are_on(&self, idle_delay: u32) -> bool {
         self.on || idle_delay == ALWAYS_ON
     }

@@ -14,7 +14,7 @@ pub struct Filter {
 }
 
 impl Filter {
-    /// All inputs inactive.
+    /// Returns a filter with all inputs inactive.
     pub const fn new() -> Filter {
         Filter { level: 0, count: [0; 3], rejected: 0 }
     }
@@ -23,7 +23,7 @@ impl Filter {
     pub fn sample(&mut self, raw: u32) -> u32 {
         let differs = raw ^ self.level;
         let [a, b, c] = self.count;
-        // The counter is 7, so the last seven samples have differed from the level, and this sample differs, too.
+        // These inputs have a counter of 7 and differ again: eight samples in a row differ from the level.
         let enough = a & b & c & differs;
         let carry = a & b;
         self.rejected = (a | b | c) & !differs;
@@ -32,7 +32,8 @@ impl Filter {
         self.level
     }
 
-    /// Inputs whose change was too short (noise, or the bounce of a contact) and ended with the last sample.
+    /// Returns the inputs whose change was too short (noise, or the bounce of a contact) and ended with the last
+    /// sample.
     pub fn rejected(&self) -> u32 {
         self.rejected
     }

@@ -1,10 +1,17 @@
-//! Whether the machine is where its step counters say, and which axes have been homed.
+//! Records whether the machine's position matches its step counters, and which axes have been homed.
 
 use crate::axes::AxisMask;
 
-/// The reference of the position: whether the position can be trusted. It is lost by a stop at speed, by sleep, and by
-/// a change of the settings for resolution, direction or the end at which an axis is homed; homing restores it. With
-/// homing disabled nothing can restore it, so its loss is only a warning and locks nothing.
+/// The reference of the position: whether the position can be trusted. Homing restores the reference. With homing
+/// disabled nothing can restore it, so its loss is only a warning and locks nothing. These events lose the reference:
+/// * a stop at speed;
+/// * a failed homing;
+/// * an emergency stop during homing, or one that switches the drivers off;
+/// * a driver fault;
+/// * sleep;
+/// * a power-up with homing enabled, or a restart after a failure;
+/// * a change of settings that gives the same position other coordinates, such as resolution, direction, or the end at
+///   which an axis is homed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reference {
     trusted: bool,
@@ -16,12 +23,12 @@ impl Reference {
     /// Trusted although nothing has been homed, because the machine is assumed to be at its power-up position.
     pub const ASSUMED: Reference = Reference { trusted: true, homed: AxisMask::NONE };
 
-    /// Whether the position is true, as far as can be known.
+    /// Returns whether the position is correct, as far as the controller can detect.
     pub fn is_trusted(&self) -> bool {
         self.trusted
     }
 
-    /// Axes homed since the reference was lost.
+    /// Returns the axes homed since the reference was lost.
     pub fn homed_axes(&self) -> AxisMask {
         self.homed
     }

@@ -81,7 +81,7 @@ impl Inputs {
         tripped != 0
     }
 
-    /// Inputs whose change the filter has rejected at the latest sample: see [`Filter::rejected`].
+    /// Returns the inputs whose change the filter has rejected at the latest sample: see [`Filter::rejected`].
     pub fn rejected(&self) -> u32 {
         self.filter.rejected()
     }
@@ -91,8 +91,8 @@ impl Inputs {
         (self.settling == 0).then_some(self.sensed)
     }
 
-    /// Whether [`Inputs::sensed`] may have changed since the last [`Inputs::told`]. Called for each sample; usually
-    /// false.
+    /// Returns whether [`Inputs::sensed`] may have changed since the last [`Inputs::told`]. Called for each sample;
+    /// usually false.
     pub fn is_untold(&self) -> bool {
         self.untold
     }

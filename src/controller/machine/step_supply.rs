@@ -61,12 +61,12 @@ impl StepSupply {
         self.input_ended = true;
     }
 
-    /// Whether no further line is waiting: all received bytes have been read, or the input has ended.
+    /// Returns whether no further line is waiting: all received bytes have been read, or the input has ended.
     pub(crate) fn has_no_more(&self) -> bool {
         self.input_ended || self.observed.received == 0
     }
 
-    /// Whether motion has been started and has not ended.
+    /// Returns whether motion has been started and has not ended.
     pub(crate) fn is_running(&self) -> bool {
         self.running
     }
@@ -81,8 +81,8 @@ impl StepSupply {
         self.running = false;
     }
 
-    /// Whether segments must be cut before more lines are planned. `holds` returns whether the step queue contains at
-    /// least the given number of microseconds of step time.
+    /// Returns whether segments must be cut before more lines are planned. `holds` returns whether the step queue
+    /// contains at least the given number of microseconds of step time.
     pub(crate) fn is_short(&mut self, holds: impl Fn(u32) -> bool) -> bool {
         self.well_filled = (self.well_filled || holds(WELL_FILLED_US)) && self.running;
         !self.well_filled || !holds(LOW_WATER_US)
@@ -90,9 +90,9 @@ impl StepSupply {
 }
 
 /// Returns how long the controller may wait before it refills the step queue: half of the queued step time, within
-/// limits. The number of queued messages says little about the step time, because blocks of a single step fill the
-/// queue with only a millisecond or two of motion. `queued`: step time of the parking motion and of the program's
-/// motion, microseconds.
+/// limits. The number of queued messages is no measure of the step time: blocks of a single step fill the queue with
+/// only a millisecond or two of motion. `queued`: step time of the parking motion and of the program's motion,
+/// microseconds.
 pub(crate) fn refill_delay(queued: [u32; 2]) -> Duration {
     let queued = match queued {
         [0, 0] => return MOVING_WAKEUP,

@@ -72,7 +72,7 @@ pub enum Output {
     Pins(SlowOutputs),
     /// New wiring for the tasks that own the fast pins.
     Wiring(Wiring),
-    /// Stop the step task at once, as for a reset: set its stop mark and pend the task. Answered by
+    /// Stops the step task at once, as for a reset: the pump sets the stop mark and pends the task. Answered by
     /// [`StepEvent::Stopped`].
     Stop,
     /// Reads the inputs; answered by [`Event::Pins`].
@@ -82,7 +82,7 @@ pub enum Output {
     },
     /// Requests the next item of the `$REC` listing. The pump passes the item to `Controller::recorded`.
     ReadRecording {
-        /// Start with the first piece.
+        /// Whether to start again with the first item.
         first: bool,
     },
     /// A change of the settings store, which `Controller::next_store` returns; answered by [`Event::Stored`] or

@@ -117,7 +117,7 @@ impl Noted {
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[allow(clippy::large_enum_variant, reason = "one at a time, on the stack")]
 pub enum Recorded {
-    /// The first piece: the board that made the recording.
+    /// The first item: the board that made the recording.
     Board {
         /// Name of the board.
         name: &'static str,

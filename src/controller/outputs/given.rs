@@ -13,7 +13,7 @@ pub(crate) struct Pins {
     /// Which motors of the ganged axis (the axis with two motors) receive its steps; only one of them while the axis is
     /// squared.
     ganged_motors: GangedMotors,
-    /// No event since the last comparison of the outputs with those sent could have changed them.
+    /// Since the outputs were last compared with those sent, no event could have changed them.
     calm: bool,
     levels: Option<SlowOutputs>,
     wiring: Option<Wiring>,
@@ -35,7 +35,7 @@ impl Pins {
     pub(crate) const UNKNOWN: Pins =
         Pins { ganged_motors: GangedMotors::Both, calm: false, levels: None, wiring: None, source: None };
 
-    /// Whether no event since the last comparison of the outputs with those sent could have changed them.
+    /// Returns whether no event could have changed the outputs since they were last compared with those sent.
     pub(crate) fn are_calm(&self) -> bool {
         self.calm
     }
@@ -45,7 +45,7 @@ impl Pins {
         self.calm = true;
     }
 
-    /// Makes the controller compare the outputs with those sent again. Called after an event that could have changed
+    /// Makes the controller compare the outputs with those last sent. Called after an event that could have changed
     /// them, such as a message, a part of a line, or a driver that was switched on.
     pub(crate) fn disturb(&mut self) {
         self.calm = false;
@@ -56,7 +56,7 @@ impl Pins {
         self.ganged_motors = motors;
     }
 
-    /// Whether spindle and laser are known to be off.
+    /// Returns whether the levels last sent switch spindle and laser off; `false` if none have been sent yet.
     pub(crate) fn are_off(&self) -> bool {
         self.levels.is_some_and(|levels| levels.spindle == SpindleDirection::Off && levels.power == 0)
     }

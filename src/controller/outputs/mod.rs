@@ -30,12 +30,13 @@ impl<const N: usize> Controller<N> {
         spun_up == SpinUp::UpToSpeed
     }
 
-    /// Whether the spindle has no power, for example at S0, so that there is no speed to wait for.
+    /// Returns whether the spindle has no power, for example at S0, so that there is no speed to wait for.
     fn has_no_speed_to_reach(&self) -> bool {
         self.resting_power() == 0
     }
 
-    /// Whether the spindle is up to speed, as far as the inputs and settings tell.
+    /// Returns whether the spindle is up to speed, judged by the at-speed input and the settings. A spindle without
+    /// power counts as up to speed.
     pub(crate) fn has_speed(&self) -> bool {
         self.has_no_speed_to_reach()
             || self.m.accessories.is_at_speed(self.m.inputs.signals().at_speed, &self.m.settings)
@@ -97,8 +98,8 @@ impl<const N: usize> Controller<N> {
         )
     }
 
-    /// Whether a laser is off at rest whatever the program says. It is off in a jog, in a hold and in every other state
-    /// except normal operation and check mode. Grbl's dialect has no such rule.
+    /// Returns whether a laser must be off at rest, regardless of the program. It must be off in a jog, in a hold and
+    /// in every other state except normal operation and check mode. Grbl's dialect has no such rule.
     fn is_dark_at_rest(&self) -> bool {
         let is_dark = self.m.settings.is_on(Key::Laser) && self.m.settings.is_on(Key::Dialect);
         is_dark && !matches!(self.state, State::Normal | State::Check)
@@ -134,8 +135,8 @@ impl<const N: usize> Controller<N> {
         (direction, SpindleRange::of(&self.m.settings).speed_of(power))
     }
 
-    /// Whether a laser with constant power (M3) stays on between feed motions: the active motion mode is a feed motion
-    /// and not, for example, G0.
+    /// Returns whether a laser with constant power (M3) stays on between feed motions: the active motion mode is a feed
+    /// motion and not, for example, G0.
     pub(crate) fn burns_at_rest(&self) -> bool {
         matches!(
             self.m.interpreter.acting_modal().motion,
@@ -159,8 +160,8 @@ impl<const N: usize> Controller<N> {
         self.m.pins.changed_wiring(&self.m.settings, self.m.inputs.wiring(), matches!(self.state, State::Homing(_)))
     }
 
-    /// Whether the motors must have no current, whatever `$1` says: in sleep and, with `$913`, until an emergency has
-    /// been acknowledged.
+    /// Returns whether the motors must have no current, regardless of `$1`: in sleep and, with `$913`, after an
+    /// emergency stop or a driver fault until its alarm has been acknowledged.
     fn drivers_held_off(&self) -> bool {
         matches!(self.state, State::Sleep(_))
             || matches!(self.state.alarm(), Some(Alarm::EmergencyStop | Alarm::DriverFault))

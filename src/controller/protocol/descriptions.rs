@@ -202,8 +202,8 @@ pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
     }
 }
 
-/// Appends `[MSG:Values of $32: 0 or 1; ...]`. For some settings the text also tells which settings replace grblHAL's
-/// additional values.
+/// Appends `[MSG:Values of $32: 0 or 1; ...]`. For some settings the text also names the settings that replace
+/// grblHAL's additional values.
 pub fn values_of(out: &mut Text, row: &Row) {
     put(out, b"[MSG:Values of $");
     whole(out, row.number.into());
@@ -436,8 +436,8 @@ mod tests {
         );
     }
 
-    /// Checks what a program that parses these lines relies on. Each line must be complete and contain separators only
-    /// between its fields, the group of each setting must exist, and each label must belong to a bit or a choice.
+    /// Checks the properties that programs need to parse these lines. Each line must be complete and contain separators
+    /// only between its fields, the group of each setting must exist, and each label must belong to a bit or a choice.
     #[test]
     fn every_line_can_be_read_back() {
         for what in [Described::Groups, Described::Errors, Described::Alarms] {

@@ -31,7 +31,7 @@ pub enum Command {
     OptionalStop,
     /// `$+`: lists all settings.
     Settings,
-    /// `$HELP`
+    /// `$HELP`: lists the commands.
     Help,
     /// `$EAG`, `$EEG`: the alarms or the errors as comma-separated values.
     Table(Described),
@@ -79,7 +79,7 @@ pub fn welcome(out: &mut Text) {
     put(out, b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n");
 }
 
-/// grblHAL's commands that the answer to `$` does not list.
+/// Appends the line with grblHAL's commands, which the answer to `$` contains only with `$900=3`.
 pub fn help(out: &mut Text) {
     put(
         out,
@@ -116,8 +116,8 @@ pub struct Identity<'a> {
     pub program_pins: [u8; 2],
 }
 
-/// The first lines of `$I`: `VER`, `OPT`, `AXS` and `NEWOPT`. `RT+` means that the realtime commands also have their
-/// old bytes, such as `?`.
+/// Appends the first lines of `$I`: `VER`, `OPT`, `AXS` and `NEWOPT`. `RT+` means that the realtime commands also have
+/// their old bytes, such as `?`.
 pub fn options(out: &mut Text, this: &Identity) {
     let date = RELEASE.date.as_bytes();
     let axes = AXIS_LETTERS.get(..this.axes).unwrap_or_default();
@@ -131,7 +131,7 @@ pub fn options(out: &mut Text, this: &Identity) {
     );
 }
 
-/// The other lines of `$I`, from `FIRMWARE` on.
+/// Appends the other lines of `$I`, from `FIRMWARE` on.
 pub fn equipment(out: &mut Text, this: &Identity) {
     let has = |bit: u32, letter| when(this.pins.fitted >> bit & 1 != 0, letter);
     filled(
@@ -161,15 +161,16 @@ fn when(has: bool, text: &[u8]) -> &[u8] {
     if has { text } else { b"" }
 }
 
-/// `[TLR:z]`: the reference of the tool setter, in `$#`.
+/// Appends `[TLR:z]`: the reference of the tool setter, in `$#`.
 pub fn tool_reference(out: &mut Text, height: Coordinate, inches: bool) {
     put(out, b"[TLR:");
     length(out, height, inches);
     put(out, b"]\r\n");
 }
 
-/// The only spindle, as `$SPINDLES` or `$SPINDLESH` describes it. Its letters: D, it turns both ways; L, it can be a
-/// laser; V, its speed is variable; S, it reports that it is up to speed. `speeds`: minimum and maximum in rpm.
+/// Appends the line for the only spindle: the answer to `$SPINDLES` or, with `in_fields`, to `$SPINDLESH`. The letters
+/// of the spindle: D, it turns both ways; L, it can be a laser; V, its speed is variable; S, it reports that it is up
+/// to speed. `speeds`: minimum and maximum in rpm.
 pub fn spindle(out: &mut Text, in_fields: bool, reports_speed: bool, speeds: [f32; 2]) {
     let reports = when(reports_speed, b"S");
     if !in_fields {
@@ -185,8 +186,9 @@ pub fn spindle(out: &mut Text, in_fields: bool, reports_speed: bool, speeds: [f3
     put(out, b"]\r\n");
 }
 
-/// `[LASTEVENTS:controls,switches,,second,]`: the answer to `$LEV`. Limit switches are listed where grblHAL has those
-/// of the lower ends, because an axis has one input for both ends. `ganged`: letter of the axis with a second motor.
+/// Appends `[LASTEVENTS:controls,switches,,second,]`: the answer to `$LEV`. An axis has one input for both of its limit
+/// switches. It is listed where grblHAL lists the switch at the lower end. `ganged`: letter of the axis with a second
+/// motor.
 pub fn last_event(out: &mut Text, event: &Signals, ganged: &[u8]) {
     put(out, b"[LASTEVENTS:");
     for (active, letter) in [
@@ -203,7 +205,7 @@ pub fn last_event(out: &mut Text, event: &Signals, ganged: &[u8]) {
     switches(out, event, ganged);
 }
 
-/// `[LIMITS:switches,,second,]`: the answer to `$LIM`. For the fields see [`last_event`].
+/// Appends `[LIMITS:switches,,second,]`: the answer to `$LIM`. For the fields see [`last_event`].
 pub fn limits(out: &mut Text, signals: &Signals, ganged: &[u8]) {
     put(out, b"[LIMITS:");
     switches(out, signals, ganged);
@@ -218,20 +220,20 @@ fn switches(out: &mut Text, signals: &Signals, ganged: &[u8]) {
     put(out, b",]\r\n");
 }
 
-/// `[PINSTATE:DIN|Pn|n|mode|capabilities|value]`: an input of programs, in the answer to `$PINSTATE`. The letters of
-/// both words are polarity, resistor, edge and filter. No setting changes these inputs: they are active while their pin is
-/// low (I), have pull-ups (U), and are filtered (D).
+/// Appends `[PINSTATE:DIN|Pn|n|mode|capabilities|value]`: an input of programs, in the answer to `$PINSTATE`. The
+/// letters in `mode` and in `capabilities` stand for polarity, resistor, edge and filter. No setting changes these
+/// inputs: they are active while their pin is low (I), have pull-ups (U), and are filtered (D).
 pub fn program_input(out: &mut Text, number: u32, active: bool) {
     filled(out, b"[PINSTATE:DIN|P#|#|IU-D|-U-D|#]\r\n", &[], &[number, number, u32::from(active)]);
 }
 
-/// `[PINSTATE:DOUT|Pn|n|mode|capabilities|value]`: an output of programs. No setting inverts it.
+/// Appends `[PINSTATE:DOUT|Pn|n|mode|capabilities|value]`: an output of programs. No setting inverts it.
 pub fn program_output(out: &mut Text, number: u32, on: bool) {
     filled(out, b"[PINSTATE:DOUT|P#|#|N|-|#]\r\n", &[], &[number, number, u32::from(on)]);
 }
 
-/// `[PORT:0|UART|||rate,8,N,1|C]`: the answer to `$PORTS`. C means that the port is in use. The fields for the pins RX
-/// and TX are empty.
+/// Appends `[PORT:0|UART|||rate,8,N,1|C]`: the answer to `$PORTS`. C means that the port is in use. The fields for the
+/// pins RX and TX are empty.
 pub fn port(out: &mut Text, baud: u32) {
     filled(out, b"[PORT:0|UART|||#,8,N,1|C]\r\n", &[], &[baud]);
 }

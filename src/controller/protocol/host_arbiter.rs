@@ -103,7 +103,7 @@ impl HostArbiter {
         granted
     }
 
-    /// Call when the host of `link` has disconnected. Returns whether it was the active host, whose lines were read.
+    /// Records that the host of `link` has disconnected. Returns whether it was the active host.
     pub(super) fn leave(&mut self, link: usize) -> bool {
         let held_floor = self.holder() == link;
         self.cut |= held_floor;

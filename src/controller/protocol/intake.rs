@@ -9,8 +9,8 @@
 //!  byte before a reset        dropped
 //!  jog before a jog cancel    not executed (the line is read and answered)
 //! ```
-//! Reset button, feed hold and door open no epoch. They act on the bytes that have been received but not read yet, of
-//! which only the number is noted: the button drops that many bytes, and hold and door cancel the jogs among them.
+//! The reset button, a feed hold and the door open no epoch. When one of them comes, this module stores how many bytes
+//! have been received but not read yet. The button drops that many bytes; hold and door cancel the jogs among them.
 
 use super::heartbeat::Heartbeat;
 use super::line_checksum::{LineChecksum, Verdict};
@@ -122,8 +122,8 @@ impl LineIntake {
         byte.epoch == self.epoch && !byte.damaged && self.line.push_plain(byte.byte)
     }
 
-    /// Takes bytes from the start of `bytes`, up to the first byte that [`LineIntake::take_plain`] would not take. All
-    /// of them are of `epoch`. Returns how many bytes were taken.
+    /// Takes bytes from the start of `bytes`, up to the first byte that [`LineIntake::take_plain`] would not take.
+    /// `epoch`: the epoch of all these bytes. Returns how many bytes were taken.
     #[inline]
     pub fn take_text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         if epoch == self.epoch { self.line.push_plain_text(bytes) } else { 0 }
@@ -277,7 +277,7 @@ impl LineIntake {
         self.line.text()
     }
 
-    /// Returns the length of a line that is too long, without blanks and remarks, and the length that is allowed;
+    /// Returns the length of a line that is too long, without blanks and comments, and the length that is allowed;
     /// `None` if bytes of the line were lost.
     pub fn lengths(&self) -> Option<(usize, usize)> {
         self.line.lengths()
@@ -289,18 +289,18 @@ impl LineIntake {
         self.line.deleted()
     }
 
-    /// Returns whether a remark of the line contained parentheses.
+    /// Returns whether a comment of the line contained parentheses.
     pub fn has_nested_remark(&self) -> bool {
         self.line.has_nested_remark()
     }
 
-    /// Returns whether the line has no remark.
+    /// Returns whether the line has no comment that could contain a message.
     #[inline]
     pub fn has_no_remark(&self) -> bool {
         self.line.has_no_remark()
     }
 
-    /// Returns the message in the line's remark, if any, and whether it shows values of parameters.
+    /// Returns the message in the line's comment, if any, and whether it shows values of parameters.
     pub fn message(&self) -> Option<(bool, &[u8])> {
         self.line.message()
     }
@@ -356,8 +356,8 @@ impl LineIntake {
         &mut self.heartbeat
     }
 
-    /// Advances the epoch and drops nothing. Grbl's dialect ignores a stop (0x19), but the serial task has advanced the
-    /// epoch of the line bytes after it.
+    /// Handles a stop (0x19) in Grbl's dialect, which ignores it. Advances the epoch, because the serial task has
+    /// advanced the epoch of the line bytes after the stop, but drops nothing.
     pub fn open_epoch(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
         self.keep_epochs_near();

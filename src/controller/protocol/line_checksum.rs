@@ -20,9 +20,9 @@
 //!
 //! **Letters.** N, L and C are hexadecimal digits, written as the letters `ABDGHKNPSUVZcefi`. Any two of these differ
 //! in two or more bits. Each of them also differs in two or more bits from a line end and from every realtime command
-//! except `?`, so that one damaged bit turns no letter into any of these. For the same reason text is in capitals, and
-//! small letters replace the characters that are one bit away from such a command (`SUBSTITUTES`): `8` is one bit away
-//! from 0x18, and `1` from `!`.
+//! except `?`. So one damaged bit cannot turn a letter into another letter, a line end or such a command. For the same
+//! reason text is in capitals, and small letters replace the characters that are one bit away from such a command
+//! (`SUBSTITUTES`): `8` is one bit away from 0x18, and `1` from `!`.
 //!
 //! **Detected errors.**
 //! * One or two damaged bits are always detected. If a byte becomes a command or is dropped, the length is wrong. If a

@@ -1,17 +1,17 @@
-//! Filters a line byte by byte as Grbl does: removes blanks and remarks, converts letters to capitals, and ends the
-//! line at CR or LF. Keeps the line's last remark in parentheses, which can be a message: `(MSG, ...)`. Marks a line
+//! Filters a line byte by byte as Grbl does: removes blanks and comments, converts letters to capitals, and ends the
+//! line at CR or LF. Keeps the line's last comment in parentheses, which can be a message: `(MSG, ...)`. Marks a line
 //! that is too long.
 
 use crate::image::FULL_IMAGE;
 
-/// Replaces the whole text of a line in which a nested remark has not ended, because the text is unknown.
+/// Replaces the whole text of a line in which a nested comment has not ended, because the text is unknown.
 pub const OPEN_REMARK: u8 = b')';
-/// Maximum length of a line in Grbl's dialect, in bytes, without blanks and remarks.
+/// Maximum length of a line in Grbl's dialect, in bytes, without blanks and comments.
 pub const GRBL_LENGTH: usize = 79;
-/// Maximum length of a line in Oxmill's dialects, in bytes, without blanks and remarks.
+/// Maximum length of a line in Oxmill's dialects, in bytes, without blanks and comments.
 pub const LENGTH: usize = 256;
 
-/// Maximum number of bytes kept of a remark in parentheses, including its keyword (`MSG,`). Excess bytes are cut off.
+/// Maximum number of bytes kept of a comment in parentheses, including its keyword (`MSG,`). Excess bytes are cut off.
 pub const MESSAGE_LENGTH: usize = 80;
 
 /// Maximum number of bytes kept of a line that block delete skips: enough for a line number and an O number, or for
@@ -35,14 +35,14 @@ pub enum Pushed {
 /// How lines are filtered in a dialect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LineRules {
-    /// Maximum length of a line, in bytes, without blanks and remarks.
+    /// Maximum length of a line, in bytes, without blanks and comments.
     pub length: usize,
     /// Whether CR LF is one line end (in Grbl it is two).
     pub merge_crlf: bool,
-    /// Whether a remark may contain pairs of parentheses (in Grbl the first `)` ends it).
+    /// Whether a comment may contain pairs of parentheses (in Grbl the first `)` ends it).
     pub nested_remarks: bool,
-    /// Whether a slash after a bracket or `#` is kept; it is a division or an error. If it were dropped, the numbers
-    /// before and after it would be joined.
+    /// Whether a slash after a bracket or `#` is kept; it is a division or an error. If it were dropped, `[1/2]` would
+    /// become `[12]`.
     pub expressions: bool,
     /// Whether a line that begins with a slash, or with its line number and a slash, is skipped. With this rule, a
     /// slash elsewhere is kept and is an error. (Grbl drops the slash and executes the rest.)
@@ -57,12 +57,12 @@ pub struct Line {
     text: [u8; LENGTH],
     len: usize,
     comment: Comment,
-    /// The latest remark in parentheses, as far as it fits.
+    /// The latest comment in parentheses, as far as it fits.
     remark: heapless::Vec<u8, MESSAGE_LENGTH>,
     overflow: bool,
     /// Number of bytes that did not fit; takes no memory in builds that do not report it.
     excess: [u16; COUNTS_EXCESS as usize],
-    /// A remark of the line contained parentheses.
+    /// A comment of the line contained parentheses.
     nested: bool,
     /// Bytes of the line were lost.
     damaged: bool,
@@ -74,12 +74,12 @@ pub struct Line {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Comment {
     None,
-    /// In a remark in parentheses. The number counts the inner `(` that are still open: each of them needs its own `)`
-    /// before another `)` can end the remark.
+    /// In a comment in parentheses. The number counts the inner `(` that are still open: each of them needs its own `)`
+    /// before another `)` can end the comment.
     Parentheses(u8),
     /// As `Parentheses`, but at least one inner pair of parentheses has been closed.
     Nested(u8),
-    /// In a remark after `;`, up to the end of the line.
+    /// In a comment after `;`, up to the end of the line.
     Semicolon,
     /// After a dropped slash. The number of the block-delete switch, 1 to 9, is dropped too if it follows.
     Slash,
@@ -141,7 +141,7 @@ impl Line {
         }
     }
 
-    /// Returns the message in the line's remark for the operator, if any, and whether it shows values of parameters:
+    /// Returns the message in the line's comment for the operator, if any, and whether it shows values of parameters:
     /// `(MSG, ...)` does not, `(PRINT, ...)` and `(DEBUG, ...)` do.
     pub fn message(&self) -> Option<(bool, &[u8])> {
         let comma = self.remark.iter().position(|byte| *byte == b',')?;
@@ -151,7 +151,7 @@ impl Line {
         Some((*has_values, text.get(1..)?.trim_ascii()))
     }
 
-    /// Returns whether nothing of the line has arrived yet. Blanks do not count; remarks, lost bytes and bytes beyond
+    /// Returns whether nothing of the line has arrived yet. Blanks do not count; comments, lost bytes and bytes beyond
     /// the maximum length do.
     pub fn is_empty(&self) -> bool {
         self.len == 0 && self.comment == Comment::None && !self.overflow
@@ -187,12 +187,12 @@ impl Line {
         self.plain > 0 && !self.overflow
     }
 
-    /// Returns whether a remark of the line contained parentheses.
+    /// Returns whether a comment of the line contained parentheses.
     pub fn has_nested_remark(&self) -> bool {
         self.nested
     }
 
-    /// Returns whether the line has no remark that could contain a message.
+    /// Returns whether the line has no comment that could contain a message.
     #[inline]
     pub fn has_no_remark(&self) -> bool {
         self.remark.is_empty()
@@ -294,7 +294,7 @@ impl Line {
         self.overflow = true;
     }
 
-    /// Returns the length of a line that is too long, without blanks and remarks, and the length that is allowed.
+    /// Returns the length of a line that is too long, without blanks and comments, and the length that is allowed.
     /// `None` if bytes of the line were lost, or if this build does not count the excess.
     pub fn lengths(&self) -> Option<(usize, usize)> {
         let excess = self.excess.first().filter(|_| !self.damaged)?;
@@ -319,8 +319,8 @@ impl Line {
         begins || !divides && !rules.block_delete
     }
 
-    /// Invalidates a line whose nested remark has not ended. Where the remark should end is unknown, and so is the text
-    /// to be executed. The text is replaced by one that is an error in every dialect.
+    /// Invalidates a line whose nested comment has not ended. Where the comment should end is unknown, and so is the
+    /// text to be executed. The text is replaced by one that is an error in every dialect.
     #[inline(never)]
     fn refuse_remark(&mut self) {
         if let Some(place) = self.text.first_mut() {
@@ -329,8 +329,8 @@ impl Line {
         }
     }
 
-    /// Takes a byte within a remark or within a line that is skipped. A remark with more than 255 open parentheses ends
-    /// too soon.
+    /// Takes a byte within a comment or within a line that is skipped. A comment with more than 255 open parentheses
+    /// ends too soon.
     fn remark(&mut self, byte: u8, rules: LineRules) {
         if FULL_IMAGE && let Comment::Deleted(kept) = &mut self.comment {
             if byte > b' '
@@ -426,7 +426,7 @@ mod tests {
                 assert_eq!((line.text(), line.comment, line.after_cr), (other.text(), other.comment, other.after_cr));
             }
         }
-        // The fast path is not taken in a remark, before a line has begun, or where the line might become too long.
+        // The fast path is not taken in a comment, before a line has begun, or where the line might become too long.
         let brief = |text: &[u8]| {
             let mut line = Line::new();
             for byte in text {

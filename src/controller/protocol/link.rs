@@ -10,21 +10,21 @@
 //! ```
 //! A link that can wait (USB answers NAK) loses no byte. Its realtime commands act at once, as long as the line bytes
 //! in transit fit into the queue and the room of the link ([`Link::room`]) together. The bytes of a sender that counts
-//! characters or obeys `Bf:` always fit into the queue alone. A sender that pours in a whole file without counting has
-//! to wait, and then everything that it sends later waits too, including commands.
+//! characters or respects `Bf:` always fit into the queue alone. A sender that sends a whole file without counting has
+//! to wait. Everything that it sends after that waits too, including commands.
 //!
 //! A line is read as a whole or not at all. The rest of a line is refused if its start was refused, or if another host
-//! cut the line by becoming the active host or by a reset. That holds whenever the rest arrives, and whichever host is
+//! cut the line by becoming the active host or by a reset. It does not matter when the rest arrives, and which host is
 //! the active one by then.
 //!
-//! Characters of a remark are text, even if one of their bytes equals a command: see [`remark`](super::remark). Only
-//! the last byte of a character shows that the bytes form a character. So the bytes before it wait here; if they form
-//! no character, they act as commands after all.
+//! In a comment, the bytes of a UTF-8 character are text, even if one of them equals a command: see
+//! [`remark`](super::remark). The link recognises a character only when its last byte arrives. Until then, its other
+//! bytes wait here. If they turn out to form no character, they act as commands.
 //!
-//! A `!` in a remark may be text, as in `(slow!)`, or a hold from the operator. It is text if the line continues after
-//! it, and a command if nothing follows for [`AMBIGUOUS_US`]: see [`Link::take_as_command`]. A `~` in a remark is text:
-//! a host that pauses at that point must not start a machine in hold. In dialect `grbl` both are always commands. With
-//! `$900=3`, 0x82 is treated like `!`, and 0x81 and 0xA3, which can be bytes of `ü` and `£`, like `~`.
+//! A `!` in a comment may be text, as in `(slow!)`, or a hold from the operator. It is text if the line continues after
+//! it, and a command if nothing follows for [`AMBIGUOUS_US`]: see [`Link::take_as_command`]. A `~` in a comment is
+//! text: a host that pauses at that point must not start a machine in hold. In Grbl's dialect both are always commands.
+//! With `$900=3`, 0x82 is treated like `!`, and 0x81 and 0xA3, which can be bytes of `ü` and `£`, like `~`.
 
 use crate::messages::{LineByte, Realtime};
 use crate::protocol::host_arbiter::HostArbiter;
@@ -32,7 +32,7 @@ use crate::protocol::queues::Queues;
 use crate::protocol::realtime::{Received, is_plain, is_plain_or_lf};
 use crate::protocol::remark::Remark;
 
-/// How long a `!` in a remark waits for the rest of its line, in µs: the duration of 230 bytes at 115,200 baud.
+/// How long a `!` in a comment waits for the rest of its line, in µs: the duration of 230 bytes at 115,200 baud.
 pub const AMBIGUOUS_US: u32 = 20_000;
 
 /// Maximum number of line bytes that a link can hold: three USB packets of 64 bytes. A USB port fetches a packet only
@@ -59,9 +59,9 @@ pub struct Link {
     refusing_line: bool,
     /// The byte before was a CR.
     after_cr: bool,
-    /// Whether the current line is in a remark, and the bytes of an incomplete character.
+    /// Whether the current line is in a comment, and the bytes of an incomplete character.
     remark: Remark,
-    /// A `!` arrived in a remark, and nothing after it yet.
+    /// A `!` arrived in a comment, and nothing after it yet.
     is_ambiguous: bool,
     /// Number of refused lines that still have to be answered with [`REFUSAL`].
     refusals: u16,
@@ -235,7 +235,7 @@ impl Link {
         dropped
     }
 
-    /// Returns whether the next byte belongs to a remark.
+    /// Returns whether the next byte belongs to a comment.
     #[inline]
     pub fn is_in_remark(&self) -> bool {
         self.remark.is_inside()
@@ -327,9 +327,9 @@ impl Link {
         granted
     }
 
-    /// Call when the host of this link has disconnected. Returns whether it was the active host. Bytes that wait for
-    /// the queue are dropped. A `HOST_CHANGED` precedes the next host's first byte, which therefore starts a new line;
-    /// the controller does not answer the lines before that `HOST_CHANGED`.
+    /// Handles the disconnection of this link's host. Returns whether it was the active host. Bytes that wait for the
+    /// queue are dropped. A `HOST_CHANGED` precedes the next host's first byte, which therefore starts a new line; the
+    /// controller does not answer the lines before that `HOST_CHANGED`.
     pub fn went(&mut self, arbiter: &mut HostArbiter) -> bool {
         let held_floor = arbiter.leave(self.number);
         self.forget();

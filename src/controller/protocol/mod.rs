@@ -2,7 +2,7 @@
 //! elsewhere.
 //!
 //! * [`link`] takes the bytes of one host. [`realtime`] finds commands, and [`remark`] distinguishes them from the text
-//!   of remarks. [`host_arbiter`] decides which of two hosts is the active one. While a queue ([`queues`]) is full, a
+//!   of comments. [`host_arbiter`] decides which of two hosts is the active one. While a queue ([`queues`]) is full, a
 //!   link holds bytes if its host can wait; [`owed`] keeps commands of a link that cannot wait.
 //! * [`byte_channel`] carries bytes of lines to the control task. [`intake`] drops bytes that are no longer valid,
 //!   [`line_filter`] makes lines of the other bytes, [`line_checksum`] checks the lines, and [`heartbeat`] notices a

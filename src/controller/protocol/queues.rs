@@ -2,7 +2,7 @@
 
 use crate::messages::{LineByte, Realtime};
 
-/// The queues to `control`, and what else a link needs from the serial task.
+/// The queues to `control`, and the other functions that a link needs from the serial task.
 pub trait Queues {
     /// Queues a command. Returns whether there was room.
     fn realtime(&mut self, command: Realtime) -> bool;
@@ -23,7 +23,7 @@ pub trait Queues {
     fn stop(&mut self);
     /// Records a byte that is neither part of a line nor a command. It only counts as a sign of life.
     fn ignored(&mut self) {}
-    /// Returns whether multi-byte characters in remarks are text. In Grbl's dialect they are not: each byte from 0x80
+    /// Returns whether multi-byte characters in comments are text. In Grbl's dialect they are not: each byte from 0x80
     /// up is a command or ignored.
     fn reads_characters(&self) -> bool;
     /// Returns whether hosts are answered like grblHAL (`$900=3`), which has more realtime commands.

@@ -39,7 +39,7 @@ impl Received {
 }
 
 /// Returns whether a byte is ordinary text of a line: it is printable ASCII, is no command, and neither starts nor ends
-/// a remark.
+/// a comment.
 #[inline]
 #[allow(clippy::indexing_slicing, reason = "there is one for each byte")]
 pub const fn is_plain(byte: u8) -> bool {

@@ -1,16 +1,16 @@
-//! `Remark`: tracks whether a received line is within a remark, `(..)` or `; ..`, and assembles the UTF-8 characters of
-//! the remark. Within a remark, the bytes of a multi-byte character are text and not realtime commands. For example,
-//! 0x84 opens the door elsewhere, but the `Ä` of `(Äußere Kontur)` is 0xC3 0x84. Runs in the serial task, one instance
-//! per link.
+//! `Remark`: tracks whether a received line is within a comment, `(..)` or `; ..`, and assembles the UTF-8 characters
+//! of the comment. Within a comment, the bytes of a multi-byte character are text and not realtime commands. For
+//! example, 0x84 opens the door elsewhere, but the `Ä` of `(Äußere Kontur)` is 0xC3 0x84. Runs in the serial task, one
+//! instance per link.
 //!
 //! ```text
 //!  C3 84            text: the character Ä
 //!  E3 84 41         no character: 0x84 is a command after all, and acts before the A
 //!  C2 91            a command: some senders put 0xC2 before their override bytes
-//!  C3 84 outside    a command: only a remark contains text
+//!  C3 84 outside    a command: only a comment contains text
 //! ```
 //! Bytes below 0x80 are never part of such a character: 0x18 and 0x19 act anywhere, and [`Link`](super::link::Link)
-//! decides about a `!` or `~` in a remark.
+//! decides about a `!` or `~` in a comment.
 
 use heapless::Vec;
 
@@ -21,14 +21,14 @@ const MOST_BEGUN: usize = 3;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum RemarkPlace {
     Words,
-    /// A remark in parentheses. The number counts the nested `(` that are still open: each of them needs its own `)`
-    /// before another `)` can end the remark.
+    /// A comment in parentheses. The number counts the nested `(` that are still open: each of them needs its own `)`
+    /// before another `)` can end the comment.
     Parentheses(u8),
-    /// A remark after `;`, up to the line end.
+    /// A comment after `;`, up to the line end.
     Semicolon,
 }
 
-/// The remark in the line being received.
+/// The comment in the line being received.
 #[derive(Clone, Debug)]
 pub struct Remark {
     place: RemarkPlace,
@@ -37,10 +37,10 @@ pub struct Remark {
 }
 
 impl Remark {
-    /// The state at the start of a line: outside of a remark, and no character is incomplete.
+    /// The state at the start of a line: outside of a comment, and no character is incomplete.
     pub const NONE: Remark = Remark { place: RemarkPlace::Words, begun: Vec::new() };
 
-    /// Returns whether the line is within a remark.
+    /// Returns whether the line is within a comment.
     #[inline]
     pub fn is_inside(&self) -> bool {
         self.place != RemarkPlace::Words
@@ -52,8 +52,8 @@ impl Remark {
         !self.begun.is_empty()
     }
 
-    /// Tracks, after each `byte`, whether the line is within a remark. `nests` returns whether nested parentheses are
-    /// counted, as the line filter does; it is called only for a `(` within a remark.
+    /// Tracks, after each `byte`, whether the line is within a comment. `nests` returns whether nested parentheses are
+    /// counted, as the line filter does; it is called only for a `(` within a comment.
     pub fn follow(&mut self, byte: u8, nests: impl FnOnce() -> bool) {
         self.place = match (self.place, byte) {
             (_, b'\n' | b'\r') => RemarkPlace::Words,
@@ -66,8 +66,8 @@ impl Remark {
         };
     }
 
-    /// Leaves the remark, because the line has ended, or because bytes were lost and the end of the remark may be among
-    /// them. After that, the bytes of an incomplete character count as single bytes: see [`Remark::break_off`].
+    /// Leaves the comment, because the line has ended, or because bytes were lost and the end of the comment may be
+    /// among them. After that, the bytes of an incomplete character count as single bytes: see [`Remark::break_off`].
     pub fn leave(&mut self) {
         self.place = RemarkPlace::Words;
     }
@@ -78,7 +78,7 @@ impl Remark {
         if self.is_inside() && continues(&self.begun, byte) { Vec::new() } else { core::mem::take(&mut self.begun) }
     }
 
-    /// Takes a byte that starts or continues a UTF-8 character of a remark. Call it after [`Remark::break_off`].
+    /// Takes a byte that starts or continues a UTF-8 character of a comment. Call it after [`Remark::break_off`].
     /// Returns `false` for any other byte. `reads`: whether the dialect recognises such characters at all.
     pub fn takes(&mut self, byte: u8, reads: impl FnOnce() -> bool) -> bool {
         let Some(lead) = self.begun.first() else {
@@ -120,7 +120,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Returns the bytes that do not belong to UTF-8 characters in remarks, as a link passes them on.
+    /// Returns the bytes that do not belong to UTF-8 characters in comments, as a link passes them on.
     fn alone(bytes: &[u8]) -> std::vec::Vec<u8> {
         let mut remark = Remark::NONE;
         let mut alone = std::vec::Vec::new();
@@ -174,7 +174,7 @@ mod tests {
     }
 
     proptest! {
-        /// The recognised characters of a remark are those from U+00C0 up that the standard library finds.
+        /// The recognised characters of a comment are those from U+00C0 up that the standard library finds.
         #[test]
         fn characters_are_those_of_utf8(bytes in proptest::collection::vec(prop_oneof![
             0x80_u8.., Just(0xC3), Just(0xE0), Just(0xE3), Just(0xED), Just(0xF0), Just(0xF4), 0x80_u8..0xC0, 0x80_u8..0xC0, b'a'..=b'c'

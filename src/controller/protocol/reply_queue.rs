@@ -19,7 +19,7 @@ const BETWEEN_REPORTS: usize = 64;
 const ANSWER: usize = 64;
 
 /// Replies that wait to be sent, and reports that are due.
-// Small fields come first, because one instruction reaches only 4 KiB from the base of the controller.
+// Small fields come first, because one load or store instruction reaches only 4 KiB from the base of the controller.
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub struct Replies {

@@ -26,18 +26,18 @@ pub struct Release {
 /// Version and release date of this firmware. When you change the version, change the date, too.
 pub const RELEASE: Release = Release { version: "0.2.0", date: "20261123" };
 
-/// `ok`
+/// The answer to an accepted line.
 pub const OK: &[u8] = b"ok\r\n";
 
-/// `error:N`
+/// Appends `error:N`, the answer to a refused line. `code`: the number N.
 pub fn error(out: &mut Text, code: u8) {
     put(out, b"error:");
     whole(out, u64::from(code));
     put(out, END);
 }
 
-/// The answer `known` to a line with checksum (`$LC=ON`) that is empty, or that was received before and is not executed
-/// again.
+/// Appends `known`, the answer to a line with checksum (`$LC=ON`) that is empty, or that was received before and is not
+/// executed again.
 pub fn known(out: &mut Text) {
     put(out, b"known\r\n");
 }
@@ -54,7 +54,7 @@ pub fn is_answer(text: &[u8]) -> bool {
     matches!(text, b"ok\r\n" | b"known\r\n") || text.starts_with(b"error:") || text.starts_with(b":")
 }
 
-/// `ALARM:N`
+/// Appends `ALARM:N`. `code`: the number N.
 pub fn alarm(out: &mut Text, code: u8) {
     put(out, b"ALARM:");
     whole(out, u64::from(code));
@@ -68,14 +68,14 @@ pub fn welcome(out: &mut Text) {
     put(out, b" ['$' for help]\r\n");
 }
 
-/// `[MSG:...]`
+/// Appends `[MSG:text]`.
 pub fn message(out: &mut Text, text: &str) {
     put(out, b"[MSG:");
     put(out, text.as_bytes());
     put(out, b"]\r\n");
 }
 
-/// `[MSG:...]` with a number at its end.
+/// Appends `[MSG:text]` with a number directly after the text.
 pub fn message_number(out: &mut Text, text: &str, number: u32) {
     put(out, b"[MSG:");
     put(out, text.as_bytes());
@@ -83,7 +83,7 @@ pub fn message_number(out: &mut Text, text: &str, number: u32) {
     put(out, b"]\r\n");
 }
 
-/// `[MSG:...]`: M66 waits for input `number`, for at most `seconds` more seconds.
+/// Appends the message that M66 waits for input `number`, for at most `seconds` more seconds.
 pub fn wait_for_input(out: &mut Text, number: u32, seconds: u32) {
     put(out, b"[MSG:Waits for input ");
     whole(out, u64::from(number));
@@ -92,7 +92,7 @@ pub fn wait_for_input(out: &mut Text, number: u32, seconds: u32) {
     put(out, b"]\r\n");
 }
 
-/// `[MSG:...]` of a program, reduced to printable ASCII characters without square brackets.
+/// Appends `[MSG:...]` with the message of a program, reduced to printable ASCII characters without square brackets.
 pub fn program_message(out: &mut Text, text: &[u8]) {
     put(out, b"[MSG:");
     for byte in text.iter().filter(|byte| matches!(byte, b' '..=b'~') && !matches!(byte, b'[' | b']')) {
@@ -101,7 +101,7 @@ pub fn program_message(out: &mut Text, text: &[u8]) {
     put(out, b"]\r\n");
 }
 
-/// `[MSG:...]` after an input has tripped: names the input (limit switches by their axes), the machine position, and
+/// Appends the message for an input that has tripped: its name (limit switches: the axes), the machine position, and
 /// the N word `line` (0 = none).
 pub fn trip<const N: usize>(
     out: &mut Text,
@@ -153,7 +153,7 @@ const fn crash_name(kind: CrashKind) -> &'static str {
     }
 }
 
-/// Reports that a failure stopped the machine. `grbl`: omits `$REC`, which Grbl's dialect does not have.
+/// Appends the message that a failure stopped the machine. `grbl`: omits `$REC`, which Grbl's dialect does not have.
 pub fn failure(out: &mut Text, restart: &Restart, grbl: bool) {
     if let Some(crash) = restart.crash.as_ref().filter(|crash| crash.kind == CrashKind::Board) {
         put(out, b"[MSG:Board: ");
@@ -177,7 +177,7 @@ pub fn failure(out: &mut Text, restart: &Restart, grbl: bool) {
     put(out, if both { b", $RC tells more, $REC what came in]\r\n" } else { b", $RC tells more]\r\n" });
 }
 
-/// `[RESET:cause]`, then `[CRASH:kind:text]` and `[LAST:position]` if the firmware crashed.
+/// Appends `[RESET:cause]`, then `[CRASH:kind:text]` and `[LAST:position]` if the firmware crashed.
 pub fn restart(out: &mut Text, restart: &Restart) {
     put(out, b"[RESET:");
     put(out, cause_name(restart.cause).as_bytes());
@@ -228,8 +228,8 @@ const fn input_name(bit: usize) -> &'static str {
     }
 }
 
-/// `[PIN:name,level,active,polarity,pull,noise]`, one input of `$PINS`: present level of the pin, state of the filtered
-/// input, the level that makes it active, its pull resistor, and the number of changes that the filter has rejected.
+/// Appends `[PIN:name,level,active,polarity,pull,noise]`, one input of `$PINS`: present level of the pin, state of the
+/// filtered input, the level that makes it active, its pull resistor, and how many changes the filter has rejected.
 /// `grblhal`: `[PIN:IN10,hold,..`, with the number of the input in place of a pin of the chip.
 pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &InputWiring, grblhal: bool) {
     let has = |word: u32| word >> bit & 1 != 0;
@@ -254,7 +254,7 @@ pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &In
     put(out, b"]\r\n");
 }
 
-/// The answer to `$`. `grbl`: lists only the commands of Grbl's dialect.
+/// Appends the answer to `$`. `grbl`: lists only the commands of Grbl's dialect.
 pub fn help(out: &mut Text, grbl: bool) {
     put(out, b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ");
     if !grbl {
@@ -272,7 +272,7 @@ pub fn help(out: &mut Text, grbl: bool) {
     put(out, b"]\r\n");
 }
 
-/// One row of `$$`.
+/// Appends one row of `$$`.
 pub fn setting(out: &mut Text, entry: &Entry, number: u16, value: f32) {
     put(out, b"$");
     whole(out, u64::from(number));
@@ -289,7 +289,7 @@ pub fn setting(out: &mut Text, entry: &Entry, number: u16, value: f32) {
     put(out, END);
 }
 
-/// A stored line: `$N0=line` (startup line, `kind` is `N`) or `$M0=line` (macro, `kind` is `M`).
+/// Appends a stored line: `$N0=line` (startup line, `kind` is `N`) or `$M0=line` (macro, `kind` is `M`).
 pub fn kept_line(out: &mut Text, kind: u8, index: usize, line: &[u8]) {
     put(out, &[b'$', kind]);
     whole(out, index as u64);
@@ -298,14 +298,14 @@ pub fn kept_line(out: &mut Text, kind: u8, index: usize, line: &[u8]) {
     put(out, END);
 }
 
-/// `>line:` before the answer to a startup line that has been run.
+/// Appends `>line:`, which precedes the answer to a startup line that has been run.
 pub fn startup_echo(out: &mut Text, line: &[u8]) {
     put(out, b">");
     put(out, line);
     put(out, b":");
 }
 
-/// `[VER:...]` and `[OPT:...]`. Senders read Grbl's version and a date in `VER`.
+/// Appends `[VER:...]` and `[OPT:...]`. Senders read Grbl's version and a date in `VER`.
 pub fn build_info(out: &mut Text, user: &[u8], letters: &[u8], blocks: usize, rx_bytes: usize) {
     put(out, b"[VER:");
     put(out, GRBL_VERSION.as_bytes());
@@ -322,14 +322,15 @@ pub fn build_info(out: &mut Text, user: &[u8], letters: &[u8], blocks: usize, rx
     put(out, b"]\r\n");
 }
 
-/// `[FIRMWARE:...]`: name and version. Senders made for Grbl ignore this line, as they ignore grblHAL's.
+/// Appends `[FIRMWARE:...]`: name and version. Senders made for Grbl ignore this line, as they ignore grblHAL's.
 pub fn firmware(out: &mut Text) {
     put(out, b"[FIRMWARE:Oxmill ");
     put(out, RELEASE.version.as_bytes());
     put(out, b"]\r\n");
 }
 
-/// `[AXS:...]` and `[NEWOPT:...]` of `$I+`, in the format of grblHAL: the axes, and the options that a sender may use.
+/// Appends `[AXS:...]` and `[NEWOPT:...]` of `$I+`, in the format of grblHAL: the axes, and the options that a sender
+/// may use.
 pub fn more_options(out: &mut Text, axes: usize, options: &[&str]) {
     put(out, b"[AXS:");
     whole(out, axes as u64);
@@ -345,8 +346,8 @@ pub fn more_options(out: &mut Text, axes: usize, options: &[&str]) {
     put(out, b"]\r\n");
 }
 
-/// `[BOARD:...]` of `$I+`, as in grblHAL, and `[CRYSTAL:...]`: the frequency of the oscillator as measured at the
-/// start.
+/// Appends `[BOARD:...]` of `$I+`, as in grblHAL, and `[CRYSTAL:...]`: the frequency of the oscillator as measured at
+/// the start. `[CRYSTAL:...]` is omitted if the board has no oscillator (`oscillator_mhz` is 0).
 pub fn board(out: &mut Text, name: &str, oscillator_mhz: u8) {
     put(out, b"[BOARD:");
     put(out, name.as_bytes());
@@ -376,7 +377,7 @@ pub(super) fn position<const N: usize>(out: &mut Text, place: &PerAxis<Coordinat
     }
 }
 
-/// `[G54:x,y,z]`, a row of `$#`: a coordinate system, G28, G30 or G92.
+/// Appends `[G54:x,y,z]`, a row of `$#`: a coordinate system, G28, G30 or G92.
 pub fn parameter<const N: usize>(out: &mut Text, name: &str, place: &PerAxis<Coordinate, N>, form: PlaceForm) {
     put(out, b"[");
     put(out, name.as_bytes());
@@ -385,7 +386,7 @@ pub fn parameter<const N: usize>(out: &mut Text, name: &str, place: &PerAxis<Coo
     put(out, b"]\r\n");
 }
 
-/// `[ROT:G54,30.000]`: rotation of a coordinate system in degrees.
+/// Appends `[ROT:G54,30.000]`: the rotation of a coordinate system in degrees.
 pub fn rotation(out: &mut Text, name: &str, degrees: Decimal) {
     put(out, b"[ROT:");
     put(out, name.as_bytes());
@@ -395,7 +396,7 @@ pub fn rotation(out: &mut Text, name: &str, degrees: Decimal) {
     put(out, b"]\r\n");
 }
 
-/// `[TLO:z]`, or `[TLO:x,y,z]` if there is an offset along other axes.
+/// Appends `[TLO:z]`, or `[TLO:x,y,z]` if there is an offset along other axes.
 pub fn tool_length<const N: usize>(out: &mut Text, offset: &PerAxis<Coordinate, N>, form: PlaceForm) {
     put(out, b"[TLO:");
     let along_z = offset.get(Axis::Z).unwrap_or(Coordinate::ZERO);
@@ -409,7 +410,7 @@ pub fn tool_length<const N: usize>(out: &mut Text, offset: &PerAxis<Coordinate, 
     put(out, b"]\r\n");
 }
 
-/// `[T:number|x,y,z|radius]`. The table has no radius, so it is 0.
+/// Appends `[T:number|x,y,z|radius]`, a row of the tool table. The table has no radius, so it is 0.
 pub fn tool<const N: usize>(out: &mut Text, number: u32, offset: &PerAxis<Coordinate, N>, form: PlaceForm) {
     put(out, b"[T:");
     whole(out, u64::from(number));
@@ -420,7 +421,7 @@ pub fn tool<const N: usize>(out: &mut Text, number: u32, offset: &PerAxis<Coordi
     put(out, b"]\r\n");
 }
 
-/// `[PRB:x,y,z:ok]`, sent after a probing move and by `$#`; `ok` is 1 if the probe made contact, otherwise 0.
+/// Appends `[PRB:x,y,z:ok]`, sent after a probing move and by `$#`; `ok` is 1 if the probe made contact, otherwise 0.
 pub fn probe<const N: usize>(out: &mut Text, place: &PerAxis<Coordinate, N>, success: bool, form: PlaceForm) {
     put(out, b"[PRB:");
     position(out, place, form);
@@ -457,7 +458,7 @@ pub struct ParserState {
     pub speed: f32,
 }
 
-/// `[GC:...]`, the answer to `$G`.
+/// Appends `[GC:...]`, the answer to `$G`.
 pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
     put(out, b"[GC:");
     for (i, word) in state.words.iter().filter(|word| !word.is_empty()).enumerate() {
@@ -511,7 +512,7 @@ pub fn parser_state(out: &mut Text, state: &ParserState, inches: bool) {
     put(out, b"]\r\n");
 }
 
-/// A speed in mm/min, printed in the unit of reports.
+/// Appends a speed: in mm/min without decimals, or in inches per minute with one decimal.
 pub(super) fn rate(out: &mut Text, mm_per_minute: f32, inches: bool) {
     if inches { real(out, mm_per_minute / 25.4, 1) } else { real(out, mm_per_minute, 0) }
 }

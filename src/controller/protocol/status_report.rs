@@ -206,7 +206,7 @@ impl RareFields {
     /// `WCO` and `Ov` are due.
     pub const DUE: RareFields = RareFields { offset_in: 0, overrides_in: 0 };
 
-    /// Call when the work offset has changed: the next report carries `WCO`.
+    /// Makes `WCO` due after a change of the work offset.
     pub fn offset_changed(&mut self) {
         self.offset_in = 0;
     }

@@ -10,60 +10,61 @@ use crate::units::Decimal;
 /// A `$` command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum System<'a> {
-    /// `$`
+    /// `$`: lists the commands.
     Help,
-    /// `$$`
+    /// `$$`: lists the settings.
     Settings,
-    /// `$#`
+    /// `$#`: lists the coordinate systems, offsets and tools, and the result of the latest probing move.
     Parameters,
-    /// `$G`
+    /// `$G`: shows the modal state.
     ParserState,
-    /// `$I`
+    /// `$I`: shows the version and the enabled options.
     BuildInfo,
-    /// `$I+`
+    /// `$I+`: as `$I`, and shows the axes, the options that a sender may use, and the board.
     MoreBuildInfo,
-    /// `$ES`, `$ESG`, `$ESH`, `$EG`, `$EE`, `$EA`
+    /// `$ES`, `$ESG`, `$ESH`, `$EG`, `$EE`, `$EA`: describes settings, groups, errors or alarms.
     Describe(Described),
-    /// `$E`: explains the most recently refused line
+    /// `$E`: explains the most recently refused line.
     Refusal,
-    /// `$I=text`
+    /// `$I=text`: stores a text that `$I` shows.
     SetBuildInfo(&'a [u8]),
-    /// `$N`
+    /// `$N`: lists the startup lines.
     StartupLines,
-    /// `$N0=line`, `$N1=line`
+    /// `$N0=line`, `$N1=line`: executes a startup line and, if it is valid, stores it.
     SetStartupLine(usize, &'a [u8]),
-    /// `$M`
+    /// `$M`: lists the macros.
     Macros,
-    /// `$M0=line` to `$M63=line`
+    /// `$M0=line` to `$M63=line`: stores a line of the macros.
     SetMacro(usize, &'a [u8]),
-    /// `$C`
+    /// `$C`: switches check mode on or off.
     CheckMode,
-    /// `$X`
+    /// `$X`: unlocks the machine.
     Unlock,
-    /// `$H`, or `$HX` and so on for one axis
+    /// `$H`: homes the machine. `$HX` and so on: homes one axis.
     Home(Option<Axis>),
-    /// `$J=...`
+    /// `$J=...`: jogs. The text is what follows the `=`.
     Jog(&'a [u8]),
-    /// `$RST=$`, `$RST=#`, `$RST=*`
+    /// `$RST=$`, `$RST=#`, `$RST=*`: restores defaults.
     Restore(Restore),
-    /// `$RC`
+    /// `$RC`: shows why the machine was restarted.
     ResetCause,
-    /// `$REC`
+    /// `$REC`: lists the recording.
     Recording,
-    /// `$PINS`
+    /// `$PINS`: lists the input pins.
     Pins,
-    /// `$PINS=0`
+    /// `$PINS=0`: clears the noise counters of the input pins.
     ClearNoise,
-    /// `$LC=ON` and the letters of a session, if any; `$LC=OFF`
+    /// `$LC=ON`: switches line checksums on; contains the letters of the session, or nothing. `$LC=OFF` (`None`):
+    /// switches them off.
     CheckLines(Option<&'a [u8]>),
-    /// `$SLP`
+    /// `$SLP`: puts the machine to sleep.
     Sleep,
     /// `$REBOOT`: restarts the board. `$DFU`: restarts it into the boot loader of the chip.
     Reboot {
-        /// Into the boot loader.
+        /// Whether the command is `$DFU`.
         into_loader: bool,
     },
-    /// `$n=v`
+    /// `$n=v`: sets setting `n` to `v`.
     Set(u16, Decimal),
 }
 
@@ -122,11 +123,11 @@ pub enum Described {
 /// What `$RST` resets to defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Restore {
-    /// The settings.
+    /// The settings, except the dialect (`$900`).
     Settings,
     /// Coordinate systems, G28, G30 and the tool table.
     Coordinates,
-    /// Settings, coordinate systems, G28, G30, tools, startup lines, macros and build info.
+    /// Settings except the dialect (`$900`), coordinate systems, G28, G30, tools, startup lines, macros and build info.
     All,
 }
 
@@ -209,7 +210,7 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
             }
         }
         Some(b'M') if rest.is_empty() => Ok(System::Macros),
-        // Any error in the number is reported as `BadNumber`: Grbl has no `$M`, and this is its answer to such letters.
+        // Any error in the number is reported as `BadNumber`, because Grbl has no `$M` and answers unknown letters so.
         Some(b'M') => {
             let (index, line) = numbered(rest).map_err(|_| Error::BadNumber)?;
             Ok(System::SetMacro(usize::from(index), line))

@@ -43,8 +43,8 @@ const PLAIN: usize = 64;
 /// Maximum number of bytes of a line end and its time entry.
 const LINE_END: usize = 1 + 10 + 1;
 
-/// Upper bound, in microseconds, of the time from `Crash::moment`, at the start of a round of the control task, to a
-/// failure in the next round. (The watchdog ends a round that hangs after half a second or two seconds.)
+/// Upper bound, in microseconds, of the time between `Crash::moment` (the start of a round of the control task) and a
+/// failure in the next round. The watchdog ends a round that hangs after half a second or two seconds.
 const LONGEST_TURN_US: u32 = 10_000_000;
 
 // Basis and prime of 32-bit FNV-1a, here applied to whole words.
@@ -93,7 +93,7 @@ impl Page {
     /// A page without contents.
     pub const EMPTY: Page = Page { mark: 0, number: 0, time: 0, state: 0, bytes: [0; ROOM] };
 
-    /// Returns the bytes of the pages as they lie in RAM (little-endian), for tests of RAM contents after a reset or a
+    /// Returns the bytes of the pages as RAM holds them (little-endian), for tests of RAM contents after a reset or a
     /// power-up.
     pub fn bytes_of(pages: &[Page]) -> impl Iterator<Item = u8> {
         pages.iter().flat_map(|page| {
@@ -274,7 +274,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.kept
     }
 
-    /// Keeps the recording from before the reset, and appends an entry that says how the previous run ended.
+    /// Keeps the recording from before the reset, and appends an entry that records how the previous run ended.
     #[inline(never)]
     fn keep(&mut self, number: u32, restart: &Restart) {
         self.kept = true;
@@ -590,7 +590,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             StepEvent::Underrun { position, .. } => (3, position),
             StepEvent::Miscounted { position, .. } => (4, position),
         };
-        // How many blocks were handed to the step task before a stop depends on the exact time of the stop. So the hash
+        // The number of blocks handed to the step task before a stop depends on the exact time of the stop. So the hash
         // of the blocks starts again.
         (self.blocks, self.blocks_recorded) = (BASIS, BASIS);
         let mut rest = Rest::new();

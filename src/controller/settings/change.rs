@@ -1,6 +1,6 @@
 //! Sets a setting (`$n=v`): checks the value against the range in the settings table. A refused value gets an error
-//! that gives the reason. Some settings depend on others: in Grbl's dialect soft limits need homing, and are switched
-//! off with it.
+//! that gives the reason. Soft limits depend on homing: Grbl's dialect refuses `$20=1` while homing is off, and `$22=0`
+//! switches soft limits off in every dialect.
 
 use super::index::Index;
 use super::row::Kind;
@@ -24,10 +24,13 @@ impl<const N: usize> Settings<N> {
     /// number.
     ///
     /// # Errors
-    /// [`Error::NegativeValue`] below zero, [`Error::InvalidStatement`] for a number that does not exist,
-    /// [`Error::SettingOutOfRange`] for a value out of range (in Grbl's dialect [`Error::InvalidStatement`]),
-    /// [`Error::StepPulseTooShort`] for a `$0` out of range, [`Error::SoftLimitNeedsHoming`] for `$20=1` without `$22`
-    /// in Grbl's dialect.
+    /// * [`Error::NegativeValue`]: below zero (only the parking place `$58` may be negative);
+    /// * [`Error::InvalidStatement`]: the number does not exist;
+    /// * [`Error::SettingOutOfRange`]: out of range, or with a fraction where only whole numbers are allowed; in Grbl's
+    ///   dialect [`Error::InvalidStatement`] for a value out of range;
+    /// * [`Error::StepPulseTooShort`]: `$0` out of range; [`Error::InvalidStatement`]: `$0` in range but no multiple of
+    ///   0.1 µs, outside Grbl's dialect;
+    /// * [`Error::SoftLimitNeedsHoming`]: `$20=1` without `$22`, in Grbl's dialect.
     pub fn accepted(&self, number: u16, value: Decimal) -> Result<f32, Error> {
         self.placed(number, value).map(|(_, value)| value)
     }

@@ -11,7 +11,7 @@ pub struct GrblHalMask {
     number: u16,
     /// Bits that are the value of this setting (`number`).
     pub own: u32,
-    /// Bits that are the value of another setting: for the mask of `$22` that of `$932`.
+    /// Bits that are the value of another setting: in the mask of `$22`, the bit that is the value of `$932`.
     elsewhere: u32,
     /// Bits of functions that are always on in this firmware.
     always: u32,
@@ -46,7 +46,7 @@ impl GrblHalMask {
         MASKS.iter().find(|mask| mask.number == number)
     }
 
-    /// All bits that a host can set; the others have no function in this firmware.
+    /// Returns all bits that a host can set; the others have no function in this firmware.
     pub const fn bits(&self) -> u32 {
         self.own | self.elsewhere | self.always
     }
@@ -57,8 +57,8 @@ impl GrblHalMask {
         if self.is_in_force(written) { written | self.always } else { written & self.own }
     }
 
-    /// Whether the bits other than `own` have an effect. In the mask of `$22` they have none while homing is off
-    /// (`$22=0`).
+    /// Returns whether the bits other than `own` have an effect. In the mask of `$22` they have none while homing is
+    /// off (`$22=0`).
     fn is_in_force(&self, bits: u32) -> bool {
         self.elsewhere == 0 || bits & self.own != 0
     }

@@ -6,7 +6,8 @@
 //!
 //! Each module uses only modules below it in this list:
 //!
-//! * `change`: `$n=v`; `listing`: `$$`; `runnable`: whether the machine can run with the settings
+//! * `change`: `$n=v`; `listing`: `$$`; `runnable`: whether the machine can run with the settings; `masks`: settings
+//!   that are masks in grblHAL
 //! * `values`: the values of the settings, and their stored form
 //! * `index`: finds the row for a number or a line of `$$`
 //! * `table`: the rows, and the keys that name them

@@ -112,7 +112,7 @@ table! {
 }
 
 impl Key {
-    /// The number after `$`.
+    /// Returns the number after `$`.
     #[allow(clippy::indexing_slicing, reason = "there is a row for each")]
     pub const fn number(self) -> u16 {
         SCALARS[self as usize].number
@@ -139,7 +139,7 @@ table! {
 }
 
 impl AxisKey {
-    /// The number after `$` for X; Y has the next number, and so on.
+    /// Returns the number after `$` for X; Y has the next number, and so on.
     #[allow(clippy::indexing_slicing, reason = "there is a row for each")]
     pub const fn number(self) -> u16 {
         PER_AXIS[self as usize].number

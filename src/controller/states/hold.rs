@@ -115,7 +115,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether a spindle that was switched on again in this hold is not up to speed yet.
+    /// Returns whether a spindle that was switched on again in this hold is not up to speed yet.
     fn is_spinning_up(&self) -> bool {
         let State::Hold(Hold { turns_at: Some(turns_at), .. }) = self.state else { return false };
         self.m.now < turns_at || !self.has_speed()
@@ -155,7 +155,7 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Ends the job at a refused line if `$901` is on, or if the line would have prompted the operator for another tool
-    /// (`asks_for_tool`): the lines after it are meant for that tool.
+    /// (`asks_for_tool`). In the second case the lines after it are meant for that tool.
     pub(crate) fn stop_at_error(&mut self, asks_for_tool: bool) {
         let lacks_tool = asks_for_tool && self.m.prompts_for_tools() && self.dialect() != Dialect::Grbl;
         if matches!(self.state, State::Normal) && (lacks_tool || self.m.settings.is_on(Key::StopOnError)) {
@@ -171,8 +171,9 @@ impl<const N: usize> Controller<N> {
         self.m.probe.break_off();
         self.m.interpreter.set_position(self.m.motion.machine_position());
         self.m.start_idle_delay();
-        // A laser must not burn one point, the spindle of a locked machine must not turn, and there is no use for a
-        // spindle that spins up for a dropped cut. In all other cases the spindle stays as it is.
+        // A laser must not burn one point, the spindle of a locked machine must not turn, a suspended spindle stays
+        // off, and a spindle that spins up for a dropped cut is not needed. In all other cases the spindle stays as it
+        // is.
         let turns = !self.m.accessories.is_suspended() && !self.task.waits_for_spindle();
         if locked || !turns || self.m.settings.is_on(Key::Laser) {
             self.m.accessories.stop_spindle();
@@ -200,8 +201,8 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Jog { cancelling: true });
     }
 
-    /// Makes the controller skip the jogs among the line bytes received so far. After a reset or a jog cancel, such
-    /// older bytes are known by their epoch (see `protocol::intake`). A hold or a door begins no epoch, so here the
+    /// Makes the controller skip the jogs among the line bytes received so far. After a reset or a jog cancel, the
+    /// epoch of a byte shows that it is older (see `protocol::intake`). A hold or a door begins no epoch, so here the
     /// older bytes are counted. In Grbl's dialect, a hold or a door voids jogs only while a jog moves.
     pub(crate) fn forget_received_jogs(&mut self) {
         if self.dialect() != Dialect::Grbl || matches!(self.state, State::Jog { .. }) {

@@ -8,13 +8,14 @@
 //!  Alarm ───────────────▶ Normal ───────────────▶ Hold ───────────────▶ Normal
 //!    ▲                    │ ▲ │ ▲                  │  door, 0x84
 //!    │ reset in motion,   │ │ │ └── $C, reset ── Check
-//!    │ limit, underrun    │ │ └───── $J= ──────▶ Jog ── at rest, 0x85, ! ──▶ Normal
+//!    │ underrun, probe    │ │ └───── $J= ──────▶ Jog ── at rest, 0x85, ! ──▶ Normal
 //!    └────────────────────┘ └─ restored ── Door ◀── 0x84, door pin
-//!   Braking (0x19, a refused line with $901, a fault): brakes, then Normal, Alarm or Critical
+//!   Braking (0x19, a refused line with $901, a fault): brakes, then Normal, Alarm, Critical or Door
 //!                  Sleep ◀── $SLP (only a reset leaves it, to Alarm)
+//!               Critical ◀── limit, emergency stop, other faults (only a reset leaves it, to Alarm)
 //! ```
-//! `Idle` and `Run` are both [`State::Normal`]: only `motion` knows whether something moves, so state and motion cannot
-//! disagree.
+//! `Idle` and `Run` are both [`State::Normal`]. Only `motion` records whether something moves, so state and motion
+//! cannot disagree.
 
 mod after_reset;
 pub(crate) mod door;
@@ -56,7 +57,8 @@ pub(crate) enum State<const N: usize> {
     Door(Door),
     /// Locked until `$X`, `$H` or a reset: by an alarm, or (`None`) because the machine has not been homed or checked.
     Alarm(Option<Alarm>),
-    /// Locked by a hard or soft limit or an emergency. Only a reset unlocks the machine.
+    /// Locked by an alarm that only a reset ends: a hard or soft limit, an emergency stop, a driver fault, a lost
+    /// spindle speed, or a lost host for which the machine has stopped at once.
     Critical(Alarm),
     /// Lines are checked and not executed.
     Check,
@@ -91,7 +93,7 @@ pub(crate) enum AfterBraking {
 }
 
 impl AfterBraking {
-    /// The alarm that follows, if any.
+    /// Returns the alarm that follows, if any.
     pub fn alarm(self) -> Option<Alarm> {
         match self {
             AfterBraking::Alarm(alarm) | AfterBraking::Retract(alarm) => Some(alarm),
@@ -119,32 +121,32 @@ impl<const N: usize> State<N> {
         }
     }
 
-    /// Whether the current work (motion, a dwell, the lines still to come) is suspended.
+    /// Returns whether the current work (motion, a dwell, the lines still to come) is suspended.
     pub fn is_suspended(&self) -> bool {
         matches!(self, State::Hold(_) | State::Braking { .. } | State::Door(_) | State::Sleep(_) | State::Critical(_))
     }
 
-    /// Whether a door has been closed, and the machine is on its way back to the job.
+    /// Returns whether a door has been closed, and the machine is on its way back to the job.
     pub fn is_resuming(&self) -> bool {
         matches!(self, State::Door(door) if door.phase.is_resuming())
     }
 
-    /// Whether received lines are read in this state.
+    /// Returns whether received lines are read in this state.
     pub fn takes_lines(&self) -> bool {
         matches!(self, State::Normal | State::Jog { .. } | State::Alarm(_) | State::Check)
     }
 
-    /// Whether only a reset ends this state. Lines received before that reset will be dropped.
+    /// Returns whether only a reset ends this state. Lines received before that reset will be dropped.
     pub fn waits_for_reset(&self) -> bool {
         matches!(self, State::Sleep(_) | State::Critical(_))
     }
 
-    /// Whether the machine is locked.
+    /// Returns whether the machine is locked.
     pub fn is_alarm(&self) -> bool {
         matches!(self, State::Alarm(_) | State::Critical(_))
     }
 
-    /// The active alarm, if any.
+    /// Returns the active alarm, if any.
     pub fn alarm(&self) -> Option<Alarm> {
         match self {
             State::Alarm(alarm) | State::Sleep(alarm) => *alarm,
@@ -181,7 +183,8 @@ impl<const N: usize> Controller<N> {
             // host.
             self.m.last_line_at = self.m.now;
         }
-        // A machine that holds, opens its door or has an alarm does not restart without being asked again.
+        // A change of state (a hold, a door, an alarm) cancels a pending restart (`$REBOOT`, `$DFU`): the host must
+        // send the command again.
         if matches!(self.task, Task::Rebooting { .. }) {
             self.task = Task::None;
         }

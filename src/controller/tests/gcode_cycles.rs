@@ -333,7 +333,8 @@ fn what_is_refused() {
         }
         let mut program = Program::new(dialect);
         assert_eq!(program.error("G81 X1 Z-1 R1"), 22);
-        // A refused line neither ends a series of cycles nor changes the words that stay in force in it.
+        // A refused line does not end a series of cycles, and does not change the words that stay in force in the
+        // series.
         program.run("F100 G81 X1 Z-1 R1");
         assert_eq!(program.error("X2 R-5"), 54);
         assert_eq!(program.error("R2"), 36);

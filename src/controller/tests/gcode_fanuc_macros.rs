@@ -103,7 +103,7 @@ fn modal_calls() {
     goes(&format!("G0 X1\nG66 P1\nX3\nM30\n{drill}\nG0 X4"), &[1, 3, 50, 4]);
     fails(&format!("G0 X1\nG66 P1 A#5\nX3\nM30\n{drill}"), &[121], &[1, 3]);
     fails("G0 X1\nG66 A1\nX3\nM30", &[28], &[1, 3]);
-    // A message moves nothing, and neither does the value of a function.
+    // Letters in a message or in the name of a function are not axis words, so they trigger no modal call.
     goes(&format!("G0 X1\nG66 P1\nX3\n(MSG, All X)\n#5=ABS[#4]\nX5\nM30\n{drill}"), &[1, 3, 50, 5, 50]);
     // A modal call ends with the subprogram that contains its G66, so it is not in force in the next subprogram.
     goes("G0 X1\nG65 P2\nG65 P3\nM30\nO1\nX50\nM99\nO2\nG66 P1\nX4\nM99\nO3\nX7\nM99\n%", &[1, 4, 50, 7]);

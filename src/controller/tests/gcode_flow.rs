@@ -104,7 +104,7 @@ fn subroutines() {
     );
     // Names are local unless they begin with an underline.
     goes("o1 sub\n#<a>=1 #<_b>=2\no1 endsub\no1 call\nX[EXISTS[#<a>]] \nX#<_b>", &[0, 2]);
-    // Calls can be nested, and can stand in loops.
+    // Calls can be nested, and loops can contain calls.
     goes("o1 sub\nX#1\no1 endsub\no2 sub\no1 call [#1+10]\nX#1\no2 endsub\no2 call [1]\nX9", &[11, 1, 9]);
     goes("o1 sub\no2 if [#1 GT 0]\nX#1\no1 call [#1-1]\no2 endif\no1 endsub\no1 call [3]\nX9", &[3, 2, 1, 9]);
     goes("o1 sub\nX#1\no1 endsub\no3 repeat [2]\no1 call [5]\no3 endrepeat\nX9", &[5, 5, 9]);
@@ -242,7 +242,7 @@ fn memory_for_text() {
     assert_eq!((sender.errors, sender.went.len()), (vec![2; 100], 500));
 }
 
-/// However full the memory is, no line of a refused block runs outside of the block, and a subroutine that is refused
+/// With any amount of free memory, no line of a refused block runs outside of the block. A subroutine that is refused
 /// repeatedly takes no additional memory.
 #[test]
 fn refused_in_full_memory() {
@@ -316,7 +316,7 @@ fn blocks_that_are_left_open() {
     }
 }
 
-/// After an M2 that was skipped or stored in a block, only an O word is accepted, so the lines of the next program are
+/// After an M2 that was skipped or stored in a block, only an O word is accepted. So the lines of the next program are
 /// not taken for a part of the open block.
 #[test]
 fn the_next_program_is_none_of_an_open_block() {

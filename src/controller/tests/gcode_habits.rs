@@ -316,7 +316,7 @@ fn feed_per_revolution() {
             assert!((found - expected).abs() < 1.0e-3 * expected, "{line}: {found}");
         };
         program.run("S1000 M3");
-        // F of G94 means nothing with G95, and the other way round.
+        // An F that was set with G94 does not count with G95, and vice versa.
         assert_eq!((program.error("G95 G1 X1"), program.error("G95 G93 G1 X1 F1")), (22, 21));
         near(program, "G95 G1 X1 F0.2", 200.0);
         near(program, "X2", 200.0);
@@ -446,7 +446,8 @@ fn circles_round_the_tool() {
         ] {
             assert_eq!(program.error(line), error, "{line}");
         }
-        // After D, I would be the radius of the wall on Haas. D0 and the end of the program take that back.
+        // On Haas, I of G12 after a D word would be the radius of the wall, so such a G12 is refused. After D0 or the
+        // end of the program, G12 is accepted again.
         for (before, error) in [("D3", 121), ("G43 H1 D2", 121), ("D0", 0), ("D3\nM30", 0)] {
             program.run_all(before);
             assert_eq!(program.error("G12 I5"), error, "behind {before}");

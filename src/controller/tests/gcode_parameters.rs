@@ -99,7 +99,7 @@ fn unset_parameters() {
     assert_eq!(program.error("X#<A>"), 74);
 }
 
-/// A line that is refused for any reason sets no parameter. Neither does a line that is only checked, nor a jog.
+/// Refused lines, lines that are only checked, and jogs set no parameter.
 #[test]
 fn a_refused_line_sets_nothing() {
     let mut program = ready();
@@ -241,7 +241,7 @@ fn names_of_axes_that_the_machine_lacks() {
     assert_eq!(["#<_Z>=1", "#<_ABS_Z>=1"].map(|line| program.error(line)), [200; 2]);
 }
 
-/// The parameter that tells whether G92 is in force is independent of the parameters that hold the offsets of G92.
+/// The parameter for whether G92 is in force is independent of the parameters that hold the offsets of G92.
 #[test]
 fn the_offset_of_g92() {
     let mut program = ready();

@@ -214,7 +214,7 @@ fn very_long_lines() {
     }
 }
 
-/// The controller does not look for other effects of a line that only moves, so such a line must not have any.
+/// The controller does not check a line that only moves for other effects, so such a line must have none.
 #[test]
 fn a_line_that_only_moves_changes_nothing_else() {
     for dialect in DIALECTS {

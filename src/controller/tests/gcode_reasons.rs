@@ -1,5 +1,5 @@
-//! Tests of the sentences that say what is wrong with a refused line: which word, and what to write instead. Each row
-//! is a wrong line as a person or a CAM program writes it, with its error and the whole sentence.
+//! Tests of the sentences that explain why a line was refused: the wrong word, and what to write instead. Each row is a
+//! wrong line as a person or a CAM program writes it, with its error and the whole sentence.
 
 #![cfg(all(feature = "full", feature = "reasons"))]
 

@@ -65,8 +65,8 @@ fn modal_text(interpreter: &Interpreter<3>) -> String {
     format!("[GC:{} T{} F{feed} S{speed}]", words.join(" "), modal.tool)
 }
 
-/// Whether the recording's text with three decimals matches the coordinate. Grbl computes in single precision, so a
-/// value half-way between two texts can be rounded either way. From 10^6 on, the recorded digits mean nothing.
+/// Returns whether the recording's text with three decimals matches the coordinate. Grbl computes in single precision,
+/// so a value half-way between two texts can be rounded either way. From 10^6 on, the recorded digits mean nothing.
 fn matches(text: &str, coordinate: Coordinate) -> bool {
     let printed: f64 = text.parse().unwrap();
     let exact = coordinate.0 as f64 / DECIMAL_ONE as f64;

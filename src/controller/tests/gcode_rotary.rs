@@ -1,4 +1,4 @@
-//! A fourth axis that turns: its words, its offsets, and what F means to it (RS274NGC, 2.1.2.5 and 2.1.2.6).
+//! Tests of a rotary fourth axis: its words, its offsets, and the meaning of F (RS274NGC, 2.1.2.5 and 2.1.2.6).
 
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{Action, Dialect, Feed, Interpreter, MotionCommand};

@@ -6,7 +6,7 @@ use crate::program::{Program, in_mm, play, ready};
 use oxmill_controller::gcode::{Angle, CoordinateSystem, Dialect, MotionCommand};
 use oxmill_controller::units::{DECIMAL_ONE, Decimal};
 
-/// Half of the root of 3.
+/// Half of the square root of 3.
 const H: f64 = 0.866_025_403_784_438_6;
 
 /// A system is rotated about its origin. An axis that is not named keeps its coordinate in the program.

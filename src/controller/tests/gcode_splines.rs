@@ -1,4 +1,4 @@
-//! Tests of G5 to G5.3: which curve a line asks for.
+//! Tests of G5 to G5.3: the curve that a line describes.
 
 #![cfg(feature = "full")]
 
@@ -6,7 +6,7 @@ use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{Action, Dialect, Feed, MotionCommand};
 use oxmill_controller::units::DECIMAL_ONE;
 
-/// Half of the root of 3.
+/// Half of the square root of 3.
 const H: f64 = 0.866_025_403_784_438_6;
 
 fn ready(setup: &str) -> Program {

@@ -75,7 +75,7 @@ fn parameters() {
 fn subroutines_and_macros() {
     goes("o7 sub\nG0 X#1\nM99\nX9\no7 endsub\nM98 P7\nG65 P7 A4\no7 call [5]\nM2", &[0, 4, 5]);
     goes("G0 X1\nM98 P7\no7 call [5]\nM2\nO7\nX#1\nM99", &[1, 0, 5]);
-    // A macro calls a subprogram that is not known yet: the program waits in the middle of the call.
+    // A macro calls a subprogram that is not defined yet: the program waits in the middle of the call.
     let mut sender = with_macro(&["O9000SUB", "G0X1", "M98P5", "G0X3", "O9000ENDSUB"]);
     sender.send_all("o9000 call\nG0 X4");
     assert_eq!(sender.went, [1]);
@@ -148,8 +148,8 @@ fn definitions_end_with_their_file() {
     }
 }
 
-/// If a line of a subprogram is refused, its remaining lines are refused too, whatever the error was and however long
-/// the host pauses between them. They are not run as a program. A line `%` ends the refusal.
+/// If a line of a subprogram is refused, the remaining lines of the subprogram are refused too: after any error, and
+/// after a pause of the host of any length. They are not run as a program. A line `%` ends the refusal.
 #[test]
 fn a_refused_subprogram_is_no_program_after_a_rest() {
     for program in ["G0 X1\nM30\n", "G0 X1\nM98 P1\nM30\n"] {
@@ -257,8 +257,8 @@ fn what_is_dropped_does_not_go_on_as_a_program() {
     }
 }
 
-/// After an alarm in a subprogram, such as that of a probe without contact, the subprograms that follow are not run as
-/// a program, neither after `$X` nor after a pause of the host.
+/// An alarm in a subprogram (such as that of a probe without contact) ends the program. The subprograms that follow are
+/// not run as a program, even after `$X` or a pause of the host.
 #[test]
 fn an_alarm_in_a_subprogram_refuses_the_next_ones() {
     for refused in ["", "O2"] {
@@ -416,7 +416,7 @@ fn conditions_and_loops() {
     fails("M98 P5\nG0 X3\no1 if [0]\nM2\nO5\nG0 X2\nM99\nG0 X4\n%", &[81, 203], &[2, 3]);
 }
 
-/// Whatever a file lacks (the subprogram, an M30 or an M99), no line of a subprogram runs without a call. If a program
+/// No line of a subprogram runs without a call, even if the file lacks the subprogram, an M30 or an M99. If a program
 /// that waits for its subprograms is refused, none of its stored lines runs.
 #[test]
 fn nothing_falls_into_a_subprogram() {

@@ -299,7 +299,7 @@ fn a_tool_is_taken_out() {
         assert_eq!((program.error("G43 H5"), program.error("G10 L1 P5"), program.error("G43 H6")), (47, 47, 0));
         program.run("G10 L1 P99 Z1");
         assert_eq!((program.error("G43 H99"), program.error("G10 L1 P5 Z1")), (0, 47));
-        // A program in check mode does not remove a tool for good.
+        // A program in check mode does not remove a tool permanently.
         program.interpreter.begin_check_mode(Dialect::Oxmill);
         program.run("G10 L1 P6");
         program.interpreter.reset();

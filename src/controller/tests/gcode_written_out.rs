@@ -1,5 +1,5 @@
-//! Properties of subprograms: a program acts as the same program with its calls written out, and in no mixture of lines
-//! is a subprogram run without a call.
+//! Properties of subprograms: a program acts as the same program with its calls written out, and no mixture of lines
+//! runs a subprogram without a call.
 #![cfg(feature = "full")]
 
 use crate::subprogram_sender::Sender;
@@ -10,8 +10,8 @@ use proptest::prelude::*;
 enum Step {
     Move(i64),
     Add(i64),
-    /// A call: how far the called program is behind this one (0 for the next), the number of repeats, and the argument
-    /// if the call is a G65.
+    /// A call: the number of programs between this one and the called one (0 for the next program), the number of
+    /// repeats, and the argument if the call is a G65.
     Call(usize, u16, Option<i64>),
 }
 
@@ -53,8 +53,8 @@ fn written_out(programs: &[Vec<Step>], index: usize, one: &mut i64, went: &mut V
     }
 }
 
-/// A line of a program, or a call: how far the called program is behind this one (0 for the next), the number of
-/// repeats, and the arguments if the call is a G65.
+/// A line of a program, or a call: the number of programs between this one and the called one (0 for the next program),
+/// the number of repeats, and the arguments if the call is a G65.
 #[derive(Clone, Debug)]
 enum Line {
     Text(&'static str),
@@ -142,8 +142,8 @@ fn expand(programs: &[Vec<Line>], index: usize, values: &[i64; 3], lines: &mut V
 
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
-    /// A program with subprograms makes the same moves as the program written out, in whatever order its subprograms
-    /// follow it.
+    /// A program with subprograms makes the same moves as the program written out. The order of the subprograms after
+    /// it does not matter.
     #[test]
     fn calls_are_the_lines_of_their_subprograms(
         programs in prop::collection::vec(prop::collection::vec(step(), 0..6), 1..5),
@@ -185,9 +185,9 @@ proptest! {
         prop_assert_eq!(called, written, "{}\n---\n{}", text, lines.join("\n"));
     }
 
-    /// However the lines after a program are mixed, and even if the host pauses while a program waits for its
-    /// subprograms, or within a subprogram, the lines after the first O number run only in calls, and never in the next
-    /// job.
+    /// The lines after the first O number run only in calls, and never in the next job. This holds for any mixture of
+    /// lines after a program, even if the host pauses while a program waits for its subprograms, or within a
+    /// subprogram.
     #[test]
     fn no_mixture_falls_into_a_subprogram(
         program in prop::collection::vec(

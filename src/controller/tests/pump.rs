@@ -260,7 +260,7 @@ fn a_pump_that_is_woken_makes_no_round_for_nothing() {
     woken.events.push((Source::Commands, Event::Realtime(Realtime::Status)));
     assert_eq!(rounds(round(&mut woken), &woken.log), (false, 1));
     assert!(woken.said.starts_with("<Idle|"), "{}", woken.said);
-    // After a line, `round` asks for another round, because more lines can be waiting.
+    // After a line, `round` returns true, because more lines can be waiting.
     woken.send("G20\n");
     assert!(round(&mut woken));
     let mut other = Scribe::<false>::new();
@@ -370,7 +370,7 @@ fn a_change_of_hosts_is_not_taken_in_front_of_a_byte_that_waits() {
     assert!(!controller.is_old(change));
 }
 
-/// A stop ends motion and programs, but neither a store in progress nor the restart that follows it.
+/// A stop ends motion and programs. A store in progress continues, and the controller restarts after it.
 #[test]
 fn a_stop_while_defaults_are_stored_does_not_keep_them_from_acting() {
     for held in [&[][..], &[Realtime::FeedHold][..]] {
@@ -393,8 +393,8 @@ struct Flooded {
     lines: u32,
     /// The last segment of the motion has been handed to the step task.
     ended: bool,
-    /// Minimum number of segments in the queue at the end of a line, over the time from the first segment begun until
-    /// the last one is queued.
+    /// Minimum number of segments in the queue at the end of a line. Counted from the start of the first segment until
+    /// the last segment is queued.
     fewest: u32,
 }
 

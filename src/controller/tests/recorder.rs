@@ -202,8 +202,8 @@ fn lines_behind_very_many_jog_cancels_are_recorded() {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
-    /// All recorded input is listed, and nothing else, whatever its times, and whether the text is recorded in pieces
-    /// or byte by byte.
+    /// The listing contains all recorded input and nothing else, at any times, and for text recorded in pieces or byte
+    /// by byte.
     #[test]
     fn nothing_is_left_out(script in prop::collection::vec((prop_oneof![Just(0_u64), 1..200_u64, any::<u32>().prop_map(u64::from)], 0..6_u8, prop_oneof![0..20_usize, 60..70_usize, 120..140_usize, 0..260_usize], 1..40_usize), 1..40)) {
         let board = board();

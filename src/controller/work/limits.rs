@@ -27,8 +27,8 @@ impl<const N: usize> Controller<N> {
         self.leaves_range().then_some(Error::InvalidTarget)
     }
 
-    /// Whether the motion leaves the range in which the controller computes. An arc can bulge beyond its ends, and with
-    /// belts (CoreXY) a motor moves by the sum of X and Y.
+    /// Returns whether the motion leaves the range in which the controller computes. An arc can bulge beyond its ends,
+    /// and with belts (CoreXY) a motor moves by the sum of X and Y.
     fn leaves_range(&self) -> bool {
         // The target of a straight line has been checked before, and all points of the line lie between its ends.
         let is_plain =
@@ -90,12 +90,12 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether soft limits are in force. They need a trusted position.
+    /// Returns whether soft limits are in force. They need a trusted position.
     pub(crate) fn limits_travel(&self) -> bool {
         self.m.settings.is_on(Key::SoftLimits) && !self.needs_homing()
     }
 
-    /// Soft limits (`$20`): whether any part of the line's motion lies outside of the travel.
+    /// Returns whether soft limits (`$20`) are in force and any part of the line's motion is outside the travel.
     pub(crate) fn violates_soft_limits(&self) -> bool {
         self.limits_travel() && self.leaves_travel()
     }
@@ -126,7 +126,7 @@ impl<const N: usize> Controller<N> {
         NurbsGeometry { start: nurbs.start, points: self.m.interpreter.control_points(), order: nurbs.order }
     }
 
-    /// Whether a position lies outside the travel.
+    /// Returns whether a position is outside the travel.
     pub(crate) fn is_outside_travel(&self, position: &PerAxis<Coordinate, N>) -> bool {
         let axes = Axis::ALL.into_iter().take(self.m.settings.axes_in_use());
         axes.zip(position.iter()).any(|(axis, place)| {
@@ -146,8 +146,8 @@ impl<const N: usize> Controller<N> {
     fn reach(&self, axis: Axis, travel: f32) -> f32 {
         let resolution = self.m.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);
         let steps = travel * resolution;
-        // `steps` may be whole only because `f32` has rounded it, so 0.02 steps beyond the travel are allowed even if
-        // it is whole.
+        // `steps` may be whole only because `f32` has rounded it. So even with whole steps, 0.02 steps beyond the
+        // travel are allowed.
         let share = if steps as i32 as f32 == steps { 0.02 } else { 0.5 };
         travel + share / resolution
     }
@@ -173,7 +173,7 @@ impl<const N: usize> Controller<N> {
         Some(Error::Locked)
     }
 
-    /// After a change of a setting, names the setting that locks motion. Grbl answers a change with only `ok`, so in
+    /// Names the setting that locks motion, after a change of a setting. Grbl answers a change with only `ok`, so in
     /// its dialect that setting is named at the first move.
     pub(crate) fn name_after_change(&mut self, changed: u16) {
         self.locking_setting();
@@ -191,8 +191,8 @@ impl<const N: usize> Controller<N> {
         });
     }
 
-    /// Whether lines that use machine coordinates are refused until the machine is homed, because the position is not
-    /// trusted.
+    /// Returns whether lines that use machine coordinates are refused until the machine is homed, because the position
+    /// is not trusted.
     fn needs_homing(&self) -> bool {
         !self.m.reference.is_trusted()
             && self.dialect() != Dialect::Grbl

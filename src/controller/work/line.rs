@@ -76,7 +76,8 @@ impl<const N: usize> LineInWork<N> {
     }
 
     /// Puts the text of the line `held` before the reason. `held` is the wrong line, stored in a subroutine, loop or
-    /// macro; the host knows only the line that called the subroutine, loop or macro.
+    /// macro. The message needs its text, because the host has sent only the line that called the subroutine, loop or
+    /// macro.
     #[cold]
     pub(crate) fn explain_within(&mut self, held: &[u8]) {
         /// How many characters of `held` to show.
@@ -127,7 +128,8 @@ impl<const N: usize> LineInWork<N> {
         self.refusal.first().map_or(&[], |refusal| &refusal.reason)
     }
 
-    /// Single block: whether the program pauses after each line that moves, until the operator continues it.
+    /// Returns whether single block is on: the program pauses after each line that moves, until the operator continues
+    /// it.
     pub(crate) fn is_single_block(&self) -> bool {
         self.single_block
     }
@@ -137,7 +139,7 @@ impl<const N: usize> LineInWork<N> {
         self.single_block = !self.single_block;
     }
 
-    /// The last message of the program; empty if there was none.
+    /// Returns the last message of the program; empty if there was none.
     pub(crate) fn message(&self) -> Message {
         self.message.first().cloned().unwrap_or_default()
     }
@@ -173,7 +175,7 @@ impl<const N: usize> LineInWork<N> {
         self.change = change;
     }
 
-    /// The tool change of the line.
+    /// Returns the tool change of the line, so that the caller can advance it.
     pub(crate) fn change(&mut self) -> &mut ToolChange<N> {
         &mut self.change
     }

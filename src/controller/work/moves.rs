@@ -26,7 +26,7 @@ impl<const N: usize> Controller<N> {
         self.queue_move(&mv, job)
     }
 
-    /// Queues a finished move. Returns whether there was room for it.
+    /// Queues a complete move. Returns whether there was room for it.
     pub(crate) fn queue_move(&mut self, mv: &Move<N>, job: &Job) -> bool {
         let taken = self.m.motion.line(mv);
         if !taken {
@@ -64,8 +64,8 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Returns how far a move may deviate from its path: 0, except for straight feed moves with a tolerance (G64 P) and
-    /// without rotary motion. With rotary motion, corners are not rounded, because F does not define the speed in a
-    /// rounded corner where A reverses.
+    /// without rotary motion. With rotary motion, corners are not rounded: in a rounded corner where A reverses, F
+    /// would not define the speed.
     fn tolerance(&self, target: &PerAxis<Coordinate, N>, speed: Speed) -> Tolerance {
         let within = match (speed, self.line.action.motion, self.m.interpreter.modal().path) {
             (Speed::Feed(_), MotionCommand::Line { .. }, PathControl::Within(tolerance)) => tolerance,
@@ -151,7 +151,7 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// Whether a rotary axis moves.
+/// Returns whether a rotary axis moves.
 fn turns<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coordinate, N>) -> bool {
     from.iter().zip(to.iter()).skip(LINEAR).any(|(from, to)| from != to)
 }

@@ -6,7 +6,7 @@ use crate::gcode::ProgramPins;
 use crate::work::task::{Job, Stage};
 
 impl<const N: usize> Controller<N> {
-    /// Whether the line uses a pin that the board does not have. No board has analog pins.
+    /// Returns whether the line uses a pin that the board does not have. No board has analog pins.
     pub(crate) fn lacks_pin(&self) -> bool {
         let [outputs, inputs] = self.m.settings_lock.program_pins();
         match self.line.action.pins() {
@@ -17,8 +17,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether the line can be executed now. An output that changes with a motion may have to wait until earlier
-    /// changes have been made.
+    /// Returns whether the line can be executed now. An output that changes with a motion may have to wait until
+    /// earlier changes have been made.
     pub(crate) fn has_room_for_pins(&mut self) -> bool {
         match self.line.action.pins() {
             Some(ProgramPins::Digital { with_motion: true, .. }) => self.has_room_for_change(),
@@ -63,12 +63,12 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether a program input is active; false for one that the board does not have.
+    /// Returns whether a program input is active; false for one that the board does not have.
     fn reads_input(&self, number: u32) -> bool {
         u32::from(self.m.inputs.signals().program).checked_shr(number).is_some_and(|levels| levels & 1 != 0)
     }
 
-    /// Whether the wait of M66 has ended. If so, hands the level read, or the timeout, to the program.
+    /// Returns whether the wait of M66 has ended. If so, hands the level read, or the timeout, to the program.
     #[inline(never)]
     pub(crate) fn has_read_input(&mut self, job: &mut Job) -> bool {
         let Some(ProgramPins::Wait { number, until: wait, .. }) = self.line.action.pins() else { return true };

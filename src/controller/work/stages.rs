@@ -32,7 +32,7 @@ impl<const N: usize> Controller<N> {
         self.task = Task::Job(Job::new(answer, stage, jog));
     }
 
-    /// Whether the machine has to come to rest before this line acts.
+    /// Returns whether the machine has to come to rest before this line acts.
     fn acts_at_rest(&self) -> bool {
         let action = &self.line.action;
         action.spindle.is_some()
@@ -48,19 +48,21 @@ impl<const N: usize> Controller<N> {
             || self.starts_to_turn()
     }
 
-    /// Whether the machine must come to rest before this line, given that G61.1 is in force for the previous line.
+    /// Returns whether the machine must come to rest before this line, given that G61.1 is in force for the previous
+    /// line.
     fn ends_line_before(&self) -> bool {
         let action = &self.line.action;
         action.motion != gcode::MotionCommand::None || action.modal().path != PathControl::ExactStop
     }
 
-    /// Whether the machine has to be at rest when S takes effect. S normally takes effect with the line's motion. In a
-    /// line without motion, S changes the power of a laser at rest.
+    /// Returns whether the machine has to be at rest when S takes effect. S normally takes effect with the line's
+    /// motion. In a line without motion, S changes the power of a laser at rest.
     fn speed_needs_rest(&self) -> bool {
         self.m.settings.is_on(Key::Laser) && self.shows_speed()
     }
 
-    /// Whether S starts a spindle that M3 or M4 has switched on with S0, so that motion has to wait for the spindle.
+    /// Returns whether S starts a spindle that M3 or M4 has switched on with S0, so that motion has to wait for the
+    /// spindle.
     fn starts_to_turn(&self) -> bool {
         let (action, settings) = (&self.line.action, &self.m.settings);
         action.speed_changed
@@ -70,16 +72,16 @@ impl<const N: usize> Controller<N> {
             && !settings.is_on(Key::Laser)
     }
 
-    /// Whether S changes a running spindle or, in a line that does not move, a laser that is on. The next report must
-    /// show the change.
+    /// Returns whether S changes a running spindle or, in a line that does not move, a laser that is on. The next
+    /// report must show the change.
     fn shows_speed(&self) -> bool {
         self.line.action.speed_changed
             && self.m.accessories.is_on()
             && !(self.m.settings.is_on(Key::Laser) && self.line.action.motion != gcode::MotionCommand::None)
     }
 
-    /// Whether there is a task that can advance. This is checked before each segment, to save needless calls of
-    /// [`Controller::advance`].
+    /// Returns whether there is a task that can advance. This check runs before each segment and saves needless calls
+    /// of [`Controller::advance`].
     pub(crate) fn may_advance(&self) -> bool {
         match &self.task {
             Task::None => matches!(self.state, State::Homing(_)),
@@ -88,7 +90,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether the line can only wait, because the look-ahead is full and motion is already running.
+    /// Returns whether the line can only wait, because the look-ahead is full and motion is already running.
     fn waits_for_room(&self, stage: Stage) -> bool {
         let moves = match stage {
             Stage::Target => matches!(self.line.action.motion, gcode::MotionCommand::Line { .. }),
@@ -187,8 +189,8 @@ impl<const N: usize> Controller<N> {
         let checking = matches!(self.state, State::Check);
         let mut progressed = false;
         loop {
-            // The first arms are the stages of a line that only moves, as nearly all lines do. Between its stages, such
-            // a line has nothing to show to the host, and nothing to wait for.
+            // The first arms are the stages of a line that only moves, as nearly all lines do. Such a line need not
+            // show anything to the host between its stages, and need not wait there.
             let next = match job.stage {
                 // A line that only moves waits here only if a record of an earlier line is still being stored.
                 Stage::Apply if self.line.action.moves_only() && self.m.records.are_stored() => {
@@ -266,7 +268,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether the effects of a stage must be output, and shown to the host, before the next stage begins.
+    /// Returns whether the effects of a stage must be output, and shown to the host, before the next stage begins.
     fn is_shown_before(&self, stage: Stage, next: Stage) -> bool {
         match stage {
             Stage::Apply => self.line.action.changes_outputs(),
@@ -407,8 +409,8 @@ impl<const N: usize> Controller<N> {
         delay
     }
 
-    /// Whether the program pauses after the line: for M0, for M1 if the settings enable it (Grbl's dialect ignores M1),
-    /// and in single block after each line that moves. Startup lines and jogs are not part of the program.
+    /// Returns whether the program pauses after the line: for M0, for M1 if the settings enable it (Grbl's dialect
+    /// ignores M1), and in single block after each line that moves. Startup lines and jogs are not part of the program.
     fn pauses_behind(&self, job: &Job) -> bool {
         let single_block = || {
             self.line.is_single_block()

@@ -57,8 +57,8 @@ pub(crate) enum Answer {
 }
 
 impl Answer {
-    /// Whether the line belongs to the host's program: the host has sent it, or it is a stored line of a subroutine,
-    /// loop or macro that a line from the host has called.
+    /// Returns whether the line belongs to the host's program. Either the host has sent the line, or the host has
+    /// called the subroutine, loop or macro that contains it.
     pub(crate) fn is_of_program(self) -> bool {
         matches!(self, Answer::Host | Answer::Held(Caller::Host))
     }
@@ -187,12 +187,12 @@ impl Task {
         matches!(self, Task::None)
     }
 
-    /// Whether the task is part of a program, not just an answer that takes time.
+    /// Returns whether the task is part of a program, not just an answer that takes time.
     pub(crate) fn is_program(&self) -> bool {
         !matches!(self, Task::None | Task::Listing(..) | Task::Storing(_) | Task::Rebooting { .. })
     }
 
-    /// Whether a reset has to send the host an `ok` for the task.
+    /// Returns whether a reset has to send the host an `ok` for the task.
     pub(crate) fn answers_host(&self) -> bool {
         match self {
             Task::Job(Job { answer, .. }) | Task::Storing(answer) | Task::SoftLimit(answer) => {
@@ -216,12 +216,12 @@ impl Task {
         }
     }
 
-    /// Whether a line waits for the spindle to come up to speed.
+    /// Returns whether a line waits for the spindle to come up to speed.
     pub(crate) fn is_spinning_up(&self) -> bool {
         matches!(self, Task::Job(Job { stage: Stage::SpinningUp, .. }))
     }
 
-    /// Whether a line has switched the spindle, and waits until it is up to speed or at rest.
+    /// Returns whether a line has switched the spindle, and waits until it is up to speed or at rest.
     pub(crate) fn waits_for_spindle(&self) -> bool {
         match self {
             Task::Job(Job { stage: Stage::SpinningUp, .. }) => true,
@@ -296,13 +296,13 @@ pub(crate) enum Listing {
     Recording(Ask),
 }
 
-/// How far the request for the next piece of the `$REC` listing has come.
+/// Progress of the request for the next piece of the `$REC` listing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Ask {
     /// The controller requests the next piece when there is room for its text.
     Wanted,
     /// There is room for the text, and the controller requests the piece now.
     Due,
-    /// The recorder has been asked for the piece, which has not come yet.
+    /// The piece has been requested from the recorder and has not arrived yet.
     Asked,
 }

@@ -1,4 +1,4 @@
-//! Two hosts that both want to be the active one, on the links and queues of the tests of `link`.
+//! Two hosts that compete to be the active one, on the links and queues of the tests of `link`.
 
 use crate::messages::{HOST_CHANGED, Realtime};
 use crate::protocol::link::tests::Both;

@@ -240,7 +240,7 @@ fn a_refusal_is_sent_as_there_is_room() {
     assert_eq!(sent, REFUSAL.repeat(2));
 }
 
-/// Outside of a remark, bytes of `Ä` and `à` are commands: they open the door and switch the coolant.
+/// Outside of a comment, bytes of `Ä` and `à` are commands: they open the door and switch the coolant.
 #[test]
 fn characters_of_a_remark_are_no_commands() {
     let mut both = Both::<16>::new(8, 100);
@@ -322,7 +322,7 @@ fn a_character_that_is_broken_off_is_commands() {
     both.pass_on();
     assert_eq!(both.queues.commands, [FeedReset, JogCancel, Status]);
     assert_eq!(both.usb.room(), 16);
-    // After a loss, bytes are commands, because they can belong to another character or be outside of a remark.
+    // After a loss, bytes are commands, because they can belong to another character or be outside of a comment.
     let mut both = Both::<16>::new(8, 100);
     both.uart(b"(\xE3\x84");
     both.uart.lose();
@@ -379,7 +379,7 @@ fn event() -> impl Strategy<Value = Event> {
     ]
 }
 
-/// Generates bytes of remarks, and of the characters in them.
+/// Generates bytes of comments, and of the characters in them.
 fn remark_byte() -> impl Strategy<Value = u8> {
     prop_oneof![
         4 => Just(b'('), 1 => Just(b')'), 1 => Just(b';'), 3 => Just(0xC3), 3 => Just(0xE3), 1 => Just(0xF0), 1 => Just(0xC2),
@@ -387,7 +387,7 @@ fn remark_byte() -> impl Strategy<Value = u8> {
     ]
 }
 
-/// Returns the commands in `bytes`: all command bytes except the text of remarks, as the standard library decodes it.
+/// Returns the commands in `bytes`: all command bytes except the text of comments, as the standard library decodes it.
 fn commands_of(bytes: &[u8]) -> Vec<Realtime> {
     let mut commands = Vec::new();
     let mut give = |bytes: &[u8]| {
@@ -459,8 +459,8 @@ impl Both<40> {
 }
 
 proptest! {
-    /// Exactly the commands outside of remarks arrive, whatever the bytes are, however they are split, and however much
-    /// room there is.
+    /// Exactly the commands outside of comments arrive, whatever the bytes are, however they are split, and however
+    /// much room there is.
     #[test]
     fn a_stop_byte_is_never_lost(
         mut bytes in proptest::collection::vec(

@@ -115,7 +115,7 @@ impl Door {
 }
 
 impl DoorPhase {
-    /// Whether the door has been closed, and the machine is on its way back to the job.
+    /// Returns whether the door has been closed, and the machine is on its way back to the job.
     pub(crate) fn is_resuming(self) -> bool {
         matches!(
             self,
@@ -239,8 +239,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Starts the next phase when the current one has ended. Loops, because a phase of no length ends at once, and
-    /// nothing would wake the controller to start the phase after it.
+    /// Starts the next phase when the current one has ended. Repeats this for each phase that ends at once, because
+    /// nothing would wake the controller for the phase after it.
     pub(crate) fn settle_phases(&mut self, mut phase: DoorPhase) {
         loop {
             self.settle_door(phase);
@@ -339,9 +339,9 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Starts the first move of parking, which retracts the tool. Spindle and coolant are switched off without a move
-    /// if the position is untrusted, if settings lock motion, if the program disables parking (M56 P0), or for the
-    /// reasons of [`Parking::leave_job`].
+    /// Starts the first move of parking, which retracts the tool. There is no move if the position is untrusted, if
+    /// settings lock motion, if the program disables parking (M56 P0), or for the reasons of [`Parking::leave_job`]. In
+    /// these cases only spindle and coolant are switched off.
     ///
     /// [`Parking::leave_job`]: crate::states::door::parking::Parking::leave_job
     fn begin_parking(&mut self) {
@@ -411,8 +411,8 @@ impl<const N: usize> Controller<N> {
     fn restore_spindle_for_door(&mut self) {
         let laser = self.m.settings.is_on(Key::Laser);
         if !laser {
-            // A laser is switched on again with the motion. If it were on now, it would burn one point while the
-            // machine waits for the coolant (an air assist).
+            // A laser is switched on again when motion resumes. Now it would burn one point while the machine waits for
+            // the coolant (an air assist).
             self.m.accessories.restore();
             self.m.replies.overrides_changed();
         }

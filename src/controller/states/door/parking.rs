@@ -62,7 +62,7 @@ impl<const N: usize> Parking<N> {
         }
     }
 
-    /// Whether the tool is on its way to the parking point, is there, or is on its way back.
+    /// Returns whether the tool is on its way to the parking point, is there, or is on its way back.
     pub fn is_away(&self) -> bool {
         self.route.is_some()
     }
@@ -119,7 +119,7 @@ impl<const N: usize> Parking<N> {
         self.motion.discard();
     }
 
-    /// The motion of the parking moves, separate from that of the job.
+    /// Returns the motion of the parking moves, separate from that of the job.
     pub fn motion(&self) -> &Motion<N> {
         &self.motion
     }

@@ -9,11 +9,12 @@
 //! ```
 //! At a switch, motion stops without a ramp: the rates of homing are low enough for that, and during a ramp the axis
 //! could run into the end of the switch. Axes of a cycle that have not reached their switch continue. At the end of its
-//! cycle, an axis is one pull-off away from its switch, and its position is set then, not after the last cycle. So
-//! movement in later cycles, such as backlash in belts that two axes share, is counted.
+//! cycle, an axis is one pull-off away from its switch. The position of the axis is set at that moment, not after the
+//! last cycle. If a later cycle moves the axis as well (for example by backlash in belts that two axes share), its
+//! position includes that movement.
 //!
-//! An axis with two motors and two switches is squared: the motor whose switch closes first holds still while the other
-//! moves alone, in each seek and each locate.
+//! An axis with two motors and two switches is squared: the motor whose switch closes first stops while the other moves
+//! alone, in each seek and each locate.
 
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::Alarm;
@@ -96,7 +97,7 @@ pub(crate) struct HomingCycle<const N: usize> {
     cycles: heapless::Deque<AxisMask, 8>,
     homed: AxisMask,
     pass: Pass,
-    /// How often the current cycle has yet to locate its switches.
+    /// How many locates the current cycle still has to make.
     locates_left: u32,
     /// Switches of the current seek or locate that have not closed.
     approaching: AxisMask,
@@ -170,7 +171,7 @@ impl<const N: usize> HomingCycle<N> {
         self.cycles.front().copied().unwrap_or(AxisMask::NONE)
     }
 
-    /// The switches that the current cycle looks for.
+    /// Returns the switches that the current cycle looks for.
     fn switches_of_cycle(&self) -> AxisMask {
         match self.settings.squared {
             Some((axis, _)) if self.cycle().has(axis) => AxisMask(self.cycle().0 | SECOND_SWITCH),
@@ -178,7 +179,7 @@ impl<const N: usize> HomingCycle<N> {
         }
     }
 
-    /// Direction of the switch: -1 for an axis whose switch is at its negative end, otherwise 1.
+    /// Returns the direction of the switch: -1 for an axis whose switch is at its negative end, otherwise 1.
     fn towards(&self, axis: Axis) -> f32 {
         if self.settings.to_negative.has(axis) { -1.0 } else { 1.0 }
     }
@@ -254,8 +255,8 @@ impl<const N: usize> HomingCycle<N> {
         Order::Move { by, rate: rate * oxmill_sqrt::square_root(count), watch, motors }
     }
 
-    /// Returns the coordinates of the axes after their last pull-off: 0 with `zero_at_pull_off`; otherwise those of the
-    /// point one pull-off away from the switch, where the travel goes from -travel to 0.
+    /// Returns the coordinates of the axes after their last pull-off: 0 with `zero_at_pull_off`. Otherwise the travel
+    /// of each axis goes from -travel to 0, and the axis is one pull-off away from the switch at one of these ends.
     fn places(&self) -> PerAxis<Coordinate, N> {
         PerAxis::from_axis(|axis| {
             if self.settings.zero_at_pull_off {

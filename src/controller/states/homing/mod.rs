@@ -21,9 +21,9 @@ use cycle::{HomingCycle, HomingSettings, Order};
 enum Wait {
     /// The end of a move, or the closing of one of these switches.
     Motion(AxisMask),
-    /// A stop of the step task, because a switch has closed.
+    /// A stop of the step task, because a switch has closed. Also set if the next order can follow at once.
     Stop,
-    /// This time has come.
+    /// This point in time.
     Until(Instant),
 }
 
@@ -64,7 +64,7 @@ impl<const N: usize> Homing<N> {
         Ok((homing, next))
     }
 
-    /// When [`Homing::advance`] has to be called again, if homing waits for a time.
+    /// Returns when [`Homing::advance`] has to be called again; `None` if homing does not wait for a time.
     pub(crate) fn wakeup(&self) -> Option<Instant> {
         match self.wait {
             Wait::Until(moment) => Some(moment),

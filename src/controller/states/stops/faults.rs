@@ -1,12 +1,13 @@
 //! How the machine stops for a fault (`$924` to `$928`): at once, or by braking along the path, with or without
 //! retracting the tool. The alarm follows when the machine is at rest. Faults are limit switches, emergency stop,
-//! driver faults, a lost spindle speed, and a host that has disconnected or is silent.
+//! driver faults, a lost spindle speed, and a host that has disconnected or is silent. A lost host raises an alarm only
+//! if the machine stops at once.
 //!
 //! ```text
 //!  switch, driver, spindle ──▶ fault ──┬── at once ───────────────────────────▶ stop ──▶ alarm
 //!                                      └── controlled ──▶ brake ──▶ [park] ─────┘
 //! ```
-//! Homing and parking moves have no room to brake, so they end at once whatever the settings say.
+//! Homing and parking moves stop at once, whatever the settings are, because they have no room to brake.
 
 use crate::axes::Axis;
 use crate::dispatch::Controller;
@@ -21,7 +22,8 @@ use crate::states::stops::reaction::{Braking, Reaction};
 use crate::states::{AfterBraking, State};
 
 impl<const N: usize> Controller<N> {
-    /// Stops for a fault as the setting for that fault says. The alarm follows when the machine is at rest.
+    /// Stops for a fault in the way that the setting for that fault selects. The alarm follows when the machine is at
+    /// rest.
     pub(crate) fn fault(&mut self, alarm: Alarm, stopped: &mut Stopped) {
         let under_way = self.stop_under_way();
         let reason = under_way.map_or(StopReason::Alarm(alarm), |other| other.heavier(StopReason::Alarm(alarm)));
@@ -37,8 +39,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether the alarm comes from the bouncing of a limit switch, and the tool is already being parked because of
-    /// that switch. A closed switch of the parking axis does not count as bouncing.
+    /// Returns whether the alarm comes from the bouncing of a limit switch, and the tool is already being parked
+    /// because of that switch. A closed switch of the parking axis does not count as bouncing.
     fn is_bounce(&self, alarm: Alarm) -> bool {
         matches!(self.state, State::Door(door) if door.opening.alarm == Some(alarm))
             && alarm == Alarm::HardLimit
@@ -55,7 +57,7 @@ impl<const N: usize> Controller<N> {
     }
 
     fn brake_for(&mut self, alarm: Alarm, braking: Braking) {
-        // If the machine is at rest when the fault occurs, it must not start to move.
+        // A machine that is at rest when the fault occurs must not start to move.
         let retract = braking == Braking::Retract && !self.m.motion.is_at_rest() && !self.is_parking_blocked();
         if self.m.settings.is_on(Key::Laser) || matches!(self.state, State::Door(_)) {
             // Suspend a laser, which would otherwise stay on in the segments that are left for braking. Suspend a
@@ -83,7 +85,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Whether a limit switch of the parking axis is closed.
+    /// Returns whether a limit switch of the parking axis is closed.
     fn is_parking_blocked(&self) -> bool {
         let closed = levels::axes_of_switches(self.m.inputs.signals().limits, &self.m.settings);
         let axis = Axis::ALL.get(self.m.settings.whole(Key::ParkingAxis) as usize);

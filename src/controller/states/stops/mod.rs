@@ -1,5 +1,5 @@
-//! What follows a stop of the step task. Depending on the reason of the stop, the machine is locked or reset, or homing
-//! or probing continues. A stop at speed may have lost steps, so the position is no longer trusted afterwards.
+//! Handles a stop of the step task. Depending on the reason of the stop, the machine is locked or reset, or homing or
+//! probing continues. A stop at speed may have lost steps, so the position is no longer trusted afterwards.
 
 mod faults;
 pub(crate) mod orders;
@@ -66,8 +66,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Sets the spindle speed (S) to that of the move in execution. A spindle that stays on must not take the speed of
-    /// a later line that will not be executed.
+    /// Sets the spindle speed (S) to that of the move in execution. The last S can belong to a later line that will not
+    /// be executed; a spindle that stays on must not change to that speed.
     pub(crate) fn keep_speed(&mut self) {
         if let Some(power) = self.m.motion.running_power() {
             self.m.accessories.set_speed(SpindleRange::of(&self.m.settings).speed_of(power));
@@ -87,7 +87,7 @@ impl<const N: usize> Controller<N> {
         match stop.reason {
             StopReason::Nothing => self.m.motion.discard(),
             StopReason::Contact => {
-                // The probe cycle continues from here; so does a hold or a door that has begun meanwhile.
+                // The probe cycle continues from here. So does a hold or a door that started meanwhile.
                 self.m.probe.rests_after_contact();
                 self.m.motion.discard();
             }

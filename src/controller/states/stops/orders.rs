@@ -1,5 +1,5 @@
 //! Counts the stops of the step task, those expected and those reported, and keeps the most serious reason among them.
-//! The step task is told to run again only when all expected stops have happened.
+//! The controller sends `ToStep::Resume` to the step task only when all expected stops have happened.
 //!
 //! ```text
 //!  order ──▶ Output::Stop ──▶ step task ──▶ StepEvent::Stopped ──▶ finish ──▶ ToStep::Resume
@@ -33,8 +33,8 @@ impl StopReason {
         if other.weight() > self.weight() { other } else { self }
     }
 
-    /// Severity. A reset outranks everything. An alarm outranks a homing switch and a probe contact, because homing or
-    /// probing must not continue after it.
+    /// Returns the severity. A reset outranks everything. An alarm outranks a homing switch and a probe contact,
+    /// because homing or probing must not continue after it.
     const fn weight(self) -> u8 {
         match self {
             StopReason::Nothing => 1,
@@ -88,17 +88,17 @@ impl Stops {
         self.awaited
     }
 
-    /// Whether a stop is pending: it has a reason, and [`Stops::finish`] has not completed it yet.
+    /// Returns whether a stop is pending: it has a reason, and [`Stops::finish`] has not completed it yet.
     pub fn is_awaited(&self) -> bool {
         self.awaited.is_some()
     }
 
-    /// Whether no stop is pending, and no stop order and no `ToStep::Resume` has yet to be sent to the step task.
+    /// Returns whether no stop is pending, and no stop order or `ToStep::Resume` waits to be sent to the step task.
     pub fn is_idle(&self) -> bool {
         self.awaited.is_none() && !self.ordered && !self.resume
     }
 
-    /// Whether the step task takes messages: no stop is pending, and every stop that has been reported was also
+    /// Returns whether the step task takes messages: no stop is pending, and every stop that has been reported was also
     /// expected.
     pub fn is_open(&self) -> bool {
         self.awaited.is_none() && self.seen == self.expected
@@ -131,7 +131,7 @@ impl Stops {
         self.wait_for(reason);
     }
 
-    /// Whether a stop order has not been sent to the step task yet.
+    /// Returns whether a stop order has not been sent to the step task yet.
     pub fn has_order(&self) -> bool {
         self.ordered
     }

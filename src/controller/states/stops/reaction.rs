@@ -47,7 +47,7 @@ impl Reaction {
         Reaction { braking, spindle_on: value >= 3 && !settings.is_on(Key::Laser) }
     }
 
-    /// Whether an input may stop the step task for this fault directly, without an order of the controller.
+    /// Returns whether an input may stop the step task for this fault directly, without an order of the controller.
     pub fn is_at_once(self) -> bool {
         self.braking == Braking::AtOnce
     }

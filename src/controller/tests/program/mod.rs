@@ -61,7 +61,7 @@ impl Program {
         }
     }
 
-    /// The error number of a line; 0 for a correct line.
+    /// Returns the error number of a line; 0 for a correct line.
     pub fn error(&self, line: &str) -> u8 {
         match self.check(line) {
             Ok(_) => 0,
@@ -69,17 +69,17 @@ impl Program {
         }
     }
 
-    /// Machine position in mm.
+    /// Returns the machine position in mm.
     pub fn machine(&self) -> [f64; 3] {
         in_mm(self.interpreter.position())
     }
 
-    /// Position of the tool in the coordinates that a program would write, in mm.
+    /// Returns the position of the tool in the coordinates that a program would write, in mm.
     pub fn written(&self) -> [f64; 3] {
         in_mm(&self.interpreter.to_program(self.interpreter.position()))
     }
 
-    /// Work position in mm.
+    /// Returns the work position in mm.
     pub fn work(&self) -> [f64; 3] {
         in_mm(&self.interpreter.position().zip(&self.interpreter.work_offset(), |position, offset| position - offset))
     }

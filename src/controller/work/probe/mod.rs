@@ -13,7 +13,7 @@ use crate::states::stops::orders::StopReason;
 use crate::units::Coordinate;
 
 impl<const N: usize> Controller<N> {
-    /// Begins a probing move; the machine is at rest. Returns false if the move was not begun, because the input
+    /// Begins a probing move; the machine is at rest. Returns false if the move was not started, because the input
     /// already has the level to wait for. In that case the line is answered now.
     #[inline(never)]
     pub(crate) fn begin_probe(

@@ -12,7 +12,8 @@ use crate::axes::PerAxis;
 use crate::messages::ToStep;
 use crate::units::Coordinate;
 
-/// The level of the input to look for, and the deceleration with which the step task brakes when it sees that level.
+/// The level of the input to look for, and the deceleration with which the step task brakes when the input has that
+/// level.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Watched {
     level: bool,
@@ -86,13 +87,13 @@ impl<const N: usize> Probe<N> {
         }
     }
 
-    /// Whether the step task is braking after a contact, or waits to be stopped after that. The step task takes no
-    /// messages until it has been stopped.
+    /// Returns whether the step task is braking after a contact, or waits to be stopped after that. The step task takes
+    /// no messages until it has been stopped.
     pub fn is_braking(&self) -> bool {
         self.phase == Some(Phase::Braking)
     }
 
-    /// Whether no probe is in progress and the end of the watch has been sent to the step task.
+    /// Returns whether no probe is in progress and the end of the watch has been sent to the step task.
     pub fn is_over(&self) -> bool {
         self.phase.is_none() && self.watch.is_none()
     }
@@ -108,7 +109,7 @@ impl<const N: usize> Probe<N> {
         self.phase = Some(Phase::Touched);
     }
 
-    /// Whether contact has been made, so that the rest of the move is void.
+    /// Returns whether contact has been made, so that the rest of the move is void.
     pub fn has_touched(&self) -> bool {
         matches!(self.phase, Some(Phase::Braking | Phase::Touched))
     }
@@ -145,7 +146,7 @@ impl<const N: usize> Probe<N> {
         self.watch = Some(WATCH_ENDS);
     }
 
-    /// Position and success of the last probe.
+    /// Returns the position and the success of the last probe.
     pub fn result(&self) -> (PerAxis<Coordinate, N>, bool) {
         (self.position, self.succeeded)
     }

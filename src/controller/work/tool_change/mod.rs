@@ -1,6 +1,7 @@
-//! Carries out M6 according to `$918`. 0: only the number of the tool changes, and nothing stops. 1: the spindle stops,
-//! the host is asked for the tool, and the program waits for `~`. 2: the same as 1, and after that a tool setter
-//! measures the new tool, and its length offset is set.
+//! Carries out M6 according to `$918`:
+//! * 0: only the number of the tool changes, and nothing stops.
+//! * 1: the spindle stops, a message names the tool to insert, and the program waits for `~`.
+//! * 2: as 1. After that, a tool setter measures the new tool, and its length offset is set.
 
 pub(crate) mod plan;
 
@@ -18,12 +19,12 @@ use crate::work::task::{Job, Stage};
 use crate::work::tool_change::plan::{ChangeOrder, ChangePlan, ToolChange};
 
 impl<const N: usize> Controller<N> {
-    /// Whether a tool setter measures each tool that M6 puts into the spindle (`$918=2`).
+    /// Returns whether a tool setter measures each tool that M6 puts into the spindle (`$918=2`).
     pub(crate) fn measures_tools(&self) -> bool {
         self.m.settings.whole(Key::ToolChange) == 2
     }
 
-    /// Begins the tool change if the line asks for one: the spindle stops, and the program waits for `~`. Called at
+    /// Begins the tool change if the line contains one: the spindle stops, and the program waits for `~`. Called at
     /// rest, before the rest of the line is executed.
     #[inline(never)]
     pub(crate) fn begin_tool_change(&mut self, job: &mut Job) -> Stage {

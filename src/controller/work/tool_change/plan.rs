@@ -20,7 +20,7 @@ use crate::units::Coordinate;
 /// The axis along which a tool is measured.
 const ALONG: Axis = Axis::Z;
 /// How far the tool is pulled off the setter after the first contact, and how far below that contact the second pass
-/// may go, mm. Setters yield by more: about 5 mm.
+/// may go, mm. A setter can be pressed down further than that, by about 5 mm.
 const PULL_OFF: i32 = 2;
 
 /// Positions of a tool change, in machine coordinates, and its rates in mm/s.
@@ -54,26 +54,27 @@ impl<const N: usize> ChangePlan<N> {
         measures: false,
     };
 
-    /// Whether both positions have been stored and `depth` is above 0. A G30 at machine zero counts as not stored,
-    /// except with `zero_is_clear`, where homing ends at machine zero.
+    /// Returns whether both positions have been stored and `depth` is above 0. A G30 at machine zero counts as not
+    /// stored, except with `zero_is_clear`, where homing ends at machine zero.
     pub fn is_set_up(&self, zero_is_clear: bool) -> bool {
         let nowhere = PerAxis::all(Coordinate::ZERO);
         (self.change != nowhere || zero_is_clear) && self.setter != nowhere && self.depth > Coordinate::ZERO
     }
 
-    /// Machine coordinate Z of all moves between the work, the change position and the setter.
+    /// Returns the machine coordinate Z of all moves between the work, the change position and the setter.
     pub fn height(&self) -> Coordinate {
         along(&self.change).max(along(&self.left))
     }
 
-    /// The points between which the tool moves. If these points are within the travel, so are all moves.
+    /// Returns the points between which the tool moves. If these points are within the travel, so are all moves.
     pub fn corners(&self) -> [PerAxis<Coordinate, N>; 4] {
         let at_setter = self.over(&self.setter, self.height());
         let down = self.over(&self.setter, self.lowest());
         [self.over(&self.left, self.height()), self.over(&self.change, self.height()), at_setter, down]
     }
 
-    /// The lowest point of a probing move, whatever height it starts from.
+    /// Returns the machine coordinate Z of the lowest point of a probing move. The height at which the move starts does
+    /// not matter.
     fn lowest(&self) -> Coordinate {
         (along(&self.change) - self.depth).limited()
     }
@@ -90,9 +91,9 @@ impl<const N: usize> ChangePlan<N> {
         target
     }
 
-    /// Returns the ends of the two moves back to the work, with a tool that is longer than the old one by `longer`: a
-    /// rapid to `clear` above the end, and a slow move to the end. At that end, the new tip is where the old tip was
-    /// left.
+    /// Returns the ends of the two moves back to the work: a rapid to `clear` above the end, and a slow move to the
+    /// end. `longer` is the length of the new tool minus that of the old one. At the end, the new tip is where the old
+    /// tip was left.
     fn way_back(&self, longer: Coordinate, clear: Coordinate) -> [PerAxis<Coordinate, N>; 2] {
         let end = (along(&self.left) + longer).limited();
         let above = (end + clear).min(self.height()).max(end);
@@ -166,7 +167,7 @@ impl<const N: usize> ToolChange<N> {
     pub const NONE: Self =
         Self { plan: ChangePlan::NONE, phase: ChangePhase::Back, touched: Coordinate::ZERO, is_first: false };
 
-    /// Returns a tool change that has not begun: [`ToolChange::begin`] returns its first order.
+    /// Returns a tool change that has not started. [`ToolChange::begin`] returns its first order.
     pub fn new(plan: ChangePlan<N>) -> Self {
         Self { plan, ..Self::NONE }
     }
@@ -191,7 +192,7 @@ impl<const N: usize> ToolChange<N> {
         ChangeOrder::Rapid(self.plan.over(&self.plan.left, self.plan.height()))
     }
 
-    /// Whether the order returned last was a probing move.
+    /// Returns whether the order returned last was a probing move.
     pub fn is_probing(&self) -> bool {
         matches!(self.phase, ChangePhase::Seek | ChangePhase::Locate)
     }
