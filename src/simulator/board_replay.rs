@@ -19,7 +19,7 @@ const SLACK_PARTS: u64 = 20;
 /// If the board read a line at most 1/1000 s after the previous line, both count as having waited in its receive queue
 /// at the same time. This constant is the denominator of that fraction.
 const AT_ONCE_PARTS: u64 = 1000;
-/// What the words of a recorded modal state contain if no feed rate is set: F0, directly before the word S.
+/// Text in the words of a recorded modal state if no feed rate is set: F0, directly before the S word.
 const NO_FEED: &str = "F0.0000000S";
 
 /// Result of replaying a board's recording.
@@ -79,7 +79,8 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
             ordered_stops -= 1;
         } else if is_stop(&ordered[at].1)
             && let Some(behind) = (at + 1..ordered.len().min(at + 4)).find(|next| stops(&ordered[*next].1))
-            // Only if no other stop is reported in between: the reset or input would have caused that other stop.
+            // Move the report only if no other stop is reported before the reset or input. Otherwise the reset or input
+            // has caused that other stop.
             && !ordered[at + 1..behind].iter().any(|(_, input)| is_stop(input))
         {
             ordered[at..=behind].rotate_left(1);
@@ -349,7 +350,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         let step = self.hz() / 1_000_000;
         let is_there =
             |simulator: &mut Simulator| simulator.machine().position().get(..wanted.len()) == Some(&wanted[..]);
-        // The motors can stand at this position from long before `time` until long after it. So if they are there at
+        // The motors can rest at this position from long before `time` until long after it. So if they are there at
         // `time`, advance exactly to `time`.
         let mut ahead = self.simulator.clone();
         ahead.advance_to(time);

@@ -88,8 +88,8 @@ impl Outcome {
         self.errors.push(LineError { line, code, column, text, advice, source });
     }
 
-    /// Returns what is wrong with a refused line, and what to do about it. Detects causes that the controller cannot
-    /// know: an earlier line was refused, several lines have run together, or a name is misspelt.
+    /// Returns what is wrong with a refused line, and what to do about it. Detects causes that the controller does
+    /// not report: an earlier line was refused, several lines have run together, or a name is misspelt.
     fn explained(&self, line: u64, code: u8, text: &str, source: &str, job: &JobText) -> (String, String) {
         let refused_feed = self.errors.iter().rev().find(|error| advice::count(&error.source, 'F') > 0);
         if let Some(LineError { line, .. }) = refused_feed
@@ -181,7 +181,7 @@ impl Outcome {
     }
 }
 
-/// Maximum number of programs that an error about a missing one names besides the last.
+/// Maximum number of present programs that the error about a missing program names, besides the last one.
 const MOST_NAMED: usize = 5;
 
 /// Returns whether a line has words that move X, Y or Z.
@@ -402,7 +402,8 @@ impl Check {
         }
     }
 
-    /// Notes an axis whose moves cover several times its travel: mostly inches taken for millimetres.
+    /// Notes an axis whose moves cover several times its travel. The usual cause: the numbers are millimetres, but the
+    /// program runs in inches.
     fn compare_with_travel(&mut self) {
         /// Jobs for a larger machine than the settings describe are common, so smaller ratios are not noted.
         const MUCH: f64 = 5.0;
@@ -555,7 +556,7 @@ mod tests {
         assert_eq!(summary.position_mm[0], 0.0);
     }
 
-    /// An arc behind a refused line starts at another point, so its centre need not be wrong.
+    /// An arc after a refused line starts at another point, so its centre can be right.
     #[test]
     fn an_arc_behind_a_refused_line_is_not_blamed_alone() {
         let advice = |text| checked("oxmill", text).errors.into_iter().map(|error| error.advice).collect::<Vec<_>>();
@@ -565,7 +566,8 @@ mod tests {
         assert!(!third.contains("was refused"), "{third}");
     }
 
-    /// What a checker of single lines cannot know: the names, numbers and lines of the rest of the file.
+    /// The advice uses names, program numbers and line numbers from the rest of the file, which a check of a single
+    /// line does not have.
     #[test]
     fn advice_takes_the_rest_of_the_file_into_account() {
         let wrong = checked("oxmill", "G21 G90\n#<depth>=-2\nG1 Z#<depht> F100\nG1 Z#<width> F100\n").errors;
@@ -640,7 +642,7 @@ mod tests {
         summary
     }
 
-    /// Inches taken for millimetres make a job that is too small, and slow.
+    /// If a program in inches runs in millimetres, the job is too small, and slow.
     #[test]
     fn a_small_job_with_slow_feeds_is_noted() {
         let is_noted = |text| {

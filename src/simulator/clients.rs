@@ -212,7 +212,7 @@ pub(crate) fn hung_up(link: &impl std::os::fd::AsFd) -> bool {
     #[cfg(not(target_os = "linux"))]
     let closed = PollFlags::empty();
     let mut look = [PollFd::new(link.as_fd(), closed)];
-    // `poll` reports errors and hang-ups without being asked to.
+    // `poll` always reports errors and hang-ups, even if they are not requested.
     poll(&mut look, PollTimeout::ZERO).is_ok_and(|events| events > 0)
 }
 
@@ -222,8 +222,8 @@ pub(crate) fn hung_up<T>(_link: &T) -> bool {
     false
 }
 
-/// Reads a client's bytes into its inbox until the client is done, disconnected or no longer served, or until its line
-/// is too long. In the last case it calls `tell_endless`.
+/// Reads a client's bytes into its inbox until the input ends, the client has disconnected or is no longer served, or
+/// its line is too long. In the last case, calls `tell_endless`.
 pub(crate) fn pass_bytes(
     reader: &mut impl Read,
     inbox: &Inbox,

@@ -42,8 +42,8 @@ impl Clock {
         seconds.saturating_add((us % MICROSECONDS * self.hz).div_ceil(MICROSECONDS))
     }
 
-    /// The latest tick to which a wait can last. It is far below the maximum values of ticks and microseconds, so
-    /// adding even the longest dwell to it does not overflow.
+    /// The latest tick at which a wait can end. It is far below the maximum values of ticks and microseconds, so adding
+    /// even the longest dwell to it does not overflow.
     pub fn end(&self) -> u64 {
         (u64::MAX / 4 / MICROSECONDS).saturating_mul(self.hz).min(u64::MAX / 2)
     }

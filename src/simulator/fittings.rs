@@ -15,7 +15,7 @@ use serde::Deserialize;
 /// kinematics = "corexy"            # or "cartesian", the default
 /// backlash_mm = [0.05, 0.03, 0]    # how far each motor turns before its carriage follows; each list may have A, in degrees
 /// racked_mm = 0.4                  # how far the second motor of an axis is ahead of the first at power-up
-/// [[switch]]                       # closes at and beyond a place, in mm from where the machine stood at power-up
+/// [[switch]]                       # closes at and beyond a position, in mm from the position at power-up
 /// axis = "x"
 /// at_mm = 2.0
 /// side = "positive"                # the carriage closes it moving to positive

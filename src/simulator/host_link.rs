@@ -90,7 +90,7 @@ pub struct HostLink {
     command_at: Option<Instant>,
     /// In a replay: whether the board had more bytes waiting after those sent so far.
     more: bool,
-    /// In a replay: whether the controller must never find that the host has gone silent (see [`HostLink::heard`]).
+    /// In a replay: whether the host never counts as silent (see [`HostLink::heard`]).
     never_silent: bool,
 }
 
@@ -123,7 +123,7 @@ impl HostLink {
         self.more = more;
     }
 
-    /// From here on, the controller never finds that the host has gone silent: see [`HostLink::heard`].
+    /// For a replay: from here on, the host never counts as silent (see [`HostLink::heard`]).
     pub fn hear_always(&mut self) {
         self.never_silent = true;
     }
@@ -151,7 +151,7 @@ impl HostLink {
         self.disconnected |= self.link.went(&mut self.arbiter);
     }
 
-    // What the serial task does on a board.
+    // The work of a board's serial task.
 
     /// Moves bytes from the link into the queues, as far as there is room. Returns whether any byte was moved.
     pub fn pass_on(&mut self) -> bool {
@@ -186,8 +186,8 @@ impl HostLink {
         self.pass_on()
     }
 
-    /// When a `!` that ends the received part of a comment is executed as a feed hold; `None` without such a `!`, or
-    /// while bytes wait in the port.
+    /// The time at which a `!` is executed as a feed hold if it is the last byte received and is within a comment;
+    /// `None` without such a `!`, or while bytes wait in the port.
     pub fn rest_due(&self) -> Option<Instant> {
         self.command_at.filter(|_| self.port.is_empty())
     }
@@ -202,7 +202,7 @@ impl HostLink {
         !self.port.is_empty() || self.link.is_waiting() || self.link.is_ambiguous()
     }
 
-    // What the control task receives.
+    // The input of the control task.
 
     /// Returns the next connect or disconnect.
     pub fn next_event(&mut self) -> Option<Event<AXES>> {
@@ -232,9 +232,10 @@ impl HostLink {
         self.queues.lines.len()
     }
 
-    /// Number of line bytes in the queue and in the link. If a `HOST_CHANGED` (it discards the unfinished line of the
-    /// former host) must be queued before the bytes of the link, it counts as one byte. In a replay, one byte is added
-    /// if the board had more bytes waiting.
+    /// Number of line bytes in the queue and in the link. Two things count as one further byte each:
+    /// * a `HOST_CHANGED` that must be queued before the bytes of the link (it discards the unfinished line of the
+    ///   former host),
+    /// * in a replay, further bytes that waited on the board.
     pub fn received(&self) -> usize {
         let held = self.link.held();
         self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut()) + usize::from(self.more)

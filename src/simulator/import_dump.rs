@@ -12,9 +12,9 @@ use std::ops::RangeInclusive;
 const OWN: u32 = 900;
 /// Numbers of Grbl's settings for each axis. Some builds of Grbl have more than three axes.
 const PER_AXIS: RangeInclusive<u32> = 100..=139;
-/// Value of `$900` with which hosts read masks as in grblHAL.
+/// Value of `$900` for the dialect of grblHAL, in which `$$` lists masks as grblHAL does.
 const GRBLHAL: Decimal = Decimal::from_int(3);
-/// Number of axes with which A is in use.
+/// Value of `$930`, the number of axes, with which the axis A is in use.
 const WITH_A: Decimal = Decimal::from_int(4);
 /// Number of the setting for the fourth homing cycle. A machine with three axes has only three.
 const FOURTH_CYCLE: u16 = AxisKey::HomingCycle.number() + LINEAR as u16;

@@ -32,7 +32,8 @@ use std::time::Instant;
 /// Number of rounds of [`Check::advance`] between updates of the progress display: about 10 ms on the host.
 const ROUNDS: u32 = 4096;
 
-/// Bits of a flash word that are still programmed when an ordered power cut interrupts its write: the lower half.
+/// Bits of a flash word that are still programmed when the power cut of `--cut-power` interrupts its write: the lower
+/// half.
 const HALF_WORD: u32 = 0xFFFF;
 
 /// Maximum size of a recording, in bytes.
@@ -341,7 +342,7 @@ fn play(
         recording.play(&mut simulator, |text| said.push_str(text), pass).and_then(|()| recording.check_compared())
     };
     if recording.is_of_board() {
-        // Do not run until idle: a board's recording does not tell what the board did after its end.
+        // Do not run until idle: a board's recording does not contain what the board did after its end.
         return (Check::of(simulator, clock.now(), &said), same);
     }
     // Finish what the last inputs have started.

@@ -36,7 +36,7 @@ const ROUNDING: f64 = 0.5;
 /// Maximum position error, in steps, of the ends of a block that approximates a part of an arc. The controller gives
 /// these ends in sevenths of a step.
 const TOLD: f64 = 0.5 / AxisSteps::PARTS as f64;
-/// Blocks shorter than this many steps say little about the length of their path: several are measured together.
+/// In blocks shorter than this many steps, rounding makes the length too uncertain: several are measured together.
 const SHORT: f64 = 4.0;
 /// Rounding to steps also moves the ends of a block sideways, which makes the block longer. In blocks of at least this
 /// many steps, this is less than 0.01 % and is not corrected.
@@ -92,7 +92,7 @@ struct Block {
     excess: f64,
     /// Uncertainty of `length - excess` because of this sideways rounding, in mm.
     doubt: f64,
-    /// By how much rounding can move each end of the block along the path, at most, in mm.
+    /// Maximum distance by which rounding moves each end of the block along the path, in mm.
     error: f64,
     /// Whether the block is shorter than [`SHORT`] steps.
     short: bool,

@@ -169,7 +169,7 @@ mod tests {
         let mut buffer = [0; 8];
         assert_eq!(reader.read(&mut buffer).unwrap(), 1);
         assert_eq!(reader.read(&mut buffer).unwrap(), 2);
-        // Nor does a realtime command within a line wait for the end of the line.
+        // A realtime command within a line does not wait for the end of the line either.
         let mut reader = NoBrowser::new(Pieces(vec![b"G1 ", b"X", b"!", b"~"]));
         for read in [b"G1 X" as &[u8], b"!", b"~"] {
             let length = reader.read(&mut buffer).unwrap();

@@ -52,7 +52,7 @@ pub struct Wish {
     pub begin: Begin,
     /// Z at which the tool travels to the position, in mm of program coordinates. Default: the highest Z of the job.
     /// There is a default only if all heights at which the job has travelled are known in the present coordinate
-    /// system, wherever the machine was before the job.
+    /// system, and do not depend on the machine's position before the job.
     pub clearance: Option<Coordinate>,
     /// Feed rate down to the position, mm/min. Default: that of the job's last plunge straight down.
     pub plunge: Option<Decimal>,

@@ -32,10 +32,10 @@ use oxmill_controller::units::Coordinate;
 use oxmill_controller::{Controller, Profile, StepRates};
 use std::time::Duration;
 
-/// Number of output bytes not yet fetched by the host at which the controller must hold back further replies.
+/// If the host has not fetched this many bytes of output, the controller holds back further replies.
 pub(crate) const OUTGOING: usize = 1 << 16;
 
-/// What a [`Simulator`] is made of: board, flash contents and machine hardware.
+/// The parts of a new [`Simulator`]: board, flash contents and machine hardware.
 #[derive(Debug)]
 pub struct Options {
     /// Profile of the simulated board: step clock, step rates, pins, axes.
@@ -142,7 +142,7 @@ impl Simulator {
         };
         let World { fittings, machine, .. } = &mut simulator.world;
         if !fittings.is_empty() && fittings.moved(machine, 0) {
-            // A contact is closed at power-up: schedule a sample, so that the controller learns of it.
+            // A contact is closed at power-up: schedule a sample, which reports it to the controller.
             simulator.inputs.sample_at(0);
         }
         simulator.turn();
@@ -160,17 +160,17 @@ impl Simulator {
         self.turn();
     }
 
-    /// For a replay, which sends bytes at the time at which the board took them. `more`: whether the board had further
-    /// bytes waiting after them.
+    /// Like [`Simulator::send`], for a replay, which sends bytes at the time at which the board read them. `more`:
+    /// whether the board had further bytes waiting after them.
     pub fn send_followed(&mut self, bytes: impl AsRef<[u8]>, more: bool) {
         self.host.follow(more);
         self.send(bytes);
-        // Reset it: the board took the waiting bytes next. The recording can contain them later, because it contains
-        // a line with the time of its end.
+        // The board read the waiting bytes next, so none wait any more. The recording can have a later time for these
+        // bytes, because it contains a line with the time at which the line ended.
         self.host.follow(false);
     }
 
-    /// For a replay: the controller never finds that the host has gone silent. A recording does not contain the time of
+    /// For a replay: from here on, the host never counts as silent, because a recording does not contain the time of
     /// each byte.
     pub fn hear_always(&mut self) {
         self.host.hear_always();
@@ -555,7 +555,7 @@ impl Simulator {
         self.job.0.as_mut()
     }
 
-    // What the tasks of a board do.
+    // The work of a board's tasks.
 
     /// Takes one sample of the machine's contacts as they are now.
     fn sample_contacts(&mut self) {

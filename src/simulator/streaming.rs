@@ -13,11 +13,13 @@ use std::time::Duration;
 
 /// Length of a time slice.
 const SLICE: Duration = Duration::from_millis(1);
-/// Capacity of the link that a byte takes, in units of 1/1000 bit: start, eight data bits, stop. In these units, the
-/// link gains its baud rate with each slice of 1/1000 s.
+/// Capacity that a byte uses, in thousandths of a bit: a start bit, eight data bits and a stop bit. In this unit, a
+/// link of N baud gains a capacity of N in each slice of 1/1000 s. For example, at 115200 baud a slice carries
+/// 115200 / 10000 = 11.52 bytes.
 const BYTE: u64 = 1000 * 10;
-/// The lag is how much later a line ends than over an unlimited link. If the lag grows by less than this from one line
-/// to the next, in seconds, the growth is ignored, because the time slices alone can cause it.
+/// Minimum growth of the lag that is listed, in seconds. The lag of a line is how much later the line ends than over an
+/// unlimited link. The time slices alone can cause smaller growth, so smaller growth counts only with that of the lines
+/// after it.
 const NOTICEABLE: f64 = 0.005;
 /// Maximum number of lines that are listed.
 const MOST_PLACES: usize = 20;

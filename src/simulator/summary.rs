@@ -11,7 +11,7 @@ use std::fmt;
 pub struct LineError {
     /// Line number in the file, from 1.
     pub line: u64,
-    /// The error's number.
+    /// Number of the error, as in `error:N`.
     pub code: u8,
     /// Column of the word that `text` names, in characters from 1; `None` if it names no word of the line.
     pub column: Option<u64>,
@@ -35,7 +35,7 @@ pub struct Warning {
 /// The alarm that ended a job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct AlarmReport {
-    /// The alarm's number.
+    /// Number of the alarm, as in `ALARM:N`.
     pub code: u8,
     /// The meaning of the alarm.
     pub text: String,

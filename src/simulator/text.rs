@@ -32,7 +32,7 @@ pub enum Said {
     Error {
         /// Line number in the file, from 1.
         line: u64,
-        /// The error's number.
+        /// Number of the error, as in `error:N`.
         code: u8,
         /// The line, without blanks at its ends, cut off after 120 characters.
         text: String,
@@ -87,8 +87,9 @@ pub struct JobText {
     lines_before: u32,
     /// For each tape mark (`%`) in the file: the number of lines before it that are not tape marks.
     marks: Vec<u64>,
-    /// Line number of a tape mark that follows words. If words follow it, too, it lies between two programs, and is
-    /// given to the controller before them. `None` if there is no such mark, or if it has been given.
+    /// Line number of a tape mark that follows words. If words follow this mark, too, it separates two programs, and
+    /// the controller gets the mark before these words. `None` if there is no such mark, or if the controller already
+    /// has it.
     between: Option<u64>,
     /// For each tape mark that was given to the controller: the number of lines given before it, including tape marks.
     given_marks: Vec<u64>,
@@ -100,8 +101,8 @@ pub struct JobText {
     ended_at: Option<ProgramEnd>,
     /// Number of lines with words after the end of the program that were answered `ok`.
     behind_end: u64,
-    /// Whether a subprogram has begun after the end of the program. Its lines are not executed where they stand but
-    /// when it is called, so they do not count in `behind_end`.
+    /// Whether a subprogram has begun after the end of the program. The lines of a subprogram are executed only when it
+    /// is called, so they do not count in `behind_end`.
     among_subprograms: bool,
 }
 

@@ -30,8 +30,8 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const MESSAGE: usize = 1 << 16;
 /// Path of the machine's WebSocket.
 const DEVICE: &str = "/machine";
-/// The page's content security policy as built. When the page is served, it is replaced by a policy that allows the
-/// WebSocket.
+/// The part of the page's content security policy, as built, that forbids connections. In the served page, a part that
+/// allows the WebSocket replaces it.
 const POLICY: &str = "connect-src 'none'";
 /// Text of the page after which a `meta` element with the path of the machine is inserted.
 const MARK: &str = "<meta charset=\"utf-8\">";
@@ -39,8 +39,8 @@ const MARK: &str = "<meta charset=\"utf-8\">";
 /// The page that is served.
 pub struct Site {
     html: Vec<u8>,
-    /// What `Host` may be: `127.0.0.1` or `localhost`, with the port. For port 80 also without it, because browsers
-    /// omit that port.
+    /// Accepted values of `Host`: `127.0.0.1` and `localhost`, with the port. For port 80 also without the port,
+    /// because browsers omit it.
     hosts: Vec<String>,
 }
 

@@ -76,9 +76,9 @@ impl Scale {
     }
 }
 
-/// Returns the end of a scale from 0 to at least `top`, and its step: 3 to 8 steps of 1, 2, 2.5 or 5 times a power of
-/// ten, chosen so that the end exceeds `top` the least. A `top` up to 1 % above an end still counts as that end, so
-/// that the scale ends at the feed rate itself.
+/// Returns the end of a scale from 0 to at least `top`, and its step. The scale has 3 to 8 steps of 1, 2, 2.5 or 5
+/// times a power of ten; of these scales, it is the one with the lowest end. A `top` up to 1 % above an end still
+/// counts as that end, so that the scale ends at the feed rate itself.
 pub(super) fn tight(top: f64) -> (f64, f64) {
     let power = 10_f64.powf(top.max(1e-9).log10().floor() - 1.0);
     let steps = [1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 25.0, 50.0].map(|step| step * power);

@@ -181,7 +181,7 @@ pub(super) fn stretch(bounds: &Bounds) -> f64 {
     [50.0, 20.0, 10.0, 5.0, 2.0].into_iter().find(|times| *times <= most).unwrap_or(1.0)
 }
 
-/// The 3D view: a parallel (axonometric) projection of the path, from the front right and above.
+/// Draws the 3D view: a parallel (axonometric) projection of the path, from the front right and above.
 pub(super) fn angled(area: &Area, points: &[Point], bounds: &Bounds, scale: &Scale) -> Drawn {
     let stretch = stretch(bounds);
     let flat = |x: f64, y: f64, z: f64| {

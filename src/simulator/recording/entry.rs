@@ -79,7 +79,7 @@ pub(super) fn state(simulator: &Simulator) -> String {
     words
 }
 
-/// Precedes, in a recorded state, the hash of the clock and of the times of all steps and output changes.
+/// Text in a recorded state before the hash of the clock and of the times of all steps and output changes.
 const TRACED: &str = " traced ";
 
 /// Returns [`place`] and [`TRACED`], followed by a hash over the clock and over the times of all steps and output

@@ -155,7 +155,7 @@ impl Recording {
     }
 }
 
-/// Advances time; takes the machine's output from time to time, as a host does.
+/// Advances time, and fetches the machine's output every 20 ms, as a host does.
 fn advance(simulator: &mut Simulator, until: u64, mut hear: impl FnMut(&str), mut pass: impl FnMut(u64)) {
     let slice = u64::from(simulator.board().step_clock_hz) / 50;
     while simulator.clock().now() < until {

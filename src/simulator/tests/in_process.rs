@@ -79,8 +79,8 @@ fn a_beam_with_scaled_power_ends_with_the_motion() {
     }
 }
 
-/// During a tool change the drivers hold the axes, because the user pulls at the spindle. Whatever `$1` says, they stay
-/// on until `~`, and after that for the delay of `$1`.
+/// During a tool change the drivers hold the axes, because the user pulls at the spindle. With any value of `$1`, the
+/// drivers stay on until `~`, and after that for the delay of `$1`.
 #[test]
 fn the_drivers_are_on_while_a_tool_is_changed() {
     let mut mill = mill();

@@ -131,8 +131,8 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
                 difference(&found, after),
             );
             cuts += 1;
-            // The store takes a cut write for damage only if the record's last word lacks bits of just one byte: see
-            // the store's own tests.
+            // The store reports an interrupted write as damage only if the record's last word lacks bits of just one
+            // byte: see the store's own tests.
             told += u32::from(again.controller().is_store_damaged());
             if before != after {
                 old += u32::from(found == *before);

@@ -44,9 +44,9 @@ fn run(settings: &[&str], before: &str, program: &str) -> Ran {
     (steps, simulator.controller().interpreter().clone())
 }
 
-/// Resumes the program at each of its lines, on a machine that has only its settings and stands where the lines
-/// `elsewhere` lead. The steps must be those of the whole program, except if it is resumed at a line of `other_way`.
-/// Returns the lines at which it cannot be resumed, with the reasons.
+/// Resumes the program at each of its lines, on a machine that has only its settings and has then run the lines
+/// `elsewhere`. The steps must be those of the whole program, except for the lines in `other_way`. Returns the lines at
+/// which the program cannot be resumed, with the reasons.
 fn compare_all(settings: &[&str], program: &str, elsewhere: &str, other_way: &[usize]) -> Vec<(u64, String)> {
     let words: Vec<String> =
         "XYZA".chars().filter(|c| elsewhere.contains(*c)).map(|c| format!(" {c}").replace(" Z", "Z")).collect();
@@ -204,7 +204,7 @@ fn a_rotary_axis_goes_on() {
     assert_eq!(refused, [], "{refused:?}");
 }
 
-/// G12 and G13 neither end the motion mode before them nor tell where the tool is.
+/// G12 and G13 keep the motion mode in force. They contain no position, so an unknown X or Y stays unknown.
 #[test]
 fn circles_round_the_tool_go_on() {
     let program =
