@@ -17,7 +17,7 @@
 //! |---|---|---|---|
 //! | `oxmill_abi()` | | number of this interface, [`ABI`] | |
 //! | `oxmill_describe()` | | status | JSON: `version`, `boards`, `settings`, `errors`, `alarms` |
-//! | `oxmill_check_begin()` | order, 0, job | status | |
+//! | `oxmill_check_begin()` | order, 0, job | status | `name` of the order |
 //! | `oxmill_check_advance(rounds)` | | part of the job read, 0 to 1000, or [`DONE`] | |
 //! | `oxmill_check_seconds()` | | machine time so far, in s | |
 //! | `oxmill_check_summary()` | | status | JSON: what `oxmill run --json` prints; `host_s` is 0 |
@@ -67,7 +67,7 @@ use oxmill_simulator::streaming::Streaming;
 use std::cell::RefCell;
 use std::sync::Once;
 
-/// Number of this interface. It changes when callers have to change.
+/// Version number of this interface. It changes with every change that breaks callers.
 pub const ABI: u32 = 2;
 /// Result of `oxmill_check_advance` and `oxmill_stream_advance` at the end of the job.
 pub const DONE: u32 = 1001;
@@ -270,7 +270,7 @@ pub extern "C" fn oxmill_stream_summary() -> u32 {
     })
 }
 
-/// Outputs the rest of a job as a program, in JSON. The order says at which line it begins.
+/// Outputs the rest of a job as a program, in JSON. The order gives the line at which the rest begins.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_resume() -> u32 {
     answer(|_, input| {
@@ -337,7 +337,7 @@ pub extern "C" fn oxmill_machine_pin() -> u32 {
     })
 }
 
-/// Length of the text of a panic; 0 if there was none.
+/// Returns the length of the text of a panic, in bytes; 0 if there was none.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_panic_len() -> usize {
     PANIC.with_borrow(String::len)

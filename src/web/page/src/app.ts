@@ -156,7 +156,7 @@ export class App implements Page {
     this.allowRun();
   }
 
-  /** Replaces a line of the job. */
+  /** Replaces a line of the job, and checks the job again. */
   private edit(line: number, text: string): void {
     const lines = [...this.job.lines];
     lines[line - 1] = text;

@@ -5,7 +5,7 @@ const HALF_ANGLE = 0.35;
 const STEEPEST = 1.5707;
 /** Distance of the target above the middle of the view, as a fraction of half the view's height: the legend is below it. */
 const LIFT = 0.12;
-/** Values for a low view, of which the legend takes a larger part. */
+/** Values for a view with less than this height in pixels, in which the legend covers a larger part. */
 const LOW = { height: 420, lift: 0.3, farther: 1.2 };
 
 export class Camera {

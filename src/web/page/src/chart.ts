@@ -12,9 +12,9 @@ const FOOT = 16;
 const MARKS = [1, 2, 5, 10, 30, 60, 120, 300, 600, 1800, 3600, 7200, 18_000, 36_000];
 
 export class Chart {
-  /** Called with the time that the user selects. */
+  /** Called with the time that the user selects, s. */
   onseek: (seconds: number) => void = () => {};
-  /** Times of rejected lines. */
+  /** Times of rejected lines, s. */
   refused: number[] = [];
   private readonly canvas = $<HTMLCanvasElement>("chart");
   private readonly curve = document.createElement("canvas");
@@ -58,7 +58,7 @@ export class Chart {
     this.redraw();
   }
 
-  /** Shows a time; `live` if it follows a machine. */
+  /** Shows a time, s. `live`: whether this time follows a machine. */
   at(time: number, live: boolean): void {
     [this.time, this.live] = [time, live];
     this.canvas.setAttribute("aria-valuenow", String(time));
@@ -141,7 +141,7 @@ function drawCurve(pen: CanvasRenderingContext2D, path: Path, end: number): void
   }
 }
 
-/** Returns a colour of the ramp. */
+/** Returns the colour at the fraction `part` of the ramp, 0 to 1. */
 function mixed(part: number): string {
   const at = Math.min(4, Math.floor(part * 5));
   const [from, to] = [rgb(RAMP[at]), rgb(RAMP[at + 1])];

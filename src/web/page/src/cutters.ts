@@ -24,7 +24,7 @@ export function cutterIn(text: string): Cutter | undefined {
   const isPointed = angle !== undefined && angle > 0 && angle < 179 && !/drill/i.test(text);
   const isV = /v[- ]?bit|v[- ]?carv/i.test(text) || (isPointed && (CUTTER.test(text) || /engrav|chamfer|\bV\b/i.test(text)));
   const isBall = /ball/i.test(text);
-  // A length alone is not sufficient: a word must say that it belongs to a cutter.
+  // A length alone is not sufficient: the comment must also have a word for a cutter.
   if (diameter === undefined ? !(isV && isPointed) : !(isV || CUTTER.test(text))) return undefined;
   const width = diameter ?? 6;
   if (!(width > 0 && width <= 1000)) return undefined;

@@ -2,7 +2,7 @@
 // order of the steps keeps an interrupted board from starting half a program: the sector with the vector table is erased
 // first, and the block with the vector table is written last, after everything else.
 
-/** A stretch of flash, and what belongs there. */
+/** A range of flash, and the bytes to write there. */
 export interface Stretch { address: number; bytes: Uint8Array }
 /** Contents of a .dfu file: its own name, such as `Oxmill for blackpill_f411`, and its stretches. */
 export interface Firmware { name: string; stretches: Stretch[] }
@@ -31,13 +31,13 @@ export interface Usb { requestDevice(options: { filters: { vendorId: number; pro
 export const LOADER = { vendorId: 0x0483, productId: 0xdf11 };
 /** Start of flash, with the vector table. */
 const FLASH = 0x0800_0000;
-/** Size of a block when the boot loader does not tell another (all STM32F4: 2048 bytes). */
+/** Size of a block if the boot loader reports no valid size (all STM32F4: 2048 bytes). */
 const BLOCK = 2048;
 
 // Requests and states of DFU 1.1, and commands of DfuSe.
 const DNLOAD = 1, UPLOAD = 2, GETSTATUS = 3, CLRSTATUS = 4, ABORT = 6;
 const IDLE = 2, BUSY = 4, DOWNLOAD_IDLE = 5, ERROR = 10;
-/** Status of DFU: an error of the vendor's own. ST reports a protected flash by it. */
+/** Status `errVENDOR` of DFU, a vendor-specific error. ST's boot loader reports a protected flash with it. */
 const VENDOR = 11;
 /** Maximum time of one command, ms. Erasing the largest sector takes at most 4 s (data sheets). */
 const LONGEST = 10_000;
@@ -59,7 +59,8 @@ function checksum(bytes: Uint8Array): number {
   return crc >>> 0;
 }
 
-/** Reads a .dfu file. Throws an error with one sentence if it is none, or damaged, or not for an STM32. */
+/** Reads a .dfu file. Throws an error with one sentence if the file is not a .dfu file, is damaged, or is not for an
+ * STM32. */
 export function parse(file: Uint8Array): Firmware {
   if (file.length < 11 + 274 + 16 || text(file.subarray(0, 5)) !== "DfuSe") throw new Error("This is no .dfu file of DfuSe.");
   if (checksum(file.subarray(0, -4)) !== word(file, file.length - 4)) throw new Error("This .dfu file is damaged: its checksum is wrong. Get it again.");
@@ -99,7 +100,7 @@ export function sectorsOf(name: string): Sector[] {
       if (!found || !Number.isFinite(address)) return [];
       const size = Number(found[2]) * { " ": 1, B: 1, K: 1024, M: 1024 * 1024 }[found[3] as "B"];
       for (let number = 0; number < Number(found[1]); number++, address += size) {
-        // The letter stands for a sum of 1 (readable), 2 (erasable) and 4 (writable).
+        // The letter is a sum of 1 (readable), 2 (erasable) and 4 (writable); `a` is 1, and `g` is 7.
         if (found[4] === "g") sectors.push({ address, size });
       }
     }
@@ -107,7 +108,7 @@ export function sectorsOf(name: string): Sector[] {
   return sectors;
 }
 
-/** The boot loader has answered that it cannot carry out a command. */
+/** The error that is thrown if the boot loader answers that it cannot carry out a command. */
 class Refused extends Error {}
 
 /** The boot loader of one board. */
@@ -160,7 +161,7 @@ class Loader {
     return { code: bytes[0], wait: bytes[1] | (bytes[2] << 8) | (bytes[3] << 16), state: bytes[4] };
   }
 
-  /** Brings the boot loader to its state of rest, whatever was before. */
+  /** Brings the boot loader from any state to its idle state. */
   async rest(): Promise<void> {
     for (const until = Date.now() + LONGEST; Date.now() < until; ) {
       const { state, wait } = await this.status();
@@ -171,7 +172,7 @@ class Loader {
     throw new Error("The boot loader does not come to rest: press NRST with BOOT0 held, and try again.");
   }
 
-  /** Waits until the last command or block has been carried out. */
+  /** Waits until the last command or block has been carried out. Throws `Refused` if that fails. */
   private async carriedOut(what: string): Promise<void> {
     let status = await this.status();
     for (const until = Date.now() + LONGEST; status.state === BUSY && Date.now() < until; status = await this.status()) {
@@ -227,7 +228,7 @@ async function descriptorOf(device: UsbDevice, value: number, index: number, len
   return device.controlTransferIn({ requestType: "standard", recipient: "device", request: 6, value, index }, length).then(({ data }) => data ?? none, () => none);
 }
 
-/** Calls `call` with the place of each part of a configuration descriptor. */
+/** Calls `call` with the offset, length and type of each descriptor within a configuration descriptor. */
 function parts(descriptor: DataView, call: (at: number, length: number, type: number) => void): void {
   for (let at = 0; at + 2 <= descriptor.byteLength; at += descriptor.getUint8(at)) {
     const length = descriptor.getUint8(at);
@@ -267,10 +268,10 @@ function blocksOf(stretches: Stretch[], size: number): Stretch[] {
   });
 }
 
-/** What the board does after its vector table was erased. */
+/** Sentence for the user about a board whose vector table is erased. */
 const GONE = "The board has no program now and starts nothing: load it again. If it was switched off since, start its boot loader by BOOT0 and NRST.";
 
-/** Throws an error again, with a sentence about the board. */
+/** Returns a function that throws an error again, with a sentence about the board. */
 const told = (about: string) => (error: Error): never => {
   throw new Error(`${error.message} ${about}`.trim());
 };
@@ -311,7 +312,8 @@ export async function load(device: UsbDevice, { stretches }: Firmware, progress:
     await each(touched, ({ size }) => size, "erase", progress, async (sector, isFirst) => {
       await loader.erase(sector).catch(error => told(isFirst && error instanceof Refused ? "Nothing was changed." : GONE)(error));
     });
-    // The block with the vector table comes after everything else has been read back, so no unread program can start.
+    // Write the block with the vector table only after everything else has been read back, so that an unverified
+    // program cannot start.
     const [vectors, others] = [blocks.filter(({ address }) => address === FLASH), blocks.filter(({ address }) => address !== FLASH)];
     await each(others, size, "write", progress, write);
     await each(others, size, "verify", progress, block => verify(block, GONE));
@@ -324,7 +326,7 @@ export async function load(device: UsbDevice, { stretches }: Firmware, progress:
         throw told(isErased ? GONE : "Do not start the board: load it again.")(error as Error);
       }
     });
-    // The program is complete, whatever the device answers to this: it leaves the bus.
+    // The program is complete. Ignore errors of this request: the device leaves the bus.
     await loader.leave().catch(() => {});
   } finally {
     await loader.close();

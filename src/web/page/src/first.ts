@@ -6,7 +6,7 @@ import { outline } from "./player";
 import { PRESETS, summary, travel } from "./presets";
 import type { Settings } from "./settings";
 
-/** Names of the samples. */
+/** Displayed name of each sample, by file name. */
 const NAMES: Record<string, string> = { "five_circles.nc": "Five circles", "house.nc": "House", "pocket_mm.nc": "Pocket", "pocket_inch.nc": "Pocket, inch", "pcb_isolation.nc": "Circuit board" };
 
 export class FirstVisit {

@@ -12,8 +12,8 @@ const SLACK = 1;
 const NEAR = 0.3;
 /** The same distance for the second search, which covers everything that was sent, mm. */
 const ASTRAY = 1;
-/** Cost of a deviation from the expected time, mm per s. It decides which time is chosen if the path passes a position
- * twice or stands still. */
+/** Cost of a deviation from the expected time, mm per s. If the path passes a position twice, or rests there, this cost
+ * decides between the times. */
 const SECOND = 0.02;
 
 export interface Overrides { feed: number; rapid: number }
@@ -57,8 +57,8 @@ export class Follower {
     if (!this.look(at, expected, Math.min(this.end, this.time + passed * FASTEST + SLACK), sent, SECOND, NEAR)) this.look(at, expected, this.end, sent, 0, ASTRAY);
   }
 
-  /** Searches for a position from the present time to `until`. Returns whether the machine was found within `within`
-   * mm. */
+  /** Searches the path from the present time to `until` for the position `at`. If the path comes within `within` mm of
+   * this position, sets `time` to that time. Returns whether it does. */
   private look(at: number[], expected: number, until: number, sent: number, second: number, within: number): boolean {
     const { path } = this;
     let [best, found, off]: [number, number, number] = [Infinity, this.time, Infinity];

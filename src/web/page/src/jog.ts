@@ -164,7 +164,7 @@ export class JogPanel {
     this.jogged = this.jogged.then(() => this.hold(way, press));
   }
 
-  /** Handles a key: a press makes a step, holding it jogs. */
+  /** Handles a jog key: makes one step or, if `held` (with Shift), jogs until the key is released. */
   key(way: Way, held: boolean): void {
     if (held) this.press(way, 0);
     else this.press(way, this.step || STEPS[units.name][2] * units.size);

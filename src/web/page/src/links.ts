@@ -93,8 +93,8 @@ export class SerialLink implements Link {
 
   /** Closes the port after all bytes have been written. */
   async close(): Promise<void> {
-    // Each step can fail if the board is gone; go on to close the port nevertheless. Do not wait long for a board that
-    // takes no bytes.
+    // Each step can fail if the board has left the bus: ignore the error, and go on to close the port. Wait only
+    // briefly for a board that accepts no bytes.
     await Promise.race([this.writer.close(), new Promise(resolve => setTimeout(resolve, LONGEST_CLOSE))]).catch(() => {});
     this.writer.releaseLock();
     await this.reader.cancel().catch(() => {});

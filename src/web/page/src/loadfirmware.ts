@@ -21,7 +21,8 @@ interface Image { board: string; title: string }
 /** Returns the browser's access to USB devices, if it has any. */
 const usb = (): Usb | undefined => (navigator as { usb?: Usb }).usb;
 
-/** Gets a file of the site, past the browser's cache: page, list and images must be of one release. */
+/** Gets a file of the site. The browser checks a cached copy with the server first, because page, list and images must
+ * be of one release. */
 async function download(name: string): Promise<Response> {
   const answer = await fetch(name, { cache: "no-cache" }).catch(() => undefined);
   if (!answer?.ok) throw new Error(`The site does not give ${name}${answer ? ` (${answer.status})` : ": is the network there?"}`);
@@ -36,16 +37,16 @@ async function carried(): Promise<Image[]> {
   return Array.isArray(images) ? images.filter(image => typeof image?.board === "string" && /^\w+$/.test(image.board) && typeof image.title === "string") : [];
 }
 
-/** Reads a file, which has to be smaller than `largest` bytes. */
+/** Reads a file of at most `largest` bytes. Throws an error if the file is larger. */
 async function contents(file: File, largest: number, what: string): Promise<Uint8Array> {
   if (file.size > largest) throw new Error(`${file.name} is too large to be ${what}.`);
   return new Uint8Array(await file.arrayBuffer());
 }
 
-/** Something that the user has chosen, and that takes time to get. */
+/** A choice of the user whose value takes time to get. */
 class Choice<T> {
   value?: T;
-  /** Why it could not be got. */
+  /** Why the value could not be read or downloaded. */
   why?: string;
   isComing = false;
   private count = 0;
@@ -56,7 +57,8 @@ class Choice<T> {
     return this.isComing || this.value !== undefined || this.why !== undefined;
   }
 
-  /** Takes what `get` returns, unless something else has been chosen in the meantime. Without `get`, takes nothing. */
+  /** Sets the value to the result of `get`, unless the user makes another choice in the meantime. Without `get`, clears
+   * the choice. */
   async take(get?: () => Promise<T>): Promise<void> {
     const count = ++this.count;
     [this.value, this.why, this.isComing] = [undefined, undefined, get !== undefined];
@@ -69,7 +71,7 @@ class Choice<T> {
   }
 }
 
-/** What is to be loaded. */
+/** An image that can be loaded. `name`: the name in its pin table; `pins`: the pin table that the user has chosen. */
 interface Ready { firmware: Firmware; bytes: Uint8Array; name: string; pins?: Pins }
 
 export class LoadFirmware {
@@ -100,7 +102,7 @@ export class LoadFirmware {
   private isRestarting = false;
   private images?: Promise<Image[]>;
   private hasPreselected = false;
-  /** Name of the board that is connected, or was connected last, as it gives it itself. */
+  /** Name of the connected board, or of the one connected last, as the board reports it; empty if unknown. */
   private connected = "";
 
   constructor(private readonly machine: Machine) {
@@ -146,11 +148,11 @@ export class LoadFirmware {
       this.boards.hidden = images.length === 0;
     }
     this.follow();
-    // A network that was not there may be there at the next time.
+    // The network may be available next time: request the list again then.
     if (images.length === 0) this.images = undefined;
   }
 
-  /** Follows the machine: which board is connected, and which image is for it. */
+  /** Updates the dialog after a change of the machine. Preselects the image of the connected board, but only once. */
   private follow(): void {
     const name = this.machine.isSerial ? this.machine.boardName : this.connected;
     if (name !== this.connected && !this.isLoading) {
@@ -182,7 +184,7 @@ export class LoadFirmware {
   }
 
   private show(): void {
-    // A board that is gone does not answer.
+    // A disconnected board sends no answer to the restart.
     if (!this.machine.isConnected) this.isRestarting = false;
     allow(this.loader, this.isLoading ? "Firmware is being loaded." : !this.machine.isSerial ? "No board is connected." : this.isRestarting ? "The board restarts." : undefined);
     this.cancel.hidden = !this.isLoading;
@@ -203,7 +205,7 @@ export class LoadFirmware {
     say(this.note, text);
   }
 
-  /** Puts image and pin table together, and says what they are. */
+  /** Combines image and pin table into `ready`, and shows what they are, or what is wrong with them. */
   private combine(): void {
     this.ready = undefined;
     const { image, pins } = this;
@@ -236,15 +238,15 @@ export class LoadFirmware {
     this.tell(`${firmware.name}, ${(bytes / 1024).toFixed(0)} KiB.${this.withPins}${rename}${settings}${this.warning}`, this.warning ? false : undefined);
   }
 
-  /** Says whose pins the firmware has, unless they are those that its name says. */
+  /** A sentence about the firmware's pin table; empty if the table is that of the board in the firmware's name. */
   private get withPins(): string {
     const { ready } = this;
     if (!ready || ready.firmware.name === `Oxmill for ${ready.name}`) return "";
     return ready.name === "firmware" ? " It has no pin table: it is firmware of another project." : ` With the pins of ${ready.name}.`;
   }
 
-  /** A warning if the firmware is not for the connected board; empty otherwise. An image of the connected board may get
-   * other pins. */
+  /** A warning if the firmware is not for the connected board; empty otherwise. There is no warning if the user gives
+   * the connected board's own image other pins. */
   private get warning(): string {
     const { ready, connected } = this;
     if (!ready || !connected || ready.name === connected) return "";
@@ -259,8 +261,8 @@ export class LoadFirmware {
     else this.tell(name ? `The pins of ${name} are no pin table of this page: take the file that they were made from.` : "This image has no pin table.", false);
   }
 
-  /** Sends the connected board into its boot loader, and leaves the board: reports that are asked for would disturb a
-   * boot loader that listens on all its links. */
+  /** Restarts the connected board into its boot loader, and disconnects. The boot loader listens on all its links, so
+   * the page's status requests would disturb it. */
   private async restart(): Promise<void> {
     this.isRestarting = true;
     this.show();

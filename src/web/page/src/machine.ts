@@ -74,9 +74,9 @@ export class Machine {
   private lostWhy = "";
   /** Number of consecutive reports in which the machine is idle and no line is pending. */
   private rests = 0;
-  /** Modes and offsets may have changed and must be requested. */
+  /** Whether modes and offsets may have changed and must be requested. */
   private stale = true;
-  /** Modes and offsets have been requested, but have not arrived yet. */
+  /** Whether modes and offsets have been requested and have not arrived yet. */
   private asking = false;
   private limits = "";
   private readonly listeners: (() => void)[] = [];
@@ -117,7 +117,7 @@ export class Machine {
     return this.sender !== undefined;
   }
 
-  /** Whether bytes of the page still reach the machine, as far as the page knows. */
+  /** Whether the page is connected and the connection does not count as lost. */
   get isReached(): boolean {
     return this.isConnected && this.phase !== "lost";
   }
@@ -166,7 +166,7 @@ export class Machine {
     }
   }
 
-  /** Like `whyNot`, but also gives a reason while a jog is running. */
+  /** Like `whyNot`, but a running jog is a reason, too. */
   get whyNotAtRest(): string | undefined {
     return this.phase === "jog" ? "Off while the machine jogs." : this.whyNot;
   }
@@ -177,7 +177,7 @@ export class Machine {
     return this.rests >= 2 && !this.stale && !this.asking;
   }
 
-  /** Sends a line and shows it. */
+  /** Sends a line, shows it in the console, and returns its answer. */
   async line(text: string): Promise<string> {
     return (await this.ask(text)).answer;
   }
@@ -247,7 +247,7 @@ export class Machine {
     this.changed();
   }
 
-  /** Asks the machine for its settings, which it does not list in motion. Returns whether it has listed them. */
+  /** Requests the settings, which the machine does not list in motion. Returns whether the machine listed them. */
   async readSettings(): Promise<boolean> {
     const { sender } = this;
     if (!sender) return false;
@@ -339,7 +339,7 @@ export class Machine {
     this.changed();
   }
 
-  /** The user has acknowledged a lost connection. */
+  /** Call when the user has acknowledged a lost connection. */
   dismissLost(): void {
     this.lostWhy = "";
     this.changed();
@@ -414,7 +414,7 @@ export class Machine {
     this.changed();
   }
 
-  /** The machine is locked without having reported an alarm: since power-up or a reset. */
+  /** Handles a machine that is locked and has reported no alarm, as after power-up or a reset. */
   private locked(): void {
     this.trouble = { text: "the machine is locked until it is homed or unlocked", advice: "Home it, or unlock it if you know where it is.",
       at: this.status?.work ?? [], limits: "", unlocked: false, positionLost: this.homed === false };

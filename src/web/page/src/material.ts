@@ -76,8 +76,8 @@ export function blockOf(path: Path, cutters: Record<number, Cutter>, zero: numbe
 
 /**
  * Cuts a block, up to the time `until` of the job. A move lowers each cell to the lowest height that the cutter had
- * above it. The cutter's profile above its tip is convex, so the slope gives in closed form where on the move the
- * cutter is lowest over the cell.
+ * above it. The profile of the cutter is convex, so the point of the move at which the cutter is lowest above a cell
+ * follows from the slope of the move in closed form.
  */
 export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, cell: number, progress: (part: number) => void = () => {}, until = Infinity): Material {
   const nx = Math.max(1, Math.round((block.high[0] - block.low[0]) / cell));

@@ -43,8 +43,8 @@ export interface Page {
 
 /** A panel that shows results of a job. */
 export interface JobPanel {
-  /** A job has been checked. */
+  /** Shows the results of a job that has been checked. */
   show?(path: Path, summary: Summary): void;
-  /** The job or the settings have changed: clears the results. */
+  /** Clears the results, because the job or the settings have changed. */
   clear(): void;
 }

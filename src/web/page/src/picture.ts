@@ -113,7 +113,7 @@ export class Picture {
       }
     }
     if (count === 0) [this.low, this.high] = [[0, 0, 0], [10, 10, 10]];
-    // Block and limits belonged to the path before.
+    // Remove the block and the limits of the previous path.
     this.material = this.travel = undefined;
     this.load(this.box, new Float32Array(0));
     this.shade(shades);
@@ -185,7 +185,7 @@ export class Picture {
     this.fit();
   }
 
-  /** Makes everything visible that is drawn: the path, a block, the limits. */
+  /** Fits the view to everything that is drawn: the path, a block, the limits. */
   fit(): void {
     const boxes = [this.material?.block, this.travel].filter(box => box !== undefined);
     const low = this.low.map((value, axis) => Math.min(value, ...boxes.map(box => box.low[axis]))) as Vector;
@@ -197,7 +197,7 @@ export class Picture {
     this.draw();
   }
 
-  /** Changes the unit of the grid. */
+  /** Changes the unit of the grid. `unit`: its size in mm. */
   measureIn(unit: number): void {
     this.unit = unit;
     this.load(this.grid, this.gridLines());
@@ -262,8 +262,9 @@ export class Picture {
   }
 
   /**
-   * Vertex arrays that read each row twice: two neighbours as a quad (thick), or all rows as a strip (thin). The quads
-   * advance by one row in a path, and by two rows for separate lines.
+   * Makes a buffer for rows, and two vertex arrays that read it: `thick` draws each pair of neighbouring rows as a
+   * quad, `thin` draws all rows as a line strip. `rows`: by how many rows the quads advance, 1 in a path and 2 for
+   * separate lines.
    */
   private lines(rows: number): Lines {
     const gl = this.gl;

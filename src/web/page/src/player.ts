@@ -255,7 +255,7 @@ export class Player implements Timeline {
     if (!this.path) return;
     const travel = [130, 131, 132].map(number => this.page.settings.value(number));
     const shown = $<HTMLInputElement>("limits").checked;
-    // After homing, the travel is from minus its length to 0, whichever ends have the switches.
+    // With $932=0, the travel after homing is from minus its length to 0, at whichever ends the switches are.
     const box = shown ? { low: travel.map(v => -v) as [number, number, number], high: [0, 0, 0] as [number, number, number] } : undefined;
     for (const picture of [this.picture, this.second]) picture?.limits(box);
   }

@@ -1,4 +1,4 @@
-// Checks before a job starts, so that a job that would fail is not started.
+// Checks before a job starts: a job that would fail cannot be started.
 import { hindrance, type Order, type Path, type Summary } from "./engine";
 import * as firmware from "./firmware";
 import type { Machine } from "./machine";
@@ -14,7 +14,7 @@ export interface Finding { grade: Grade; text: string; more?: string; line?: num
 const QUIET = 250;
 
 export class Preflight {
-  /** Result of the job on this machine, with its settings, offsets and tools. */
+  /** Result of simulating the job with the settings, offsets and tools of the connected machine. */
   private trial?: { key: string; summary?: Summary; why?: string };
   private running?: AbortController;
   private timer?: ReturnType<typeof setTimeout>;

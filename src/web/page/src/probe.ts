@@ -123,17 +123,17 @@ export class ProbePanel {
     return found;
   }
 
-  /** Moves away from a touched surface. */
+  /** Moves by rapid. `by`: distance for each axis, mm. */
   private async move(by: Record<number, number>): Promise<void> {
     await this.send(`G0 ${Object.entries(by).map(([axis, mm]) => `${"XYZ"[Number(axis)]}${Number(mm.toFixed(3))}`).join(" ")}`);
   }
 
-  /** Moves where nothing should be in the way; a contact ends the cycle. */
+  /** Moves an axis by `mm` through a space that should be free; a contact ends the cycle. */
   private async guarded(axis: number, mm: number, feed: number): Promise<void> {
     if ((await this.touch(axis, Math.sign(mm), Math.abs(mm), feed)) !== undefined) throw new Ended("The tool has touched something on its way: the work zero is as it was.");
   }
 
-  /** Returns the machine position at rest. */
+  /** Waits until the machine is at rest, by a short dwell. Returns the machine position, mm. */
   private async here(): Promise<number[]> {
     await this.send("G4 P0.05");
     const status = await this.machine.report();

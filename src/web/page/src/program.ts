@@ -58,7 +58,8 @@ export class Program {
     this.list.scrollTop = 0;
   }
 
-  /** Marks a line. `sent`: line number of the last line sent to the machine, which is at `line`; 0 without one. */
+  /** Marks a line. `sent`: number of the last line sent to the machine, if the machine is at `line`; 0 without a
+   * machine. `follow`: whether to scroll to the line. */
   mark(line: number, sent = 0, follow = true): void {
     [this.line, this.sent] = [line, sent];
     if (follow) this.scrollTo(line || 1);

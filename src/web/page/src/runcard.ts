@@ -29,7 +29,7 @@ export class RunCard {
     this.update();
   }
 
-  /** The job or its verdict has changed. */
+  /** Call when the job or its verdict has changed. */
   jobChanged(): void {
     this.agreed = "";
     this.update();
@@ -119,7 +119,7 @@ export class RunCard {
     $("hold-row").hidden = !going && !["run", "hold", "door", "jog", "stopping"].includes(phase) && machine.isConnected;
   }
 
-  /** The user confirms the questions. */
+  /** Call when the user confirms the questions. */
   private agree(): void {
     this.agreed = keyOf(this.preflight.findings().filter(({ grade }) => grade === "ask"));
     this.update();

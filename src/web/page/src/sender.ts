@@ -20,7 +20,7 @@ export interface Status {
   fields: Record<string, string>;
 }
 
-/** Realtime commands. */
+/** Bytes of the realtime commands, as in Grbl. */
 export const REALTIME = {
   status: 0x3f, hold: 0x21, resume: 0x7e, reset: 0x18, door: 0x84, jogCancel: 0x85,
   feed100: 0x90, feedPlus: 0x91, feedMinus: 0x92, rapid100: 0x95, rapid50: 0x96, rapid25: 0x97,
@@ -64,7 +64,7 @@ export class Sender {
   room = SMALLEST_BUFFER;
   /** Millimetres per unit in which the controller reports positions (`$13`). */
   unit = 1;
-  /** Whether the machine knows tape marks (`%`), which Grbl's dialect does not have. */
+  /** Whether the machine supports tape marks (`%`), which Grbl's dialect does not have. */
   hasTapeMarks = false;
   private next = 0;
   /** Indices of the first and the last line with words. */
@@ -286,8 +286,8 @@ function beginsChecks(text: string): boolean {
 const TAPE_MARK = /^\s*%\s*(\([^()]*(\)\s*|$))*(;.*)?$/;
 
 /**
- * Returns the reason if a line must not be sent: a character of it would change its meaning on the way, or the line
- * switches on checked lines.
+ * Returns the reason if a line must not be sent: it has a character that cannot be sent unchanged, or it switches on
+ * checked lines.
  */
 function unsendable(text: string): string | undefined {
   const found = foreign(text);

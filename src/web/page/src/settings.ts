@@ -7,7 +7,8 @@ import { type Preset, PRESETS } from "./presets";
 const STORED = "oxmill settings";
 const STORED_PRESET = "oxmill machine";
 
-/** Parses the output of `$$` into numbers and values. In the dialect of grblHAL (`$900=3`), `$10` and `$22` have bits that always act. */
+/** Parses the output of `$$` into numbers and values. In the dialect of grblHAL (`$900=3`), `$10` and `$22` are listed
+ * as grblHAL's masks: only the bits that are the settings' own values are kept. */
 export function parseSettings(text: string): Record<string, number> {
   const values: Record<string, number> =
     Object.fromEntries([...text.matchAll(/^\s*\$(\d+)=(-?[\d.]+)(?=[\s(;]|$)/gm)].map(match => [match[1], Number(match[2])]));
@@ -93,8 +94,8 @@ export class Settings implements Values {
     return this.table.get(number)?.default;
   }
 
-  /** Leaves out default values, and settings that this firmware does not have, which another version of the page may
-   * have stored. */
+  /** Returns `values` without default values, and without settings that this firmware does not have: another version of
+   * the page may have stored those. */
   private known(values: Record<string, number>): Record<string, number> {
     const entries = Object.entries(values).filter(([number, value]) => Number.isFinite(value) && this.default(Number(number)) !== undefined);
     return Object.fromEntries(entries.filter(([number, value]) => value !== this.default(Number(number))));

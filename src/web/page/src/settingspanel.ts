@@ -283,7 +283,7 @@ export class SettingsPanel {
   private update(): void {
     const { machine } = this;
     const why = machine.isConnected ? machine.whyNotAtRest : "Connect a machine first.";
-    // The buttons stay enabled in motion. The machine refuses the request, and the page says so.
+    // The buttons stay enabled in motion. The machine then refuses the request, and the page shows a note.
     allow($("read"), machine.isConnected ? undefined : why);
     allow($("compare"), machine.isConnected ? undefined : why);
     $("differs").hidden = !machine.isConnected;

@@ -43,8 +43,8 @@ export class SetupPanel {
     this.ask.open();
   }
 
-  /** Returns the lowest safe Z in work coordinates: the highest Z of the job, but at least `LEAST`. The page does not
-   * know where clamps are. */
+  /** Returns the lowest safe Z in work coordinates, mm: the highest Z of the job, but at least `LEAST`. Clamps are not
+   * taken into account. */
   safeHeight(): number {
     const { checked } = this.page;
     return checked ? Math.max(LEAST, extents(checked.summary).max[2]) : NO_JOB;

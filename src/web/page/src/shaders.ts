@@ -1,8 +1,8 @@
-// The shaders that draw the rows of a path. Both declare `highp`: an integer uniform that they share would otherwise
-// have two precisions, and the program would not link.
+// The shaders that draw the rows of a path, and those that draw a block. Each vertex shader and its fragment shader
+// declare `highp`: a uniform that both use must have the same precision in both, or the program does not link.
 
-/** Shades for kinds of rows: values below 0 are not on the scale; a line and an arc have the values one step from the
- * ends of the scale. */
+/** Shades for kinds of rows. Values below 0 are not on the scale. The scale has 6 colours, from 0 to 1: a line has the
+ * second of them, an arc the fifth. */
 export const SHADE = { rapid: -1, plunge: -2, crash: -3, line: 0.2, arc: 0.8 } as const;
 
 export const VERTEX = `#version 300 es

@@ -22,7 +22,7 @@ export class MaterialPanel implements JobPanel {
   private path?: Path;
   /** Work zero in machine coordinates, mm. */
   private zero = [0, 0, 0];
-  /** Whether the job turns the axis A. If so, it is not known what the job leaves of a block. */
+  /** Whether the job turns the axis A. If so, the block is not checked: its model has only X, Y and Z. */
   private turns = false;
   private running?: AbortController;
   /** Aborts the computation of the block at a time before the end of the job. */
@@ -46,7 +46,7 @@ export class MaterialPanel implements JobPanel {
     $("show-block").addEventListener("change", () => this.showBlock());
   }
 
-  /** A job has been checked. */
+  /** Prepares the panel for a job that has been checked. */
   show(path: Path, summary: Summary): void {
     this.path = path;
     this.zero = workZero(summary);

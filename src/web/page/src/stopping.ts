@@ -1,7 +1,7 @@
 // Stop: brakes immediately, and resets the machine when it is at rest, so that its position stays valid.
 import { REALTIME, type Sender, type Status } from "./sender";
 
-/** If the machine still moves this long after even the slowest axis should have stopped, it is reset in motion, ms. */
+/** If the machine still moves this long after the braking time of the slowest axis, it is reset in motion, ms. */
 const MARGIN = 500;
 /** Interval between status requests while the machine brakes, ms. */
 const ASK = 50;
@@ -22,7 +22,7 @@ export class Stopping {
     if (/^(Hold:0|Tool|Idle|Door:[01]|Alarm|Sleep|Check)/.test(state)) this.reset(true);
   }
 
-  /** Stop was pressed again: resets immediately, even in motion. */
+  /** Call when Stop is pressed again: resets immediately, even in motion. */
   again(): void {
     this.reset(false);
   }

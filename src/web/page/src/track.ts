@@ -59,7 +59,7 @@ function rowOfLine(path: Path, line: number): number | undefined {
 const length = (path: Path, row: number) =>
   Math.hypot(...[0, 1, 2].map(axis => path.rows[row * ROW + axis] - path.rows[(row - 1) * ROW + axis]));
 
-/** Whether a row leads straight down at feed. */
+/** Whether a row leads straight down at feed, or nearly so: at least 98 % of its length are in Z. */
 export function isPlunge(path: Path, row: number): boolean {
   if (row === 0 || isRapid(path, row)) return false;
   const down = path.rows[(row - 1) * ROW + 2] - path.rows[row * ROW + 2];
@@ -74,8 +74,8 @@ function acceleration(path: Path, row: number): number {
   return time > 0 ? Math.abs(path.rows[row * ROW + 3] - path.rows[(row - 1) * ROW + 3]) / time : 0;
 }
 
-/** Returns the value below which the fraction `part` of the positive values lies, so that a single outlier does not set
- * the scale. */
+/** Returns the value that the fraction `part` of the positive values does not exceed, so that a single outlier does not
+ * set the scale. */
 function top(values: number[], part = 0.995): number {
   const sorted = values.filter(value => value > 0).sort((a, b) => a - b);
   return sorted[Math.min(sorted.length - 1, Math.floor(sorted.length * part))] || 1;

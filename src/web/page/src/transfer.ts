@@ -1,7 +1,8 @@
 // Settings of the connected machine and of the forecast: finds the differences and writes them to the machine.
 import type { Setting } from "./engine";
 
-/** A machine reports values with at least this many decimals, so smaller differences cannot be detected. */
+/** Minimum number of decimals with which machines report a value. Smaller differences can come from rounding, so they
+ * do not count. */
 const DECIMALS = 3;
 
 export interface Difference { setting: Setting; there: number; here: number }

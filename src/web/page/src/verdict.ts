@@ -54,15 +54,15 @@ export function showVerdict(summary: Summary, path: Path, context: Context): voi
   facts(summary);
 }
 
-/** Clears the figures, as the job has not been checked. */
+/** Clears the figures, because the job has not been checked. */
 export function clearVerdict(): void {
   for (const id of ["bar", "kinds", "facts", "errors", "messages", "warnings"]) $(id).replaceChildren();
   $("bar").setAttribute("aria-label", "Time by kind");
   for (const id of ["by-tool-part", "problems", "said", "time-card", "size-card"]) $(id).hidden = true;
 }
 
-/** Returns the parts of the forecast: name, seconds and colour. The path says how the feed time divides into lines,
- * arcs and plunges. */
+/** Returns the parts of the forecast: name, seconds and colour. The feed time is divided into lines, arcs and plunges
+ * according to the path. */
 export function kinds(summary: Summary, path: Path): (readonly [string, number, string])[] {
   let [lines, arcs, plunges] = [0, 0, 0];
   for (let row = 1; row < path.lines.length; row++) {
@@ -101,7 +101,7 @@ function shares(summary: Summary, path: Path): void {
     el("li", {}, el("span", {}, colored(color), name), el("b", { textContent: time(seconds) }), el("em", { textContent: percent(seconds) }))));
 }
 
-/** Shows a row for each tool. */
+/** Fills the table of times by tool. It is hidden if the job has fewer than two tools. */
 function byTool({ tools }: Summary): void {
   $("by-tool-part").hidden = tools.length < 2;
   const cell = (seconds: number) => el("td", { className: "n", textContent: seconds ? seconds < 60 ? `${seconds.toFixed(2)} s` : minutes(seconds) : "–" });

@@ -110,7 +110,7 @@ export class WhatIf implements JobPanel {
 
 const nowOf = ({ values, today }: Results): number => values.findIndex(value => value.every((one, axis) => one === today[axis]));
 
-/** Describes in a sentence from which value on little is gained. */
+/** Returns a sentence that names the value beyond which little is gained. */
 function finding(results: Results): string {
   const { values, times } = results;
   const now = times[nowOf(results)];

@@ -55,7 +55,7 @@ export class Workspaces {
     this.onchange();
   }
 
-  /** The part of Run that a telephone shows becomes its main landmark. */
+  /** Gives the role of the main landmark to the part of Run that a telephone shows. */
   private landmarks(): void {
     const { part } = $("app").dataset;
     for (const [id, shows] of [["run-left", "job"], ["run-right", "control"]]) {

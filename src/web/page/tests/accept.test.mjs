@@ -641,7 +641,8 @@ export async function cutters_are_read_from_comments(browser) {
   assert.deepEqual(await shown(), ["flat", "3"]);
 }
 
-/** A workpiece that the page cannot see: `touches(x, y, z)` returns whether a tool touches at a machine position in mm. */
+/** Gives the fake machine a workpiece. `touches`: an expression in x, y and z that is true at the machine positions, in
+ * mm, at which the tool touches the workpiece. */
 const withWork = (page, touches) => page.evaluate(touches => {
   const inside = new Function("x", "y", "z", `return ${touches};`);
   fake.online = line => {
@@ -805,7 +806,7 @@ export async function on_a_telephone_a_job_that_starts_is_shown(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** After the answer to a line, Start is disabled until the page knows all effects of the line; then Start stays
+/** After the answer to a line, Start is disabled until the page has received all effects of the line; then Start stays
  * enabled. */
 export async function start_waits_for_what_a_line_has_changed(browser) {
   const { page, faults } = await withMachine(browser);

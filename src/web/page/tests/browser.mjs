@@ -4,8 +4,8 @@ import { chromium } from "playwright-core";
 import { pathToFileURL } from "node:url";
 
 const PROGRAMS = { executablePath: process.env.OXMILL_CHROMIUM ?? "/usr/bin/chromium" };
-// Enable WebGL without a graphics processor, compose the rest of the page without WebGL, which costs a third less, and
-// switch off network requests of the browser itself.
+// Enable WebGL without a graphics processor. Compose the rest of the page without WebGL, which takes a third less time.
+// Switch off network requests of the browser itself.
 const ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing", "--disable-background-networking",
   "--disable-component-update", "--disable-sync", "--no-first-run", "--disable-quic"];
 

@@ -113,7 +113,7 @@ function bootLoader({ layout, failAt, breakAt, unnamed, lostAt, failsErase }) {
     } } });
 }
 
-/** Opens the dialog and chooses a file. Returns what the page says about it. */
+/** Chooses a file in the open dialog. Returns the note of the page about it. */
 async function choose(page, bytes, name = "blackpill_f411.dfu") {
   await page.setInputFiles("#firmware-file", { name, mimeType: "application/octet-stream", buffer: bytes });
   await page.waitForFunction(() => document.getElementById("firmware-note").textContent !== "");
@@ -130,7 +130,8 @@ async function dialog(browser, model) {
 
 const GO = "text=Choose the boot loader and load…";
 
-/** Loads the chosen file; returns the last sentence and what the model has seen. */
+/** Loads the chosen file. Returns the page's last note, the records of the model, and the first 8 bytes of its
+ * flash. */
 async function loaded(page) {
   await page.click(GO);
   await page.waitForFunction(() => document.querySelector("#firmware-note.finding") !== null && !/ %$/.test(document.getElementById("firmware-note").textContent));
@@ -166,7 +167,7 @@ export async function an_interrupted_load_leaves_no_program_that_starts(browser)
   const first = await loaded(page);
   assert.match(first.said, /cannot write at 0x0801d800 \(status 3\).* The board has no program now and starts nothing: load it again\./);
   assert.deepEqual([first.started, first.begin], [false, Array(8).fill(0xff)]);
-  // The boot loader reports an error until it is cleared; the next attempt has to do that.
+  // The boot loader reports the error until a request clears it; the next attempt must send that request.
   await page.evaluate(bootLoader, { layout: F411 });
   const second = await loaded(page);
   assert.match(second.said, /is loaded/);
@@ -237,7 +238,7 @@ export async function without_webusb_the_page_says_so(browser) {
   await page.click("text=Other pins than those of the board");
   assert(await page.locator("#firmware-nousb").isVisible());
   assert(await page.locator(GO).isDisabled());
-  // Such a browser can still put an image and a pin table together.
+  // In such a browser, an image and a pin table can still be combined and saved.
   await choose(page, BLACKPILL);
   assert.match(await page.textContent("#firmware-note"), /^Oxmill for blackpill_f411, /);
   assert(await page.locator("text=Save this image").isEnabled());
@@ -270,7 +271,7 @@ export async function a_site_offers_the_images_that_it_carries(browser) {
     await page.selectOption("#firmware-board", "octopus_f446");
     await says(page, "^The site gives another image than that of octopus_f446\\.$");
     assert(await page.locator(GO).isDisabled());
-    // An image that comes late does not take the place of one that was chosen after it.
+    // An image that arrives late does not replace an image that was chosen after it.
     await page.selectOption("#firmware-board", "skr2_f407");
     await says(page, "^Getting the image…$");
     await page.selectOption("#firmware-board", "blackpill_f411");
@@ -279,7 +280,7 @@ export async function a_site_offers_the_images_that_it_carries(browser) {
     await page.waitForTimeout(300);
     assert.match(await note(page), /^Oxmill for blackpill_f411, \d+ KiB\.$/);
     assert.match((await loaded(page)).said, /^Oxmill for blackpill_f411 is loaded/);
-    // A file of one's own takes the place of the board's image.
+    // A file that the user chooses replaces the board's image.
     await choose(page, dfu([[FLASH, VECTORS]], "Another firmware"));
     await says(page, "^Another firmware, 9 KiB\\. It has no pin table: it is firmware of another project\\.$");
     assert.equal(await page.inputValue("#firmware-board"), "");
@@ -307,7 +308,7 @@ export async function a_list_of_images_that_is_none_is_left_alone(browser) {
   }
 }
 
-/** The page of a single file has no images, and asks for none. */
+/** The single-file page carries no images, and requests none. */
 export async function the_single_file_offers_no_images(browser) {
   const { page, faults } = await dialog(browser, { layout: F411 });
   await page.waitForFunction(() => document.querySelectorAll("#firmware-board option").length === 1);
@@ -335,7 +336,7 @@ export async function pins_are_changed_without_a_compiler(browser) {
   assert.match((await loaded(page)).said, /is loaded and was read back without a difference\. With the pins of my_mill\./);
   const [vectors] = elements(changed).filter(({ address }) => address === FLASH);
   assert.deepEqual(await bytesAt(page, 0, vectors.bytes.length), [...vectors.bytes]);
-  // All faults are told, with their lines; nothing can be loaded or saved.
+  // All faults are listed, with their lines; nothing can be loaded or saved.
   const refused = async (text, wanted) => {
     await choosePins(page, text);
     await says(page, wanted);
@@ -351,7 +352,7 @@ export async function pins_are_changed_without_a_compiler(browser) {
   await page.click("text=Use the board's own pins");
   await says(page, OWN);
   assert(await page.locator(GO).isEnabled());
-  // An image that was saved with other pins says so, also at another time.
+  // If an image that was saved with other pins is opened again, the page names its pin table.
   await choose(page, changed);
   await says(page, "With the pins of my_mill\\.$");
   await page.click("text=Save the board's pin table");

@@ -7,8 +7,8 @@ import { root } from "./program.mjs";
 /** The real image of a board, as `cargo fw` has made it. */
 export const BLACKPILL = readFileSync(join(root, "target/boards/blackpill_f411.dfu"));
 
-/** Serves the page as a site that carries images: one is missing, one is another's, and one comes when `release` is
- * called. */
+/** Serves the page as a site that lists four images. One of them is missing, one is that of another board, and one is
+ * sent only when `release` is called. */
 export async function site(list) {
   const images = ["blackpill_f411", "spider_f446", "octopus_f446", "skr2_f407"].map(board => ({ board, title: `Board ${board}` }));
   const files = {

@@ -109,8 +109,8 @@ export async function hold_resume_overrides_and_reset_act(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** The page does not support checked lines, and never switches them on, even if a typed line or a job asks for it. It
- * also never sends characters that would change on their way. */
+/** The page does not support checked lines, so it never sends the command that switches them on, neither from the
+ * console nor from a job. It also never sends characters that would change on their way. */
 export async function lines_that_the_page_cannot_send_are_refused_before_the_job(browser) {
   const { page, faults } = await powered(browser);
   const wrong = () => page.locator("#console .wrong").allInnerTexts();
@@ -399,7 +399,7 @@ export async function a_connected_board_is_sent_into_its_boot_loader(browser) {
   });
 }
 
-/** The connected board says which one it is: the page chooses its image, and warns of another one. */
+/** The connected board reports its name: the page chooses the image of this board, and warns of another image. */
 export async function firmware_for_another_board_is_named(browser) {
   const { url, stop } = await site();
   try {

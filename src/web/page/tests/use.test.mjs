@@ -50,7 +50,7 @@ const FILLED = {
 
 export async function axe_finds_nothing(browser) {
   for (const [colorScheme, width] of [["light", 1440], ["dark", 1440], ["light", 1024], ["light", 390], ["dark", 390]]) {
-    // Reduced motion: otherwise a button that has just been enabled would still be changing its colour.
+    // Reduce motion: otherwise the colour of a button that has just been enabled would still be changing.
     const { page } = await open(browser, file, { colorScheme, reducedMotion: "reduce", viewport: { width, height: 900 } });
     await page.evaluate(axe);
     const audit = async where => {
@@ -457,8 +457,8 @@ export async function settings_of_a_machine_are_pasted(browser) {
 }
 
 /**
- * Returns the bytes that the browser uses for the page after garbage collection: script objects, and the module. The
- * least of three figures, because work in the background can hold memory for a moment.
+ * Returns the number of bytes that the browser uses for the page after garbage collection: script objects and the
+ * module. Takes the minimum of three measurements, because work in the background can hold memory for a moment.
  */
 const memory = async (page, devtools) => {
   let least = Infinity;
