@@ -1,11 +1,10 @@
-//! Limits how often the serial task is called for received bytes that are not urgent: at most once per 500 us, and at
-//! once if its last such call is longer ago. So bytes that arrive without pause, from a host or from noise on a wire,
-//! leave CPU time to the control task, which prepares the motion for the step task. Commands that stop the machine
-//! bypass this limit.
+//! Limits how often the serial task is called for received bytes that are not urgent: at most once per 500 us. If its
+//! last such call is longer ago, it is called at once. So even if bytes arrive without pause, from a host or as noise
+//! on a wire, the control task gets CPU time to prepare the motion. Commands that stop the machine bypass this limit.
 
-/// Minimum time between two calls of the serial task, in samples of the inputs: 500 us. At 1 Mbaud, it takes 2.55 ms to
-/// send the 255 bytes that a host can have in flight. If the first line among them is not delivered, executed and
-/// answered within that time, the host has to pause.
+/// Minimum time between two calls of the serial task, in samples of the inputs: 500 us. This must be well below the
+/// 2.55 ms in which a host at 1 Mbaud sends the 255 bytes that it can have in flight. If the first line among these
+/// bytes is not delivered, executed and answered within that time, the host has to pause.
 pub const REST: u8 = 10;
 
 /// Rate limiter for calls of the serial task.

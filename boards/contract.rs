@@ -2,9 +2,9 @@
 //! (`Port`), inputs, slow outputs, flash and a watchdog. It calls the program only in the cases listed below. The
 //! module `held` makes the compiler check that the chosen board provides all this.
 //!
-//! A board consists of pins, clocks and registers. It contains nothing about motion, tasks or the protocol. Of the code
-//! above it, it calls only the functions listed under "What a board may call". The root of this crate re-exports the
-//! board's items.
+//! A board consists of pins, clocks and registers. It contains nothing about motion, tasks or the protocol. Of the
+//! program's functions, a board calls only those listed under "What a board may call". The root of this crate
+//! re-exports the board's items.
 //!
 //! # What each board provides
 //!
@@ -12,7 +12,9 @@
 //! |---|---|
 //! | `pac` | the device crate: registers and interrupt numbers, for RTIC |
 //! | `vectors!(app)` | calls the macro `app` with the names of the interrupt vectors of the tasks; if there is a vector `uart`, `serial` is the vector of an unused peripheral |
-//! | `PROFILE`, `AXES`, `BLOCKS` | the image's entry of [`profiles`](crate::profiles), and its two numbers that are const generics |
+//! | `PROFILE` | the numbers of the image, from its entry of [`profiles`](crate::profiles) |
+//! | `AXES`, `BLOCKS` | of the same entry, as const generics: axes, and blocks of the look-ahead |
+//! | `HELD_BYTES` | likewise: bytes for subroutines, loops and macros |
 //! | `profile()` | the profile of the board: `PROFILE` with the name and the pins of the [pin table](mod@crate::pin_table) |
 //! | `PORTS` | number of GPIO ports that have pins in use |
 //! | `RECORDING_PAGES` | pages of 256 bytes for the recording of inputs and received bytes; 0 = no recording |
@@ -38,6 +40,9 @@
 //! | `Watchdog` | resets the processor if it has not been fed for some seconds |
 //! | `reset_cause()` | returns and clears the cause of the last reset: call once |
 //! | `restart(why)` | last call after a failure: logs it and resets the processor; outputs are already safe |
+//! | `HAS_LOADER` | whether a host can load new firmware through a boot loader in the chip's ROM |
+//! | `reboot(into_loader)` | at a host's request: makes outputs safe and resets; `into_loader`: into the boot loader |
+//! | `enter_loader_if_requested()` | first call after a reset: enters the boot loader if `reboot` has requested it |
 //! | [`stack`](crate::stack) | size and maximum depth of the stack that the linker script lays out |
 //!
 //! # What a board may call
@@ -156,8 +161,8 @@ pub trait StepOutput<const N: usize> {
     /// Queues the events that were written into the first `events` free slots. While events are output one by one,
     /// returns the ticks by which a late event was delayed; otherwise 0.
     fn commit(&mut self, events: usize) -> u32;
-    /// Tells the board that `ticks` of the step clock pass from the last committed event to the next tick of the
-    /// stepper, which computes the steps. Only the QEMU board needs this, for its digest (checksum) of the steps.
+    /// Called after each tick of the stepper that is executed singly, with the step-clock ticks from this tick to the
+    /// stepper's next one. Only the QEMU board needs this, for its digest (checksum) of the steps.
     fn pass(&mut self, ticks: u32);
     /// Returns the number of committed events that have not been output. It can be too high, but never too low.
     fn ahead(&self) -> usize;
@@ -216,7 +221,7 @@ pub trait Port {
     fn is_urgent(&mut self) -> bool {
         false
     }
-    /// Tells the link that the program has space for `room` more bytes. A link that can do so makes its sender wait
+    /// Sets the number of bytes, `room`, for which the program has space. A link that can do so makes its sender wait
     /// while `room` is too small. Called whenever the program has finished a series of calls of [`Port::receive`].
     fn allow(&mut self, room: usize);
     /// Queues a byte for sending. Returns false if the queue is full.

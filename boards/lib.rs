@@ -1,8 +1,8 @@
 //! The boards: pins, clocks and registers behind one interface (`contract`). A cargo feature selects the board of an
 //! image; the items of that board are re-exported here.
 //!
-//! Without a board feature (on a host), the crate has only the numeric profiles of all boards ([`profiles`]), for the
-//! simulator, and the modules that access no registers.
+//! Without a board feature (on a PC), the crate has only the modules that access no registers. One of them has the
+//! numeric profiles of all boards ([`profiles`]), for the simulator.
 #![no_std]
 
 use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
@@ -66,9 +66,10 @@ mod chosen {
     };
     pub use stm32f4xx_hal::pac;
 
-    /// The profile of a board with every pin that this image supports.
+    /// The numbers of the image as a profile. The name of the board and the values that depend on its pin table are
+    /// only in [`profile`].
     pub const PROFILE: Profile = crate::profile_of(&IMAGE, true);
-    /// Axes that the image supports.
+    /// Maximum number of axes. A board whose pin table has fewer motors has fewer axes ([`profile`]).
     pub const AXES: usize = IMAGE.axes;
     /// Depth of the look-ahead, in blocks.
     pub const BLOCKS: usize = IMAGE.blocks;
@@ -87,7 +88,7 @@ mod chosen {
     /// Number of ports that have pins in use, from A on.
     pub const PORTS: usize = IMAGE.ports;
 
-    /// A table without pins, used if the one in flash cannot be.
+    /// A table without pins, used if the table in flash is unusable.
     const NONE: PinTable = PinTable::none(IMAGE.image);
 
     unsafe extern "C" {
@@ -104,8 +105,9 @@ mod chosen {
         if table.is_intact() && table.image() == IMAGE.image && fits(table) { table } else { &NONE }
     }
 
-    /// Returns whether this image uses all ports of the table, and can serve as many ports with step and direction pins
-    /// as the table has. Tools that make tables check this, too.
+    /// Returns whether this image supports the ports of the table: every port that has a pin in use, the number of
+    /// ports with step pins, and the number of ports with step or direction pins. Tools that make tables check this,
+    /// too.
     fn fits(table: &PinTable) -> bool {
         use Role::{DirectionFourth, DirectionX, DirectionY, DirectionZ, StepFourth, StepX, StepY, StepZ};
         let ports = |roles: &[Role]| {
@@ -139,8 +141,9 @@ mod chosen {
         }
     }
 
-    /// Returns whether a load of this board could start in the boot loader, which switches pull-ups on at the pins of its
-    /// UARTs and of CAN (AN2606; the other chips' pins are not on their packages).
+    /// Returns whether the boot loader could switch on a device of this board, such as the spindle or the coolant. The
+    /// boot loader enables pull-ups at the pins of its UARTs and of CAN (AN2606). Only the F407 and F446 are checked:
+    /// the pins that the other chips' boot loaders use for this are not on their packages.
     fn starts_in_loader(table: &PinTable) -> bool {
         /// Port B: 5, 10, 11 and 13. Port C: 10 and 11.
         const PULLED_UP: [(u8, u16); 2] = [(1, 0x2C20), (2, 0x0C00)];

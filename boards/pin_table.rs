@@ -1,6 +1,6 @@
-//! The pin table of a board: which pin of the chip has which function, and which crystal the chip has. The table lies
-//! in the image as one block with a mark at its beginning and a checksum at its end, so that a tool can find and
-//! replace it without a compiler. The firmware reads it during its start.
+//! The pin table of a board: which pin of the chip has which function, and which crystal the chip has. The table is one
+//! block of the image, with a mark at its beginning and a checksum at its end, so that a tool can find and replace it
+//! without a compiler. The firmware reads it during its start.
 //!
 //! The layout in the image, [`SIZE`] bytes:
 //!
@@ -140,7 +140,7 @@ impl Pin {
     }
 }
 
-/// A pin table. Its functions do not check which pin a function may have: the tool that makes the table does.
+/// A pin table. Its methods do not check whether a pin is suitable for its role: the tool that makes the table does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(transparent)]
 pub struct PinTable([u8; SIZE]);
@@ -182,7 +182,8 @@ impl PinTable {
         PinTable(bytes)
     }
 
-    /// Takes bytes of an image as a table, unchecked. [`PinTable::is_intact`] returns whether they are one.
+    /// Makes a table of bytes of an image, without checking them. [`PinTable::is_intact`] returns whether they are a
+    /// table.
     pub const fn from_bytes(bytes: [u8; SIZE]) -> PinTable {
         PinTable(bytes)
     }
@@ -203,7 +204,7 @@ impl PinTable {
         self.0[IMAGE_AT]
     }
 
-    /// Returns the name of the board, up to the first byte that is not printable ASCII.
+    /// Returns the name of the board. It ends before the first blank, control character or byte that is not ASCII.
     #[inline(never)]
     pub fn name(&self) -> &str {
         let name = self.0.get(NAME_AT..OSCILLATOR_AT).unwrap_or_default();

@@ -124,8 +124,8 @@ pub const BLACKPILL_F401: Board = Board {
 };
 
 /// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. It is fast enough for a fourth
-/// axis, for which `run_cycles` is higher than on boards with three axes: the axis costs about 8 cycles per event in a
-/// run of the step task that generates 32 events, and a run that starts a block receives one more message.
+/// axis. Therefore `run_cycles` is higher than on boards with three axes. In a run of the step task that generates 32
+/// events, the fourth axis costs about 8 cycles per event. A run that starts a block receives one more message.
 pub const NUCLEO_F446RE: Board = Board {
     name: "nucleo_f446re",
     step_clock_hz: 90_000_000,
@@ -154,9 +154,9 @@ pub const NUCLEO_F401RE: Board = Board {
 };
 
 /// Control boards with STM32F446 and USB: 168 MHz instead of 180, because USB needs 48 MHz from the same PLL. The step
-/// timer is on the 84 MHz bus clock. The image is built for size, except the step task: otherwise the queue of events
-/// would run dry after changes of direction, at a step rate of 1 MHz. The boards are [`OCTOPUS_F446`] and those derived
-/// from it.
+/// timer is on the 84 MHz bus clock. The image is built for size, but its step task for speed: a step task built for
+/// size would let the queue of events run dry after changes of direction, at a step rate of 1 MHz. The boards are
+/// [`OCTOPUS_F446`] and those derived from it.
 pub const CONTROL_F446: Board = Board {
     name: "control_f446",
     step_clock_hz: 84_000_000,

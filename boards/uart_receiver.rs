@@ -1,15 +1,15 @@
 //! Carries received UART bytes to the serial task. DMA or the UART's interrupt writes them into a buffer. The task that
-//! samples the inputs reads the buffer at each sample and forwards the bytes in messages: a command that stops the
-//! machine within 50 us, other bytes within 200 us. It calls the serial task for bytes without such a command at most
-//! once per 500 us (`calls`). Whenever the serial task runs, it takes all messages sent so far. A "look" is the reading
-//! of the buffer at one sample. It reads only a few bytes, to keep the sample short, except after an overrun, when it
-//! empties the whole buffer.
+//! samples the inputs reads the buffer at each sample and forwards the bytes in messages. A command that stops the
+//! machine is forwarded after at most 50 us, any other byte after at most 200 us. For bytes without such a command, the
+//! sampling task calls the serial task at most once per 500 us (`calls`). Whenever the serial task runs, it takes all
+//! messages sent so far. A "look" is the reading of the buffer at one sample. A look reads only a few bytes, to keep
+//! the sample short. Only after an overrun does it empty the whole buffer.
 //!
 //! ```text
 //!  UART ──▶ DMA or interrupt ──▶ buffer ──look──▶ messages ──▶ serial task
 //! ```
-//! Bytes keep their order. Where bytes are missing, the next message says so. If some of several bytes are damaged and
-//! it is unknown which ones, no line that contains any of these bytes is executed.
+//! Bytes keep their order. If bytes are missing, the next message is marked (`is_behind_loss`). If some of several
+//! bytes are damaged and it is unknown which ones, no line that contains any of these bytes is executed.
 //!
 //! The buffer has one reader, which sets each slot to `EMPTY` after reading it. If the writer reaches a slot that is
 //! not `EMPTY`, this is an overrun. It is detected however long the buffer has not been read, even after the half
@@ -45,8 +45,8 @@ const WAITED: u8 = 4;
 /// count double. At 1 Mbaud five bytes arrive between two samples.
 const AT_A_TIME: u8 = 28;
 /// Replaces damaged bytes (see [`refused`]). A line that contains `REFUSED` is not executed. One more is inserted after
-/// a series of damaged bytes: if what seems to be an end of line among them was another byte, the bytes after the
-/// series belong to the damaged line.
+/// a series of damaged bytes: an end of line in the series may originally have been another byte, and then the bytes
+/// after the series belong to the damaged line.
 const REFUSED: u8 = b'@';
 
 /// The part of a UART that writes bytes into the buffer.
@@ -129,7 +129,7 @@ pub struct UartReceiver<S> {
     message: ReceivedBytes,
     looks: u8,
     /// The byte read most recently; 0 if [`UartReceiver::read_text`] has read it, or if bytes have been lost after it.
-    /// Serves to call the serial task at once only for the first of several equal commands.
+    /// It is needed so that of several equal commands in a row, only the first calls the serial task at once.
     before: u8,
     /// Number of bytes of text read since the last call of the serial task; decides whether to call it. An end of line,
     /// a command or a loss raises the number to at least [`GATHERED`].

@@ -22,8 +22,9 @@
 //! reads one, so the step stream is the same in every run. At the end of the job, UART1 sends the report and QEMU
 //! exits. A script in PSRAM replaces the host at UART0 (see `script`).
 //!
-//! With counted instructions (`-icount`), virtual time follows the host's clock only while the processor sleeps. If it
-//! never sleeps ("BUSY"), virtual time depends on the executed instructions alone, even if the host delays QEMU.
+//! With counted instructions (`-icount`), virtual time follows the clock of the PC that runs QEMU only while the
+//! emulated processor sleeps. If the processor never sleeps ("BUSY"), virtual time depends on the executed instructions
+//! alone, even if the PC delays QEMU.
 //!
 //! Source of all addresses: <https://www.qemu.org/docs/master/system/arm/mps2.html>, ARM DAI 0386.
 
@@ -72,7 +73,7 @@ pub const CLOCK_TICKS_PER_US: u32 = 25;
 /// Clock of SysTick, Hz.
 pub const CORE_HZ: u32 = 25_000_000;
 /// Samples per second. There are no inputs: the samples serve only the alarm clock of `control` and the watchdog. The
-/// rate is low, because each sample takes time on the host.
+/// rate is low, because each sample takes time on the PC that runs QEMU.
 pub const SAMPLE_HZ: u32 = 2_000;
 /// The non-maskable interrupt belongs to the watchdog.
 pub const WATCHES_CLOCK: bool = false;
@@ -202,7 +203,8 @@ struct Record {
 static RECORD: Mutex<RefCell<Record>> =
     Mutex::new(RefCell::new(Record { digest: Digest::new(), busy: 0, net: [0; AXES] }));
 
-/// A committed event: its steps and directions, its time, and the ticks from the event to the next tick of the stepper.
+/// A committed event: its steps and directions, its time, and the step-clock ticks by which the stepper has advanced
+/// after it.
 #[derive(Clone, Copy)]
 struct Pending {
     steps: u8,
@@ -589,7 +591,7 @@ fn follow_script() {
 /// The CMSDK watchdog: its first expiry raises the non-maskable interrupt, the second resets.
 pub struct Watchdog(mps2_pac::Watchdog);
 
-/// Ticks until the watchdog expires: 5 s. Generous, because virtual time may jump when the host delays QEMU.
+/// Ticks until the watchdog expires: 5 s. Generous, because virtual time may jump when the PC delays QEMU.
 const WATCHDOG_TICKS: u32 = 5 * 25_000_000;
 
 impl Watchdog {

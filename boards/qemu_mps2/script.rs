@@ -96,7 +96,9 @@ pub fn hear(byte: u8) {
     });
 }
 
-/// What the script waits for before its next step; times are in ticks of the step clock.
+/// What the script waits for before its next step. `since` is the start of the wait and `ticks` its length, in ticks of
+/// the step clock. For a `Report`: `before` is the number of status reports before the `?`; `pause` is the time until
+/// the next `?`, in milliseconds; `step` is the index of the step in the script.
 #[derive(Clone, Copy)]
 enum Wait {
     Nothing,

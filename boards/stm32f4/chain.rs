@@ -23,12 +23,13 @@
 //!  the second port with directions alone  TIM8 CC2, S3
 //! ```
 //! Event times are absolute, so errors do not accumulate. The ring entry after the last committed event holds a time
-//! that has just passed, which the counter reaches only after 2^32 ticks. So if the program commits no more events, for
-//! whatever reason, the output stops after the last committed event.
+//! one tick before that event. When DMA1 loads this time, it has just passed, and the counter reaches it again only
+//! after almost 2^32 ticks. So if the program commits no more events, for whatever reason, the output stops after the
+//! last committed event.
 //!
-//! A port with directions and no steps has no pulse to end, so it needs one stream and not two. TIM8 requests the
-//! words of such a port, because all streams that serve TIM1 are in use. It requests them `DIRECTION_LEAD` ticks before
-//! TIM1 requests the words with steps, so that neither edge of a pulse has to wait until DMA2 has written a direction.
+//! A port with directions and no steps has no pulse to end, so one stream is enough for it. TIM8 requests the words of
+//! such a port, because all streams that serve TIM1 are in use. It requests them `DIRECTION_LEAD` ticks before TIM1
+//! requests the words with steps, so that neither edge of a pulse has to wait until DMA2 has written a direction.
 //!
 //! While a probe is watched, events must not be queued. They are output one by one: the CPU instead of DMA1 writes each
 //! event's time to CCR1, and CC1 interrupts after each event. Everything else works as for queued events.
@@ -63,17 +64,17 @@ const RING: usize = 128;
 /// Maximum number of committed events that have not been output ([`crate::StepOutput::DEPTH`]). A stop has to count up
 /// to this many cancelled events, which takes less time than two bytes on the UART.
 pub(super) const DEPTH: usize = 96;
-/// Ticks from the start of TIM1 to the leading edge of the pulse; the trailing edge follows after the pulse length.
-/// Also the ticks from the start of TIM8 to the output of directions, on ports with directions alone.
+/// Ticks from the start of TIM1 to the leading edge of the pulse; the trailing edge follows after the pulse length. If
+/// there are ports with directions alone, this is instead the time from the start of TIM8 to the output of their
+/// directions, and the leading edge comes [`DIRECTION_LEAD`] later.
 const EDGE_COUNT: u32 = 1;
-/// Ticks by which DMA2 writes to ports with directions alone before it writes to ports with steps. For two ports with
-/// directions alone, DMA2 needs less time than this: about 12 cycles for the first and 8 for the second.
+/// DMA2 writes to ports with directions alone this many ticks before it writes to ports with steps. DMA2 needs less
+/// time, even for two ports with directions alone: about 12 cycles for the first and 8 for the second.
 const DIRECTION_LEAD: u32 = 20;
-/// When `begin` makes TIM1 listen for its trigger, more than this many ticks must be left before the first event.
+/// When `begin` enables the trigger of TIM1, more than this many ticks must be left before the first event.
 const LISTENS_TICKS: u32 = 48;
-/// Maximum duration, in ticks, of a repeated attempt of `begin` to start the output, if the first event was too near.
-/// Before it repeats, `begin` delays all event times in the ring, so that at least this many ticks are left before the
-/// first event.
+/// If too little time is left before the first event, `begin` delays all event times in the ring and tries again. At
+/// least this many ticks are then left before the first event, which is the maximum duration of such an attempt.
 const AGAIN_TICKS: u32 = 2_200;
 /// Within this many ticks before or after a scheduled time, its DMA request can be imminent or under way. Even at the
 /// maximum step rate, events are about 90 ticks apart.
@@ -110,8 +111,9 @@ struct Streams {
     requests: u32,
 }
 
-/// Returns the streams of a port, of which the first `step_ports` have steps (reference manuals, "DMA2 request
-/// mapping"). Stream 5 stays free: it receives from `USART1` while flash is written.
+/// Returns the streams of the port with the index `port`. The ports below `step_ports` have steps, the others
+/// directions alone (reference manuals, "DMA2 request mapping"). Stream 5 stays free: it receives from `USART1` while
+/// flash is written.
 const fn streams(port: usize, step_ports: usize) -> Streams {
     match (port, step_ports) {
         (0, 1) => Streams { on: 1, off: Some(4), requests: 1 << 9 | 1 << 12 },
@@ -303,9 +305,9 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         }
     }
 
-    /// Disarms the power stream: DMA writes no power after this. Waits for an imminent request to be served, because a
-    /// request that is disabled half-way, or that no stream serves, would stay pending and output the next power too
-    /// early.
+    /// Disarms the power stream: DMA writes no power after this. First waits until an imminent request has been served.
+    /// Otherwise the request could be disabled half-way, or find no stream that serves it. It would then stay pending
+    /// and output the next power too early.
     #[inline(never)]
     pub(super) fn keep_power(&mut self) {
         let asks = read(M::TIM5 + DIER);
@@ -487,12 +489,11 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
             switch_on(M::DMA1, MOMENTS, M::TIM5 + CCR1, self.rings.moments.as_ptr() as usize, RING, how);
             cortex_m::asm::delay(SERVED_CYCLES);
             // Generate a compare event by software, which makes DMA1 load the first event time, as later events do for
-            // the other times. This compare event starts no pulse, because TIM1 is not listening yet.
+            // the other times. This compare event starts no pulse, because TIM1 still ignores its trigger.
             write(M::TIM5 + DIER, CALLS | ASKS_FOR_MOMENT);
             write(M::TIM5 + EGR, Due::OUT.0);
             cortex_m::asm::delay(SERVED_CYCLES);
-            // What is counted here is valid only if the time of the first event has not come yet. Otherwise the loop
-            // counts again.
+            // The count is valid only if the time of the first event has not come yet. Otherwise the loop counts again.
             let counted = self.moments_counted();
             let is_fetched_ahead = counted == 2 && read(M::TIM5 + CCR1) == self.moment_at(0);
             self.first_moments = if is_fetched_ahead { 2 } else { 1 };
@@ -502,7 +503,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
                 self.obey_triggers();
                 return put_off;
             }
-            // The time of the first event has passed, or would pass before TIM1 listens for its trigger. No event has
+            // The time of the first event has passed, or would pass before the trigger of TIM1 is enabled. No event has
             // been output yet, so delay all events and try again.
             self.await_served(CCR1);
             write(stream(M::DMA1, MOMENTS) + CR, 0);
@@ -592,9 +593,12 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         RING.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize) % RING
     }
 
-    /// Returns whether the counts of the streams agree, as they do while no event is just being output: DMA1 has
-    /// counted `first_moments` more event times than there were edges, all ports have output the same number of edges,
-    /// and at most one end of a pulse has not been output yet.
+    /// Returns whether the counts of the streams agree. Without a fault, they disagree only while an event is being
+    /// output. They agree if:
+    ///
+    /// * DMA1 has counted `first_moments` more event times than there were edges;
+    /// * all ports have output the same number of edges;
+    /// * at most one end of a pulse has not been output yet.
     #[inline(always)]
     fn counts_agree(&self) -> bool {
         let left = |number| read(stream(M::DMA2, number) + NDTR) as usize;
@@ -636,8 +640,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         }
         self.ignore_triggers();
         // Before the DMA requests of TIM5 are disabled, wait until imminent ones have been served: a request that is
-        // disabled half-way would stay pending. The requests for event times come first: while `keep_power` waits for
-        // those for power, more than one of them could arise.
+        // disabled half-way would stay pending. The requests for event times are disabled first: while `keep_power`
+        // waits for the request for power, more than one request for an event time could arise.
         self.await_served(CCR1);
         write(M::TIM5 + DIER, read(M::TIM5 + DIER) & ASKS_FOR_POWER | CALLS);
         self.keep_power();

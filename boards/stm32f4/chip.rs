@@ -297,8 +297,8 @@ fn is_low(place: Place, high: &[u16]) -> bool {
     high.get(place.port()).copied().unwrap_or(u16::MAX) >> place.pin() & 1 == 0
 }
 
-/// Returns the mask for an input with this bit number. The limit switch of the fourth motor has two bits, because it is
-/// that of a second motor or of axis A, as settings choose.
+/// Returns the mask for an input with this bit number. On a board with four axes, the limit switch of the fourth motor
+/// has two bits: settings decide whether it is the switch of a second motor or of axis A.
 fn bits_of(bit: u8) -> u32 {
     use crate::input_bits::{LIMITS, SECOND_LIMIT};
     let is_of_fourth_axis = crate::AXES > 3 && u32::from(bit) == SECOND_LIMIT;

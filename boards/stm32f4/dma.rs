@@ -1,9 +1,9 @@
 //! Access to DMA streams by their registers, shared by the step output (`chain`) and the UART.
 //!
-//! Uses raw registers, because a transfer of the HAL owns its buffer until the transfer ends, whereas the streams here
-//! are circular, are read while they run, and restart with different lengths. Hardware constraints, checked by the
-//! models of `tests/virtual_board`: do not read a stream's CR right after setting EN, and do not switch on two streams
-//! back to back.
+//! Uses raw registers, because a transfer of the HAL owns its buffer until the transfer ends. The streams here are
+//! circular, are read while they run, and restart with different lengths. Hardware constraints, checked by the models
+//! of `tests/virtual_board`: do not read a stream's CR right after setting EN, and do not switch on two streams back to
+//! back.
 
 use super::registers::{read, write};
 

@@ -1,19 +1,20 @@
-//! Restarts at the user's wish (`$REBOOT`), also into the boot loader in the chip's ROM (`$DFU`), so that a host can load
-//! new firmware over USB without the BOOT0 button.
+//! Restarts the chip on request of a host: into the program (`$REBOOT`), or into the boot loader in the chip's ROM
+//! (`$DFU`). So a host can load new firmware over USB, and nobody has to press the BOOT0 button.
 //!
 //! ```text
 //!  $DFU ─▶ reboot: outputs safe, request in RAM ─▶ reset ─▶ enter_loader_if_requested ─▶ boot loader in ROM
 //!                                                              └─ no request ─▶ this program
 //! ```
-//! The jump comes before anything else has run, so the boot loader finds the chip as after a reset with BOOT0 pressed.
+//! The jump into the boot loader comes before anything else has run. So the boot loader finds the chip as after a reset
+//! with BOOT0 pressed.
 
 use super::safe_state;
 use core::mem::MaybeUninit;
 use core::ptr::addr_of_mut;
 use stm32f4xx_hal::pac;
 
-/// Whether hosts can reach the boot loader over the cable of the board: over USB. On a Nucleo the port of the ST-LINK is
-/// at USART2, which the boot loader does not serve (AN2606).
+/// Whether a host can reach the boot loader over the board's cable. It can over USB. On a Nucleo, the cable leads to
+/// the ST-LINK, which is connected to USART2, and the boot loader does not serve USART2 (AN2606).
 pub const HAS_LOADER: bool = cfg!(feature = "usb");
 
 /// Start of the boot loader in ROM, with its vector table (reference manuals, "Boot configuration").
@@ -30,7 +31,8 @@ const REQUESTED: u32 = u32::from_le_bytes(*b"$DFU");
 // not initialised, and any bits are a number.
 static mut REQUEST: MaybeUninit<u32> = MaybeUninit::uninit();
 
-/// Sets the outputs to their safe levels and restarts the chip; `into_loader`: into its boot loader.
+/// Sets the outputs to their safe levels and restarts the chip. With `into_loader`, it starts in its boot loader, if
+/// hosts can reach that ([`HAS_LOADER`]).
 pub fn reboot(into_loader: bool) -> ! {
     cortex_m::interrupt::disable();
     safe_state();

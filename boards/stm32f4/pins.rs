@@ -1,6 +1,6 @@
 //! Pins by their numbers: sets up the pins that the pin table of the image names.
 //!
-//! Uses raw registers, because the HAL makes the number of a pin part of its type, so it cannot take pins from a table
+//! Uses raw registers: in the HAL, the number of a pin is part of its type, so the HAL cannot use pins from a table
 //! that is read at run time. The registers of a port are those of reference manual RM0383, "GPIO registers"; all
 //! STM32F4 have the same.
 
@@ -57,7 +57,7 @@ fn find(table: &PinTable, roles: &[Role], places: &mut [Option<Place>]) {
     }
 }
 
-// This function and those below are not inlined, because they are called for some thirty pins.
+// This function, `output` and `input` are not inlined, because they are called for some thirty pins.
 /// Sets the `width` bits that belong to a pin in a register of its port.
 #[inline(never)]
 fn set(place: Place, register: usize, width: u32, value: u32) {
@@ -96,7 +96,7 @@ pub(super) fn pwm(place: Place) {
     set(place, MODER, 2, ALTERNATE);
 }
 
-/// Makes the debug pins A15 and B4 inputs with a pull-down if the board uses them for nothing. After a reset they have
+/// Makes the debug pins A15 and B4 inputs with a pull-down, unless the pin table uses them. After a reset they have
 /// pull-ups, which could switch on the MOSFET that a control board has there.
 pub(super) fn release_debug_pins(table: &PinTable) {
     for (port, number) in [(0, 15), (1, 4)] {

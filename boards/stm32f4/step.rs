@@ -72,7 +72,7 @@ const FOURTH_AXIS: u8 = ALL & 8;
 
 /// Computes for each port the BSRR words of all combinations of axes. `places`: a pin for each motor, if there is one.
 /// `driven`: for each pin, the axes that make it active. `invert`: a bit for each pin that is active low. If a
-/// combination contains none of a pin's axes, the word makes the pin inactive with `both`, and otherwise leaves it
+/// combination contains none of a pin's axes: with `both`, the word makes the pin inactive; without, it leaves the pin
 /// unchanged.
 fn fill<const P: usize>(
     ports: [usize; P],

@@ -95,9 +95,9 @@ pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
 }
 
 /// Waits until the supply has risen to 3 V (the detector's rising threshold: 2.95 to 3.09 V). Call before setting the
-/// clocks: the chip already starts at 1.7 V, but above the 16 MHz of a reset the flash wait states in use require 2.7 V
-/// or more (reference manual, "Relation between CPU clock frequency and flash memory read time"). A small supply takes
-/// a tenth of a second to charge capacitors of a few millifarads.
+/// clocks. The chip already starts at 1.7 V, with a clock of 16 MHz. For a faster clock, the flash wait states in use
+/// require 2.7 V or more (reference manual, "Relation between CPU clock frequency and flash memory read time"). A small
+/// supply takes a tenth of a second to charge capacitors of a few millifarads.
 pub fn await_voltage(pwr: &pac::PWR) {
     detect_voltage(pwr);
     if voltage_is_low() {

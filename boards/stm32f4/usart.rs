@@ -6,8 +6,8 @@
 //!  UART ──▶ UartInput ──messages──▶ Usart ──▶ serial task
 //!  UART ◀── UartOutput ◀─────────── Usart ◀── serial task
 //! ```
-//! Received bytes do not interrupt the step task, and no byte is lost during the longest run of that task, at any baud
-//! rate that a board allows (`$931`). Writing a word of flash can stall the processor for 100 us, an erase for half a
+//! Received bytes do not interrupt the step task. At any baud rate that a board allows (`$931`), no byte is lost during
+//! the longest run of that task. Writing a word of flash can stall the processor for 100 us, an erase for half a
 //! second. Guarantee: a host that respects the flow control loses nothing. (Such a host has at most 255 bytes of lines
 //! in flight, as `Bf:` in the status report allows, and 64 realtime commands, `REALTIME_DEPTH`.) If a host exceeds
 //! these limits, any loss is reported.
@@ -162,7 +162,7 @@ impl<T: UartOutput, const N: usize> Port for Usart<T, N> {
         self.hurries_to = self.hurry.try_read().unwrap_or(self.hurries_to);
         let left = self.hurries_to.wrapping_sub(self.taken) as i32;
         if left < 0 {
-            // Let `hurries_to` follow just below `taken`. An old value would seem to lie above `taken` again once
+            // Let `hurries_to` follow just below `taken`. Otherwise an old value would seem to be above `taken` after
             // `taken` has wrapped.
             self.hurries_to = self.taken.wrapping_sub(1);
             return false;

@@ -157,8 +157,8 @@ impl UartOutput for Halves {
 
     /// Sends the half being filled, if the other one has been sent.
     fn begin(&mut self) {
-        // The flag of the completed transfer tells that the other half has been sent. NDTR would not: it may reach 0
-        // before the last byte is transferred.
+        // The flag of the completed transfer shows that the other half has been sent. NDTR does not show this, because
+        // it may reach 0 before the last byte is transferred.
         if read(DMA + HISR) & SENT != 0 {
             self.sends = false;
             clear_flags(DMA, SENDER);

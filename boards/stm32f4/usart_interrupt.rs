@@ -163,8 +163,8 @@ impl ByInterrupt {
         program(DMA, STREAM, USART + DATA, memory.as_ptr() as usize, memory.len());
     }
 
-    /// Ends receiving by DMA after a flash operation: sets `place` behind the bytes that DMA has written, and lets the
-    /// interrupt fetch the next bytes.
+    /// Ends receiving by DMA after a flash operation: sets `place` to the slot after the bytes that DMA has written,
+    /// and lets the interrupt fetch the next bytes.
     fn end_of_dma(&mut self) {
         write(USART + CR_3, 0);
         write(USART + CR_1, read(USART + CR_1) | CALL_WHEN_COME | CALL_WHEN_FREE);

@@ -8,7 +8,7 @@
 //! Flow control (back-pressure): after each packet the hardware answers NAK until software enables the endpoint again.
 //! The driver would enable it at once. Then a packet for which there is no space would stay in the FIFO, raise the
 //! interrupt forever and block later entries of the control endpoint. Therefore this file takes the entry that ends a
-//! packet out of the FIFO before the driver finds it, and enables the endpoint only when a whole packet fits. So every
+//! packet out of the FIFO before the driver finds it. It enables the endpoint only when a whole packet fits. So every
 //! packet in the FIFO can be fetched at once, and DTR, suspend and reset are processed while the host is held back.
 //!
 //! While flash is written, the processor is stalled; the FIFO holds one packet, and the hardware answers further ones
@@ -148,8 +148,8 @@ struct SerialClass {
     begin_in: bool,
 }
 
-// Wraps the class of the serial port. A second class in addition would need a kilobyte more code, because the compiler
-// can resolve the driver's calls to a class only if there is just one class.
+// Wraps the class of the serial port. A second class beside it would need a kilobyte more code: the compiler can
+// resolve the driver's calls only if there is just one class.
 impl UsbClass<UsbBusType> for SerialClass {
     fn get_configuration_descriptors(&self, writer: &mut DescriptorWriter<'_>) -> usb_device::Result<()> {
         self.port.get_configuration_descriptors(writer)
@@ -206,8 +206,8 @@ pub struct UsbPort {
     received: Received,
     outgoing: heapless::Vec<u8, SENT>,
     host: UsbHost,
-    /// The bus is being reset. Until the reset ends, the driver still takes the device for configured, but a packet
-    /// written to an endpoint is never sent and keeps the endpoint busy forever.
+    /// The bus is being reset. Until the reset ends, the driver still reports the device as configured. But a packet
+    /// written to an endpoint is never sent, and keeps the endpoint busy forever.
     resetting: bool,
     /// The interrupt of the receive FIFO is masked.
     masked: bool,

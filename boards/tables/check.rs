@@ -50,8 +50,8 @@ impl Checked<'_> {
         self.faults.push(Fault { line, text });
     }
 
-    /// Returns the number of the line that sets the entry `key`, counted from 1; 0 if there is no such line. Looks
-    /// below the heading `[pins]` with `in_pins`, otherwise above it.
+    /// Returns the number of the line that sets the entry `key`, counted from 1; 0 if there is no such line. With
+    /// `in_pins`, searches below the heading `[pins]`, otherwise above it.
     fn line_of(&self, key: &str, in_pins: bool) -> usize {
         let mut is_behind = false;
         for (at, line) in self.text.lines().enumerate() {
@@ -283,7 +283,7 @@ fn why_not(image: &profiles::Board, chip: &Chip, pin: Pin) -> Option<String> {
     }
 }
 
-/// Checks that step and direction pins lie on no more ports than the image has DMA streams for. A port with steps needs
+/// Checks that the image has enough DMA streams for the ports of the step and direction pins. A port with steps needs
 /// two streams, and a port with directions alone needs one.
 fn check_ports(checked: &mut Checked<'_>, image: &profiles::Board, pins: &BTreeMap<&'static str, Use>) {
     let (steps, directions) = (image.step_ports, image.direction_ports);

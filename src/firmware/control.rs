@@ -179,8 +179,8 @@ impl Control {
         self.line_bytes_out != self.lines_in
     }
 
-    /// Call when there is nothing else to do: lets the answers be sent that were held back to send several together
-    /// (`Coalescing`). Returns whether there were any.
+    /// Call when there is nothing else to do: releases the answers that `Coalescing` holds back so that several can be
+    /// sent together. Returns whether there were any.
     #[inline(always)]
     fn release_answers(&mut self) -> bool {
         let are_held = self.coalescing.holds(self.lines_wait()) && self.controller.has_answers();
@@ -200,9 +200,10 @@ impl Control {
         last_words::note(Whereabouts { place, line, moment });
     }
 
-    /// Erases the spare sector of the settings log, if that is due, the machine is at rest with its spindle off, and
-    /// neither commands nor lines wait. If the log is nearly full, lines may wait. The erase stalls the processor for a
-    /// quarter of a second; the board keeps the bytes that the host sends meanwhile. Returns whether it erased.
+    /// Erases the spare sector of the settings log if that is due. The machine must be at rest with its spindle off,
+    /// and neither commands nor lines may wait. If the log is nearly full, waiting lines do not prevent the erase. The
+    /// erase stalls the processor for a quarter of a second; the board keeps the bytes that the host sends meanwhile.
+    /// Returns whether it erased.
     fn erase_ahead(&mut self) -> bool {
         let observed = self.observe();
         let nothing_waits =
@@ -277,9 +278,10 @@ impl Control {
         (came != core::mem::replace(&mut self.hosts_came, came)).then_some(Event::Connected)
     }
 
-    /// Returns the next command. Queued commands come first. When the queue is empty, takes over the owed commands
-    /// (those for which it had no room), if there were any when the round began. While the serial task has owed
-    /// commands, it queues no further command, so the order is kept.
+    /// Returns the next command: first the rest of the owed commands (those for which the queue had no room) that have
+    /// already been taken over, then queued commands. When the queue is empty, takes over the owed commands, if there
+    /// were any when the round began. While the serial task has owed commands, it queues no further command, so the
+    /// order is kept.
     fn next_command(&mut self) -> Option<Realtime> {
         if let Some(command) = self.owed.pop() {
             return Some(command);

@@ -48,8 +48,8 @@ pub unsafe extern "C" fn __aeabi_memcpy8() {
     naked_asm!("b {aligned}", aligned = sym __aeabi_memcpy4)
 }
 
-/// Copies like [`__aeabi_memcpy4`], between any addresses. Unaligned ones are copied word by word, because this core
-/// can load and store single words at any address, but several words only at aligned ones.
+/// Copies like [`__aeabi_memcpy4`], between any addresses. If one of them is not aligned to 4, copies word by word:
+/// this core can load or store a single word at any address, but several words at once only at an aligned address.
 // SAFETY: as above.
 #[unsafe(no_mangle)]
 #[unsafe(naked)]

@@ -9,8 +9,9 @@ use oxmill_controller::messages::CrashKind;
 /// Whether `fail` is already ending the program. A second failure must not run it again.
 static FAILING: AtomicBool = AtomicBool::new(false);
 
-/// Ends the program. If another failure happens meanwhile (within the debug log, which allows no nested log frames, or
-/// while the reason is formatted), the board resets at once and the record of the first failure stays.
+/// Ends the program. If another failure happens meanwhile, the board resets at once and the record of the first failure
+/// stays. Such a failure can happen while the reason is formatted, or in the debug log, which allows no nested log
+/// frames.
 pub fn fail(kind: CrashKind, why: core::fmt::Arguments<'_>) -> ! {
     cortex_m::interrupt::disable();
     boards::safe_state();

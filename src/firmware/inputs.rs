@@ -2,8 +2,8 @@
 //! becomes active, requests a stop of the step task. Also counts, for each input, the changes that the filter rejects
 //! as noise.
 //!
-//! Each sample also checks the alarm clock of `control`, the `Supervisor` of the watchdog, and the bytes received by
-//! the UART, for which it calls the serial task.
+//! At each sample, this task also runs the `Supervisor` of the watchdog and checks the alarm clock of `control`. It
+//! reads the bytes received by the UART and calls the serial task for them.
 //!
 //! Inputs are sampled and have no edge interrupts. So two pins never compete for an interrupt line, and a bouncing
 //! switch cannot flood the CPU with interrupts. A changed level takes effect after eight equal samples (0.4 ms).

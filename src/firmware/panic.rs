@@ -1,6 +1,6 @@
 //! The handlers that exist once per program. `before_start` enters the chip's boot loader on request. `panic` reports
 //! the location. `HardFault` reports the program counter from the stack frame, or a stack overflow. `NonMaskableInt`
-//! reports a failed clock. All end in [`oxmill_firmware::failure`].
+//! reports a failed clock. These reports end the program ([`oxmill_firmware::failure`]).
 
 use core::panic::PanicInfo;
 use oxmill_controller::messages::CrashKind;

@@ -51,8 +51,8 @@ const USB: usize = 1;
 
 /// The senders of the queues to `control`, and the limits on how many received bytes are processed.
 struct ToControl {
-    /// Whether the link being read cannot make its sender wait. Resets, holds and door commands from such a link are
-    /// kept as flags if the queue has no room for them ("owed" commands, [`shared::owe`]).
+    /// Whether the link being read cannot make its sender wait. If the queue has no room for resets, holds and door
+    /// commands from such a link, they are kept outside the queue ("owed" commands, [`shared::owe`]).
     may_owe: bool,
     /// No reply waits or is partly sent, and the previous run of the task left no received bytes unread.
     flushed: bool,
@@ -242,9 +242,9 @@ impl<P: Port> Ported<P> {
     }
 
     /// Call while the byte received last is a `!` that may be text. If no further byte has come for `AMBIGUOUS_US` and
-    /// in `QUIET_RUNS` runs of the task, the `!` becomes a feed hold. The time alone would not do: after a stall of the
-    /// processor, it has passed, but bytes that arrived during the stall may still be unread. Returns whether there is
-    /// news for `control`.
+    /// in `QUIET_RUNS` runs of the task, the `!` becomes a feed hold. The time alone is not enough: it may have passed
+    /// during a stall of the processor, while bytes that arrived during the stall are still unread. Returns whether
+    /// there is news for `control`.
     #[cold]
     fn await_rest(&mut self, arbiter: &mut HostArbiter, queues: &mut ToControl) -> bool {
         let now = boards::clock_ticks();
@@ -339,6 +339,8 @@ impl Serial {
         count(&SERIAL.bytes_queued, queued);
         news |= queues.flush();
         let held = uart.link.held() + usb.link.held();
+        // One more byte counts as received: a `HOST_CHANGED` that must precede held line bytes, or, while no line byte
+        // is held, a command that waits for room.
         let is_stuck = held == 0 && (uart.link.is_waiting() || usb.link.is_waiting());
         let held = (held + usize::from(held > 0 && arbiter.owes_cut() || is_stuck)) as u32;
         SERIAL.bytes_received.store(SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_add(held), Ordering::Relaxed);

@@ -2,9 +2,9 @@
 //! the controller, stores changes, and erases the spare sector before it is needed.
 //!
 //! A write programs only a few words, and is done when the controller requests it. An erase stalls the processor for a
-//! quarter of a second on the STM32 boards. So the erase is done ahead of need, and only when the caller finds that no
-//! motor moves, the spindle and the laser are off, and no command waits. After a failed erase, no erase is tried until
-//! the next power-up.
+//! quarter of a second on the STM32 boards. So the erase is done ahead of need. The caller starts it only if no motor
+//! moves, the spindle and the laser are off, and no command waits. After a failed erase, no erase is tried until the
+//! next power-up.
 
 use crate::BoardController;
 use crate::boards::SettingsFlash;

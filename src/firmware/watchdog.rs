@@ -1,16 +1,16 @@
-//! Checks that every task still runs. Ten times per second `Supervisor` marks and calls step, serial and control, and
-//! feeds the hardware watchdog only if all of them have cleared their marks. If a task's mark is still set at five
-//! checks in a row, this is a failure.
+//! Checks that every task still runs. Ten times per second, `Supervisor` sets a mark for each of the tasks step, serial
+//! and control, and calls the task, which clears its mark. It feeds the hardware watchdog only if all of them have
+//! cleared their marks. A mark that is still set at five checks in a row is a failure.
 //!
 //! ```text
 //!  step, serial, control ──each run clears its mark──┐
 //!  inputs, every 100 ms: all cleared? feed; set the marks again and call the tasks
-//!  `control` stuck for half a second: outputs safe, record, reset       another task, or `inputs`: the hardware resets
+//!  `serial` or `control` stuck for half a second: outputs safe, record, reset      another task: the hardware resets
 //! ```
-//! A task in an endless loop blocks the tasks of lower priority. If this task is `control`, the supervisor still runs
-//! and detects the failure. If the task in the endless loop is another one, the hardware watchdog resets the board
-//! after its own timeout. Time is counted in samples of `inputs`, so a stalled processor (an erase of flash) is not
-//! taken for a stuck task.
+//! A task in an endless loop blocks the tasks of lower priority. If this task is `serial` or `control`, the supervisor
+//! still runs, because `inputs` has a higher priority, and detects the failure. If the task in the endless loop is
+//! another one, the hardware watchdog resets the board after its own timeout. Time is counted in samples of `inputs`,
+//! so a stalled processor (an erase of flash) is not taken for a stuck task.
 
 use crate::boards::{self, SAMPLE_HZ, Watchdog};
 use crate::failure;

@@ -30,17 +30,18 @@ pub const STEP_ASKED: u8 = 2;
 
 /// Status that `serial` publishes to the other tasks.
 pub struct SerialStatus {
-    /// Line bytes put into the queue to `control`, or gathered in `serial` for the next message to it, since power-up
-    /// (wrapping).
+    /// Number of line bytes that `serial` has put into the queue to `control`, or gathered for its next message to
+    /// `control`, since power-up (wrapping).
     pub bytes_queued: AtomicU32,
     /// Line bytes received since power-up (wrapping): `bytes_queued` plus the bytes that wait for room. A command that
     /// waits for room counts as one byte.
     pub bytes_received: AtomicU32,
     /// Number of bytes received that belong neither to lines nor to commands, since power-up (wrapping).
     pub bytes_ignored: AtomicU32,
-    /// Number of commands received and of line bytes queued since power-up (wrapping).
+    /// Number of received commands and queued line bytes since power-up (wrapping). A command that waits for room in
+    /// the queue counts again at each attempt to queue it.
     pub heard: AtomicU32,
-    /// Number of times that a host opened a port and was the active host then, since power-up (wrapping).
+    /// Number of times that a host opened a port and became or remained the active host, since power-up (wrapping).
     pub hosts_came: AtomicU8,
     /// Number of times that the active host disconnected, since power-up (wrapping).
     pub hosts_went: AtomicU16,
@@ -75,10 +76,10 @@ pub static INPUTS: InputStatus =
 pub struct ControlStatus {
     /// Value of [`SerialStatus::heard`] up to which everything has been executed and answered.
     free_at: AtomicU32,
-    /// Whether UTF-8 characters in comments are text. `false` until the first round of `control`. While it is `false`,
-    /// each byte of such a character is a command or ignored, as in Grbl.
+    /// Whether UTF-8 characters in G-code comments are text. `false` until the first round of `control`. While it is
+    /// `false`, each byte of such a character is a command or ignored, as in Grbl.
     pub reads_characters: AtomicBool,
-    /// Whether hosts are answered like grblHAL, which has more realtime commands.
+    /// Whether replies are those of grblHAL and its additional realtime commands are accepted.
     pub speaks_grblhal: AtomicBool,
     /// The requested power of spindle or laser, encoded by [`Power::want`].
     power: AtomicU32,
@@ -113,10 +114,10 @@ pub fn ask_for_stop() {
     STOPS_ASKED.fetch_add(1, Ordering::Relaxed);
 }
 
-/// For `serial`: keeps a command for which the queue had no room. Returns `false`, and does not keep the command, if
-/// its loss does no harm. A stop (0x19) and a jog cancel are kept as resets, and each reset needs a stop of the step
-/// task. For the two, this function requests that stop; for a reset, `serial` has already done so. The caller must pend
-/// the step vector afterwards, as for [`ask_for_stop`].
+/// For `serial`: keeps a command for which the queue had no room. If the loss of the command does no harm, does not
+/// keep it and returns `false`. A stop (0x19) and a jog cancel are kept as resets, and each reset needs a stop of the
+/// step task. For a stop or jog cancel, this function requests that stop of the step task; for a reset, `serial` has
+/// already requested it. The caller must pend the step vector afterwards, as for [`ask_for_stop`].
 pub fn owe(command: Realtime) -> bool {
     let Some(owed) = Owed(SERIAL.owed.load(Ordering::Relaxed)).with(command) else { return false };
     if command.opens_epoch() && command != Realtime::Reset {
@@ -146,8 +147,8 @@ pub fn stops_asked() -> u16 {
     STOPS_ASKED.load(Ordering::Relaxed)
 }
 
-/// For `control`: publishes whether it has executed and answered everything that arrived until [`SerialStatus::heard`]
-/// reached the value `heard`.
+/// For `control`: publishes whether everything that [`SerialStatus::heard`] had counted at the value `heard` has been
+/// executed and answered.
 pub fn set_free(heard: u32, free: bool) {
     CONTROL.free_at.store(if free { heard } else { heard.wrapping_sub(1) }, Ordering::Relaxed);
 }

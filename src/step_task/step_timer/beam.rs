@@ -50,8 +50,8 @@ impl Beam {
             return false;
         }
         if self.marks.is_full() {
-            // Replace the newest queued change. No event lies between it and the new one, so no step would have had its
-            // power.
+            // Replace the newest queued change. There is no event between that change and the new one, so no step would
+            // have had its power.
             self.marks.pop_back();
         }
         let is_kept = self.marks.push_back((at, power)).is_ok();
@@ -67,6 +67,7 @@ impl Beam {
         let _ = self.marks.push_back((moment, self.made));
     }
 
+    /// Delays all queued changes by `by` ticks.
     pub fn put_off(&mut self, by: u32) {
         for (at, _) in self.marks.iter_mut() {
             *at = at.wrapping_add(by);

@@ -15,11 +15,11 @@ use oxmill_controller::messages::{GangedMotors, SEGMENTS_DEPTH, ToStep, Wiring};
 use oxmill_controller::{StepTiming, Stepper, later, sooner};
 use rtic_sync::channel::Receiver;
 
-/// How many events of a run's limit ([`MOST_EVENTS`]) an event or tick uses up if it is generated alone and not in a
-/// batch, because that takes longer.
+/// An event or tick that is generated alone takes longer than one in a batch. It therefore counts as this many events
+/// towards the limit of a run ([`MOST_EVENTS`]).
 const SINGLE_SHARE: usize = 4;
-/// How many events of the limit [`MOST_EVENTS`] the start of a segment uses up, because it includes the loading of
-/// messages. A run starts at most one segment.
+/// The start of a segment includes the loading of messages. It therefore counts as this many events towards the limit
+/// [`MOST_EVENTS`]. A run starts at most one segment.
 const SEGMENT_SHARE: usize = 16;
 /// Value of `directions` if the directions at the outputs are unknown. An event that writes the directions is then
 /// inserted before the next tick.
@@ -130,7 +130,7 @@ impl Maker {
     #[inline(never)]
     fn receive_one(&mut self) -> bool {
         let Ok(message) = self.segments.try_recv() else { return false };
-        // `control` must not take the machine to be at rest while a message has left the queue and is not loaded yet.
+        // `control` must not treat the machine as at rest while a message has left the queue but is not loaded yet.
         STEP.at_rest.store(false, Ordering::Relaxed);
         self.stepper.load(message);
         true
@@ -317,6 +317,8 @@ impl Maker {
         if self.one_by_one { later(moment, self.output.now().wrapping_add(StepPins::SOON)) } else { moment }
     }
 
+    /// Commits an event at the time `at`, a pulse on the axes in the mask `steps` (0: no pulse). If the board delays
+    /// the event, delays all later ticks by the same time. Returns whether there was room.
     fn commit(&mut self, steps: u8, at: u32) -> bool {
         let Free { table, words, moments } = self.output.free();
         let (Some(word), Some(moment)) = (words.first_mut(), moments.first_mut()) else { return false };
@@ -397,8 +399,8 @@ impl Maker {
         Some(sooner(early, self.last_chance()))
     }
 
-    /// Returns the time `IN_TIME_TICKS` (two runs, a pause and the start of the output) before the last queued event,
-    /// or the time at which the queue will have room for [`MOST_EVENTS`] more, if that is later.
+    /// Returns the later of two times: `IN_TIME_TICKS` (two runs, a pause and the start of the output) before the last
+    /// queued event, and the time at which the queue will have room for [`MOST_EVENTS`] more.
     #[inline(never)]
     fn before_two_runs(&self) -> u32 {
         later(

@@ -25,8 +25,8 @@
 //!   long that the motors could not follow, motion ends with a report.
 //! * A report to `control` is kept until it has been sent.
 //!
-//! The stepper computes ticks, the times at which axes may step, and which axes step at each tick; the board generates
-//! the edges.
+//! The stepper computes the ticks (the times at which axes may step) and which axes step at each tick. The board
+//! generates the edges.
 
 use crate::boards::{AXES, Due, StepOutput, StepPins, Undone};
 use crate::shared::{self, STEP, Wake};
@@ -77,6 +77,7 @@ pub struct Step {
     reports: Reports,
     /// Whether the probe is active while its pin is high.
     probe_invert: bool,
+    /// Number of requested stops that have been executed, since power-up (wrapping).
     stops_done: u16,
 }
 

@@ -26,8 +26,7 @@ pub const LEAST_EVENTS: usize = 4;
 /// Maximum number of events that a run of the step task generates. A longer run would delay everything else, including
 /// a stop from the serial line.
 pub const MOST_EVENTS: usize = 32;
-/// Maximum duration of a run of the step task that generates events. When a run has read the clock, it generates its
-/// last event at most this much later.
+/// Maximum duration of a run of the step task that generates events, from its reading of the clock to its last event.
 pub const RUN_TICKS: u32 = in_ticks(RUN_CYCLES);
 /// Maximum duration of the start of the output.
 pub const BEGIN_TICKS: u32 = in_ticks(1_500);
