@@ -172,7 +172,7 @@ class Sender:
         self.sizes = []
         # Whether to wait until all sent lines have arrived. After that, the lines not taken are sent again.
         self.is_draining = False
-        # Counts: unanswered questions, `sent` at the last question, and plain answers that came instead.
+        # Counts: unanswered questions; `sent` at the last question; plain answers (not checked ones) in a row.
         self.questions = self.asked_at = self.plain = 0
         # Damaged answers since the last undamaged one.
         self.strange = 0
@@ -299,7 +299,8 @@ class Sender:
     def question(self):
         now = time.monotonic()
         if self.questions < QUESTIONS:
-            # A question that went into a dead link does not occupy room in the machine.
+            # If nothing has arrived since the last question, the link may be dead. A question sent into a dead link
+            # takes no room in the machine, so it is not counted.
             self.questions += self.last_heard > self.last_asked
             self.last_asked, self.asked_at = now, self.sent
             self.counts["questions"] += 1

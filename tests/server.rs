@@ -12,7 +12,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 const WELCOME: &str = "Grbl 1.1h ['$' for help]";
 const BUSY: &str = "[MSG:Another host has the machine]\r\n";
 
-/// Requests the page of `serve --web` with handwritten HTTP: as a browser does that shows this page, and as pages of
+/// Requests the page of `serve --web` with handwritten HTTP: as a browser that shows this page does, and as pages of
 /// other sites would.
 #[test]
 fn a_page_is_served_to_this_computer_only() {
@@ -776,8 +776,8 @@ fn no_link_to_a_file_is_taken_for_a_pseudo_terminal() {
     assert_eq!(std::fs::read_link(&to_job).expect("a link"), job);
 }
 
-/// With no file descriptor left for another connection, the system reports the connection again and again. The server
-/// must not be busy with that.
+/// If no file descriptor is left for another connection, the system keeps reporting that a connection waits. The server
+/// must not use processor time for these reports.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_server_without_room_for_files_is_quiet() {

@@ -94,7 +94,7 @@ impl Svg {
         self.add(format_args!("<path class=\"w\" stroke=\"{colour}\" d=\"{path}\"/>"));
     }
 
-    /// Draws the name of a pin on the colour of its kind, with its middle at a place.
+    /// Draws the name of a pin on the colour of its kind, centred at `(x, y)`.
     fn chip(&mut self, (x, y): (i32, i32), kind: Kind, pin: &str) {
         self.rect((x - 21, y - 9), (42, 18), &format!("rx=\"4\" fill=\"{}\"", colour(kind)));
         self.text((x, y + 4), "p", pin);
@@ -117,7 +117,7 @@ impl Svg {
         self.line(format_args!("M{x} {y}h6l11 -7M{} {y}h6v4m-5 0h10m-8 3h6m-4 3h2", x + 17), colour(kind));
     }
 
-    /// Draws the text of a pin's function at a place, followed by MOSFET if the connector has one.
+    /// Draws the text of a pin's function at `place`, followed by MOSFET if the connector has one.
     fn function(&mut self, place: (i32, i32), class: &str, wire: &Wire) {
         let mosfet = if wire.has_mosfet() { " <tspan class=\"s\">MOSFET</tspan>" } else { "" };
         let class = if class.is_empty() { String::new() } else { format!(" class=\"{class}\"") };
@@ -218,7 +218,8 @@ fn beside(svg: &mut Svg, groups: &[&Group], side: Side) -> i32 {
     y - GAP
 }
 
-/// Draws the prints on the board: one for neighbours with the same print.
+/// Draws the names printed on the board beside the pins of a group. Neighbouring pins with the same name share one
+/// text.
 fn labels(svg: &mut Svg, group: &Group, side: Side, edge: i32, first: i32) {
     let mut at = 0;
     for same in group.wires.chunk_by(|one, other| one.label == other.label && !one.label.is_empty()) {
@@ -358,7 +359,8 @@ fn black_pill(title: &str, boards: &[Board]) -> String {
     svg.finished(title, height)
 }
 
-/// The Arduino headers of a Nucleo-64: print, and the row of the connectors CN7 or CN10 beside it, from 1.
+/// Pins of the Arduino headers of a Nucleo-64. Each has the name printed on the board, and the row of connector CN7
+/// (left) or CN10 (right) beside it, counted from 1.
 const ARDUINO_LEFT: [(&str, i32); 11] = [
     ("3V3", 8),
     ("5V", 9),

@@ -48,8 +48,8 @@ pub fn shows() -> bool {
     *SHOWS
 }
 
-/// A byte of a line, and whether that line must be answered for sure. It need not be if the controller can have dropped
-/// it, for example at a reset.
+/// A byte of a line, and whether the controller must answer that line. It need not answer a line that it may have
+/// dropped, for example at a reset.
 type Queued = (LineByte, bool);
 
 #[derive(Clone)]
@@ -111,8 +111,8 @@ fn is_answer(line: &[u8]) -> bool {
 /// Counts the answers to lines, and how many there must and can be.
 #[derive(Clone, Debug, Default)]
 struct Book {
-    /// Whether the line that is being read must be answered. It need not be if the controller can have dropped a part
-    /// of it, for example at a reset.
+    /// Whether the controller must answer the line that is being read. It need not answer a line of which it may have
+    /// dropped a part, for example at a reset.
     is_sure: bool,
     last_byte: u8,
     /// Minimum number of answers since the previous [`Book::settle`]: one for each line that has been read and must be
@@ -409,7 +409,7 @@ impl Board {
         self.settle();
     }
 
-    /// Jumps ahead in time with a machine at rest, without wake-ups.
+    /// If the machine is at rest, jumps ahead in time and skips the wake-ups in between.
     pub fn leap(&mut self, time: u64) {
         if self.due.is_none() {
             self.now += time;
@@ -465,7 +465,7 @@ impl Board {
         String::from_utf8(std::mem::take(&mut self.said)).expect("ASCII")
     }
 
-    /// Sends a line and returns the output until it is answered, waiting for a limited time.
+    /// Sends a line and returns the output until the controller is idle, or for 1 s at most.
     pub fn ask(&mut self, line: &str) -> String {
         self.take_said();
         self.send(line.as_bytes());

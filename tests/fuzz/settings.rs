@@ -259,7 +259,8 @@ impl Machine {
             let whole = !entry.contains('.');
             let switched = listed == 1.0 && set.trunc() != 0.0;
             if is_grblhal && matches!(number, 10 | 22) {
-                // A mask in which some bits are always set, or none if homing is off.
+                // `$10` and `$22` are masks in which some bits are always set. If homing is off (bit 0 of `$22` is 0),
+                // no bit of `$22` is set.
                 let written = if number == 22 && set as u32 & 1 == 0 { 0 } else { set as u32 };
                 assert!(set.is_nan() || listed as u32 & written == written, "${number}={text} is {entry}");
                 return;

@@ -88,8 +88,8 @@ struct Bus {
     now: u32,
     dtr: bool,
     plugged: bool,
-    /// Letter of which the lines of the connected host consist; the next host has another one. Without a connected
-    /// host, the letter of the next one.
+    /// Letter that the lines of the current host consist of; the next host has another one. After a close it is still
+    /// the letter of the host that has closed the port, because late packets of that host can arrive.
     letter: u8,
     closed_at: Option<u32>,
     /// Number of letters of this host's unfinished line.
@@ -252,7 +252,7 @@ impl Board {
         }
     }
 
-    /// The serial task as in `src/firmware/serial.rs`, on the port of `boards/stm32f4/usb.rs`.
+    /// Runs the serial task as `src/firmware/serial.rs` does, on a port like that of `boards/stm32f4/usb.rs`.
     fn task(&mut self) {
         // The task wakes itself when a host that has not opened the port starts to send.
         while self.run() {}

@@ -1,23 +1,24 @@
 //! Compares how much each axis changes its speed, read from the step times alone, with what physics and the junction
 //! rule allow. Nothing here is taken from the planner.
 //!
-//! **Measured.** For a window T the mean speed of an axis over T is compared with its mean speed over the next T:
-//! `D = (p(t+2T) - 2 p(t+T) + p(t)) / T`. D is the mean of `v(τ+T) - v(τ)` over all τ from t to t+T. So D has a bound:
-//! the allowed change of speed over a window of length T, averaged over the same τ. A change of speed that takes only
-//! a fraction of T is seen in full: if it happens at t+T, D equals it.
+//! **Measured.** p(t) is the position of an axis at time t (mm), v(t) its speed (mm/s). The mean speed over a window of
+//! T seconds is compared with the mean speed over the next window: `D = (p(t+2T) - 2 p(t+T) + p(t)) / T`, in mm/s. D is
+//! the mean of `v(τ+T) - v(τ)` over all τ from t to t+T. So D has a bound: the allowed change of speed over a window of
+//! length T, averaged over the same τ. A change of speed that takes only a fraction of T is seen in full: if it happens
+//! at t+T, D equals it.
 //!
-//! **Allowed.** Between τ and τ+T the path turns from one direction to another by the angle t, in any number of
-//! vertices.
+//! **Allowed.** Between τ and τ+T the path turns from one direction to another by the angle φ (rad), in any number of
+//! vertices. From here on, v is the speed along the path.
 //! - Acceleration: `a T` for the axis, where a covers the acceleration along and across the path together. It may be
 //!   exceeded by the share [`RAMP`].
-//! - The junction rule passes a single vertex of turn t at `v² = a d s / (1 - s)`, where a is the acceleration across
-//!   the path, d the junction deviation and s = cos(t / 2). The axis speed then jumps by v times the difference of the
+//! - The junction rule passes a single vertex of turn φ at `v² = a d s / (1 - s)`, where a is the acceleration across
+//!   the path, d the junction deviation and s = cos(φ / 2). The axis speed then jumps by v times the difference of the
 //!   axis' two direction cosines. A turn made in several vertices is granted the jump of the *whole* turn once, not a
 //!   jump per vertex, because for the motor several vertices are no different from one. For a stretch of the path that
-//!   is L long and turns by t, the controller's rule is `v² <= a (L / t + d s / (1 - s))`. With L <= v T it follows
-//!   that the change of velocity is `v t <= a T + v_j t`, where v_j is the speed at a single vertex of turn t. So the
+//!   is L long and turns by φ, the controller's rule is `v² <= a (L / φ + d s / (1 - s))`. With L <= v T it follows
+//!   that the change of velocity is `v φ <= a T + v_j φ`, where v_j is the speed at a single vertex of turn φ. So the
 //!   two terms here are this rule, for a path of any form. A jump per vertex would grant a multiple of the rule.
-//! - The granted jump falls to zero for a reversal, and has a limit for small turns: v_j t → √(8 a d). The feed also
+//! - The granted jump falls to zero for a reversal, and has a limit for small turns: v_j φ → √(8 a d). The feed also
 //!   bounds v.
 //! - Directions are those of the intended chords, before rounding to the program's digits, so that they carry no noise;
 //!   the position error due to rounding is a term of its own.
@@ -32,8 +33,8 @@
 //!   amount: half a digit in each coordinate, √3 times that in all three together ([`DIGITS`]). The direction of a
 //!   stretch of length l is off by up to 2 [`POINT`] / l, because both of its ends are off. A turn can be
 //!   underestimated by the sum of the errors of its two directions. So a controller can mistake a reversal between two
-//!   pieces that are not much longer than a digit for a corner. Nor can a controller tell a vertex from a bend as wide
-//!   as the noise of the points on both sides; such a bend is taken at v² = a R.
+//!   pieces that are not much longer than a digit for a corner. A controller also cannot distinguish a vertex from a
+//!   bend as wide as the noise of the points on both sides. Such a bend of radius R is taken at v² = a R.
 
 use super::estimator::Limits;
 use super::oracle::{AXES, Place, Pulse};
@@ -128,8 +129,8 @@ pub fn granted(before: [f64; AXES], after: [f64; AXES], unsure: Unsure, limits: 
     if size < 1e-12 {
         return [0.0; AXES];
     }
-    // size = 2 sin(t / 2), s = cos(t / 2). 1 - s is a difference of nearly equal numbers, so it is computed as
-    // `sin²(t / 2) / (1 + s)`.
+    // With the turn φ: size = 2 sin(φ / 2), s = cos(φ / 2). 1 - s is a difference of nearly equal numbers, so it is
+    // computed as `sin²(φ / 2) / (1 + s)`.
     let sure = (2.0 * (size / 2.0).min(1.0).asin() - unsure.turn).max(1e-9);
     let (sine, s) = (sure / 2.0).sin_cos();
     let acceleration = (0..AXES)

@@ -1,13 +1,14 @@
-//! G12 and G13 make the same steps at the same times as their moves written out: a straight line from the centre, a full
-//! circle, and a straight line back.
+//! G12 and G13 make the same steps at the same times as their moves written out: a straight line from the centre, a
+//! full circle, and a straight line back.
 
 use oxmill_simulator::{JobText, Options, Simulator, boards};
 use proptest::prelude::*;
 use std::fmt::Write;
 use std::io::Cursor;
 
-/// A circle: radius in hundredths of a millimetre, direction, and feed in mm/min. With more digits, the written line from
-/// the centre would count as more exact than G12, whose line has no axis word.
+/// A circle: radius in hundredths of a millimetre, whether clockwise, and feed in mm/min. The radius has no more than
+/// two decimals: the controller derives the precision of a line from the decimals of its axis words, at most 0.01 mm.
+/// With more decimals, the line from the centre would count as more precise than G12, whose line has no axis word.
 type Circle = (u32, bool, u32);
 
 /// Writes a program of circles, each at another place, with G12 and G13 or with the same moves written out.

@@ -68,8 +68,8 @@ fn a_wait_for_crumbs_is_a_corner() {
     let crumbs = "Y0.005\nY0\n".repeat(50);
     rig.run_clean(&format!("G1 X20 Y0 F6000\n{crumbs}X20.0125\nX60\n"));
     let speeds: Vec<f64> = intervals(&rig, 0).iter().map(|seconds| 1.0 / 80.0 / seconds).collect();
-    // The junction rule, v² = √2 a d s / (1 - s), allows 4.1 mm/s at a right angle. One step (0.0125 mm) later the
-    // acceleration has raised this to 5.4 mm/s.
+    // The junction rule, v² = √2 a d s / (1 - s), allows 4.1 mm/s at a right angle (a: acceleration of an axis, d:
+    // junction deviation, s = cos(45°)). One step (0.0125 mm) later the acceleration has raised this to 5.4 mm/s.
     let slowest = speeds[200..3000].iter().copied().fold(f64::MAX, f64::min);
     assert!(slowest < 6.0, "{slowest} mm/s");
     // Compare mean speeds over 32 steps (0.4 mm), because the smoothing of steps makes single intervals uneven. The
@@ -91,8 +91,8 @@ fn corners_between_moves_shorter_than_a_digit() {
     rig.run_clean(&format!("G91 G1 F600\n{x}{y}"));
     let last = intervals(&rig, 0);
     let speed = 10.0 / 10_000.0 / last[last.len() - 10..].iter().sum::<f64>();
-    // The junction rule, v² = √2 a d s / (1 - s), allows 1.8 mm/s in a right angle. The test allows 3 mm/s, because
-    // rounding changes the directions of such short moves, and with them the angle of the corner.
+    // The junction rule (see above) allows 1.8 mm/s at a right angle. The test allows 3 mm/s, because rounding changes
+    // the directions of such short moves, and with them the angle of the corner.
     assert!(speed < 3.0, "{speed} mm/s into the corner");
     let back = "X-0.0004 Y0.0003\n".repeat(2000);
     let mut rig = machine(10_000.0, 10.0, 100.0);

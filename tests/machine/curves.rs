@@ -226,8 +226,8 @@ fn the_shortest_time_is_known_for_lines_and_circles() {
     assert!((0.9 * even..1.02 * even).contains(&turns), "{turns}, {even} at an even speed");
     let turns = shortest(&[arc(100.0, [0.0, 0.0], 5.0, [0.0, 10.0 * TAU])], Bound::Resultant);
     assert!((turns / even - 1.0).abs() < 0.02, "{turns}, {even} at an even speed");
-    // At a right angle the junction rule allows v² = √2 a d s / (1 - s), where s / (1 - s) = 2.41. The machine
-    // accelerates and brakes on each side.
+    // At a right angle the junction rule allows v² = √2 a d s / (1 - s), with the acceleration a of an axis, the
+    // junction deviation d and s = cos(45°), so s / (1 - s) = 2.41. The machine accelerates and brakes on each side.
     let corner = of(&[line(100.0, [0.0, 0.0], [10.0, 0.0]), line(100.0, [10.0, 0.0], [10.0, 10.0])]);
     let speed = (2.0_f64.sqrt() * 500.0 * 0.01 * 2.414_213_6).sqrt();
     let top = ((2.0 * 500.0 * 10.0 + speed * speed) / 2.0).sqrt();
@@ -273,8 +273,9 @@ fn ramps_on_curves_stay_within_the_acceleration_of_each_axis() {
 /// Percent by which a shape may take longer than the shortest time.
 const MOST_MORE: f64 = 15.0;
 
-/// Brakes by `commands` on a circle, from the speed at which the circle uses all of the acceleration. Returns the
-/// largest change of speed and the braking time, s.
+/// Drives a circle at the speed at which its bend uses all of the acceleration, and brakes by `commands` after `after`
+/// seconds. Returns the largest change of speed, and the time from the commands until the path speed is below 15 mm/s,
+/// s.
 fn braked_on_a_circle(jerk: f64, after: f64, commands: &[Realtime]) -> (Change, f64) {
     let (text, course) = in_chords(&[arc(100.0, [0.0, 0.0], 20.0, [0.0, 2.0 * TAU])]);
     let mut rig = Rig::with(&settings(&LIMITS, jerk));
@@ -299,8 +300,9 @@ fn braked_on_a_circle(jerk: f64, after: f64, commands: &[Realtime]) -> (Change, 
     (greatest_change(&rig.trace, HZ as f64, &course, &LIMITS, WINDOW).unwrap(), took)
 }
 
-/// A lower override and a hold in a bend brake with the part of the acceleration that the bend does not use. Braking
-/// from v² = a·R takes v/a times 1.31, the integral of 1/√(1 - x⁴) from 0 to 1; with a jerk limit it takes a/J longer.
+/// A lower override and a hold in a bend brake with the part of the acceleration that the bend does not use. On a
+/// circle of radius R, passed at v² = a·R (a: acceleration), braking to rest takes 1.31 · v/a, where 1.31 is the
+/// integral of 1/√(1 - x⁴) from 0 to 1. With a jerk limit J, braking takes a/J longer.
 #[test]
 fn braking_in_a_bend_stays_within_the_acceleration() {
     let lower = [Realtime::FeedDown10; 9];

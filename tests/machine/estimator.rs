@@ -15,15 +15,16 @@
 //!   effect. So an acceleration can seem to have acted for one step longer than the time between two intervals.
 //! - The ends of a move are rounded to steps, so its length, and with it its speeds, can be off by half a step.
 //! - Below one step per millisecond a single interval says little. A start from rest is checked instead: within a time
-//!   t after its first step, the machine moves by at most `v t + a t² / 2`, with `v² = 2 a` × one step, and one step
-//!   more.
+//!   t after its first step, the machine moves by at most one step more than `v t + a t² / 2`. Here v is the speed that
+//!   the acceleration a reaches within one step: `v² = 2 a` × the length of a step.
 //! - At a corner the junction rule bounds the path speed: the machine may cut the corner on a circle that passes within
 //!   the junction deviation of it, at the acceleration that the axes allow across the path. The two intervals next to
 //!   the corner are allowed to be faster by what the block's acceleration adds in the time between them, which is
 //!   longer than the time from either of them to the corner.
-//! - On a chain of moves without a sharp corner v² is at most a·R, with a along the normal. R comes from three points:
-//!   the ends of neighbouring moves, or points about one of [`REACHES`] away on both sides. The latter are used where
-//!   the path turns by less than [`GENTLE`] between them. The junction deviation also grants a jump for the whole turn.
+//! - On a chain of moves without a sharp corner v² is at most a·R: R is the radius of the bend, and a the acceleration
+//!   that the axes allow towards its centre. R comes from three points: the ends of neighbouring moves, or points about
+//!   one of [`REACHES`] away on both sides. The latter are used where the path turns by less than [`GENTLE`] between
+//!   them. The junction deviation also grants a jump for the whole turn.
 //!   Every point can be half a digit off; the part of the bend that this can explain is subtracted. A planner that uses
 //!   other points can see a bend start half a reach later and still brake within it, so v² may be larger by a·reach.
 //! - Short lines that continue each other can have been joined ([`Joins`]): then the trace follows the straight line
@@ -66,7 +67,8 @@ const JOINED_SHIFT: f64 = 0.5;
 /// Number of steps over which a speed is measured on the finer grid and in joined moves.
 const WINDOW: usize = 16;
 
-/// The limits of a machine, each axis in mm, mm/s and mm/s².
+/// The limits of a machine: for each axis steps/mm, maximum rate (mm/s) and acceleration (mm/s²); junction deviation
+/// (mm).
 #[derive(Clone, Debug)]
 pub struct Limits {
     pub steps_per_mm: [f64; AXES],
@@ -120,9 +122,10 @@ struct Reading {
 }
 
 impl Reading {
-    /// Returns a time, s: multiplied by an acceleration, it gives the largest difference that this acceleration can
-    /// make between two mean speeds. It is the distance of the middles of the intervals, plus a quarter of the
-    /// difference of their lengths, plus one step, because a change of acceleration can show one step late.
+    /// Returns the time, s, for which an acceleration can act between two readings: the acceleration × this time is the
+    /// largest difference between their mean speeds. The time is the sum of the distance between the middles of the
+    /// intervals, a quarter of the difference of their lengths, and one step, because a change of acceleration can show
+    /// one step late.
     fn apart(&self, other: &Reading) -> f64 {
         (self.at - other.at).abs() + (self.span - other.span).abs() / 4.0 + self.step.max(other.step)
     }
@@ -151,7 +154,7 @@ impl Limits {
         if angle < 1e-4 {
             return f64::INFINITY;
         }
-        // Half of the angle between the reversed first and the second direction: π/2 straight on, 0 for a reversal.
+        // The cosine of half the turn: 1 straight on, 0 for a reversal.
         let half = (angle / 2.0).cos();
         let acceleration = self.along(self.acceleration, turn.map(|t| t / size));
         (acceleration * self.junction_deviation * half / (1.0 - half)).sqrt()

@@ -267,7 +267,7 @@ impl Session {
         self.pass(0.02);
     }
 
-    /// Returns the state in the answer to a byte that asks for a report.
+    /// Sends `asks`, a byte that requests a status report, and returns the state in this report.
     fn state(&mut self, asks: u8) -> String {
         let before = self.known.states.len();
         self.press(asks);

@@ -105,8 +105,8 @@ fn least_time(length: f64, from: f64, to: f64, most: f64, acceleration: f64, jer
 
 const JERK: f64 = 5000.0;
 
-/// Returns the time, s, in which the motor moves before its first and after its last step, so that the trace does not
-/// cover it: half a step from rest and half a step to rest, a few milliseconds each.
+/// Returns the time, s, that the trace of a job does not cover: the motor moves by half a step before its first step
+/// and by half a step after its last one, which takes a few milliseconds each.
 fn of_steps() -> f64 {
     2.0 * (6.0 * 0.5 / MACHINE.steps_per_mm[0] / JERK).cbrt()
 }
@@ -258,8 +258,9 @@ fn corners_behind_coarse_steps_are_minded() {
             let mut rig = Rig::with(&settings(&limits, jerk));
             rig.run_clean(&job.text);
             let z: Vec<u64> = rig.trace.iter().filter(|p| p.steps & 4 != 0).map(|p| p.at).collect();
-            // From the corner speed, 0.41 mm/s by the junction rule v² = √2 a d s / (1 - s), the first three intervals
-            // take 9.6 ms at 50 mm/s², and longer with limited jerk.
+            // The junction rule, v² = √2 a d s / (1 - s), allows 0.41 mm/s (a: acceleration of Z, d: junction
+            // deviation, s = cos(45°)). From this speed the first three intervals take 9.6 ms at 50 mm/s², and longer
+            // with limited jerk.
             let seconds = (z[3] - z[0]) as f64 / HZ as f64;
             assert!(seconds > 0.004, "{k}: three steps in {seconds} s");
         }

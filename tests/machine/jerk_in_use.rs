@@ -338,8 +338,8 @@ fn a_hold_with_jerk_limit_begins_within_25_ms() {
         } else {
             2.0 * (speed / JERK).sqrt()
         };
-        // After its last step the machine still moves by at least half a step. This takes the time in which the maximum
-        // jerk leads to rest.
+        // After its last step the machine still moves by at least half a step, d. At the maximum jerk J, the last d
+        // before rest takes (6 d / J)^(1/3).
         let rest = end + (6.0 * 0.5 * PITCH / JERK).cbrt();
         let begins = rest - ramp - asked;
         println!("F{feed}: the hold acts after {:.1} ms", begins * 1000.0);

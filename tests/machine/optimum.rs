@@ -2,11 +2,12 @@
 //! queue and without rounding. Serves as a reference for times, and as a source of motion that is known to keep the
 //! limits.
 //!
-//! The path is given as pieces with their tangent x' and curvature x'' (by length). With speed v and acceleration u
-//! along the path, each axis has the acceleration `x'' v² + x' u`, which must stay within the limit of the axis. A
-//! backward pass from the end finds for each knot (the border of two pieces) the maximum v² from which the rest of the
-//! path can still be driven. A forward pass then takes at each knot the maximum u that does not exceed this v². The set
-//! of (v², u) is convex and contains (0, 0), so the result is the optimum, except for the finite length of the pieces.
+//! The path is given as pieces with their tangent x' and curvature x'' (the first and second derivative of the position
+//! by the length of the path). With speed v and acceleration u along the path, each axis has the acceleration
+//! `x'' v² + x' u`, which must stay within the limit of the axis. A backward pass from the end finds for each knot (the
+//! border of two pieces) the maximum v² from which the rest of the path can still be driven. A forward pass then takes
+//! at each knot the maximum u that does not exceed this v². The set of (v², u) is convex and contains (0, 0), so the
+//! result is the optimum, except for the finite length of the pieces.
 
 use super::axis_speeds::{Course, Unsure, granted};
 use super::estimator::Limits;
@@ -148,8 +149,9 @@ fn angle(a: [f64; AXES], b: [f64; AXES]) -> f64 {
     (0..AXES).map(|i| a[i] * b[i]).sum::<f64>().clamp(-1.0, 1.0).acos()
 }
 
-/// Returns the maximum v² at each vertex by the rule for turns (symbols: [`super::axis_speeds`]): `a (L / t + d s / (1
-/// - s))` for every span of vertices that is L long and turns by t; spans range from one vertex to half a circle.
+/// Returns the maximum v² at each vertex by the rule for turns (symbols: [`super::axis_speeds`]). For every span of
+/// vertices that is L long and turns by φ, the maximum is `a (L / φ + d s / (1 - s))`. Spans range from one vertex to
+/// half a circle.
 fn speeds2_of_turns(chords: &[[f64; AXES]], lengths: &[f64], limits: &Limits, feed: f64) -> Vec<f64> {
     let mut most = vec![feed * feed; chords.len() + 1];
     for first in 1..chords.len() {

@@ -248,7 +248,7 @@ fn run_polled(mill: &mut Simulator, seconds: u32) {
     }
 }
 
-/// A homed machine with parking, at rest above its work.
+/// Returns a homed machine with parking, at rest above its work.
 fn homed() -> Simulator {
     let mut mill = Simulator::new(Options::default());
     let settings = "$21=0\n$22=1\n$24=600\n$25=2000\n$26=50\n$41=1\n$110=3000\n$111=3000\n$112=3000\n$120=500\n$121=500\n\

@@ -346,7 +346,7 @@ fn one() -> impl Strategy<Value = Action> {
 /// exactly at a report.
 const PASSES: [f64; 6] = [0.0023, 0.0317, 0.2129, 0.6151, 2.0377, 7.1213];
 
-/// A homing cycle by hand: each switch is touched twice, first Z, then X and Y.
+/// Returns a homing cycle by hand: each switch is touched twice, first Z, then X and Y.
 fn homed_by_hand() -> Vec<Action> {
     let mut actions = vec![Action::Line(Line::Home), Action::Pass(0.2011)];
     for limits in [[2].as_slice(), &[2], &[0, 1], &[0, 1]] {

@@ -19,8 +19,8 @@ be tried without a board: `oxmill serve --tcp 2399 --board nucleo_f446re`.
  * `stops`: stops a jog N times (0x85, `!`, 0x18) at random moments, and compares the edges at step X with `MPos`. The
    edges come from a logic analyser with sigrok's driver fx2lafw at 12 MS/s, read by sigrok-cli: D0 at step X, D1 at
    direction X, ground at ground. With `--no-analyser` it stops in the same way, but compares nothing.
- * `settings`: changes `$100` N times, with a `?` every 20 ms. With `--disturbed`, changes that are refused or not
-   answered are counted and sent again: somebody disturbs the line.
+ * `settings`: changes `$100` N times, with a `?` every 20 ms. `--disturbed` is for a line that somebody disturbs
+   meanwhile: changes that are refused or not answered are counted and sent again.
  * `beam`: moves X in laser mode, with S1000 and S0 in turn every millimetre, until Ctrl-C. For the oscilloscope.
  * `lines`: sends N lines at once during a move of 12 s, more than the board can take, and counts the answers.
  * `reopen`: closes the port N times in the middle of an answer, and opens it again.
@@ -96,7 +96,7 @@ class Board:
         return len(received)
 
     def hear(self, seconds):
-        """Reads for some time and drops it."""
+        """Reads for this many seconds and discards what arrives."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self.read()
@@ -149,7 +149,10 @@ class Board:
             time.sleep(0.02)
 
     def set_up(self, steps, rate, acceleration, pulse):
-        """Sets step rates and the pulse. The rate is low meanwhile: a step rate beyond the board's would lock it."""
+        """Sets steps/mm, acceleration, maximum rate and step pulse.
+
+        `$110` is low until the end: a step rate above the board's maximum, even for a moment, would lock motion.
+        """
         for line in ("$10=1", "$32=0", "$110=60", f"$0={pulse:g}", f"$100={steps}", f"$120={acceleration}", f"$110={rate:g}"):
             self.send(line)
             print(line)

@@ -5,7 +5,7 @@ use std::fs;
 use std::io::{Read, Write};
 use std::process::Stdio;
 
-/// Lost answers, and input that cannot be read to its end, end the program with a status that reports it.
+/// If answers cannot be written, or the input cannot be read to its end, the program ends with status 2 and the reason.
 #[cfg(unix)]
 #[test]
 fn a_device_on_standard_input_loses_nothing_silently() {

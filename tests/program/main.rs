@@ -217,7 +217,7 @@ fn errors_of(name: &str, program: &str) -> (Value, Vec<(u64, u64, String)>) {
     (summary, errors)
 }
 
-/// Subprograms stand after the end of their program. They run when they are called, and never otherwise.
+/// Subprograms follow the end of their program. They run only when they are called.
 #[test]
 fn nothing_falls_into_a_subprogram_behind_the_end() {
     let (summary, errors) = errors_of("uncalled.nc", "%\nO1000\nG21 G0 X1\nM30\nO1001\nG1 Z-3 F100\nM99\n%\n");
@@ -239,7 +239,7 @@ fn nothing_falls_into_a_subprogram_behind_the_end() {
     }
 }
 
-/// A program that does not fit into the memory for held lines says how much is too long, and for which board.
+/// If a program does not fit into the memory for held lines, the advice says how many bytes the board lacks.
 #[test]
 fn a_held_program_that_is_too_long_is_measured() {
     let program = format!("G21 G0 X1\nM98 P1\n{}M30\nO1\nX3\nM99\n", "X2.25 Y-1\n".repeat(700));

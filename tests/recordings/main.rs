@@ -45,7 +45,8 @@ fn power_up(group: &str) -> Simulator {
     mill
 }
 
-/// Does for one record what the recording host did: sends or sets a pin, and waits. Returns the machine's output.
+/// Repeats what the recording host did for one record: sends bytes or sets a pin, and waits. Returns the machine's
+/// output.
 fn hold(mill: &mut Simulator, record: &Record) -> String {
     let mut said = mill.take_output();
     let listen = |mill: &mut Simulator, said: &mut String, time| {

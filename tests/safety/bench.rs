@@ -102,7 +102,7 @@ impl Bench {
         assert!(self.mill.run_until_idle(), "never idle: {}", self.status());
     }
 
-    /// Seconds since power-up.
+    /// Returns the virtual seconds since power-up.
     pub fn seconds(&self) -> f64 {
         self.mill.clock().now() as f64 / HZ as f64
     }

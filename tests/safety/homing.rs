@@ -170,8 +170,8 @@ fn homing_is_broken_off_at_any_moment() {
         (7, "door pin", |b| b.pin("door 1")),
     ];
     for (number, (alarm, what, act)) in breaks.into_iter().enumerate() {
-        // The duration of no phase is a multiple of the interval between the moments, so each phase is interrupted at
-        // different points.
+        // No phase lasts a multiple of the interval between the moments, so each phase is interrupted at different
+        // points.
         let mut moment = 0.003 + number as f64 * 0.017;
         let mut moments = 0;
         while moment < cycle {

@@ -119,7 +119,8 @@ impl Mill {
         }
     }
 
-    /// While the operator is asked for a tool the drivers are on, even after the idle delay (`$1`).
+    /// Checks that the drivers are on while the machine waits for the operator to load a tool, even after the idle
+    /// delay (`$1`).
     fn assert_held(&mut self) {
         self.bench.wait(0.1);
         let asks = |text: &str| self.said.last().is_some_and(|line| line.starts_with(text));

@@ -49,7 +49,7 @@ pub fn unpack(text: &str) -> Vec<Vec<u8>> {
         .collect()
 }
 
-/// The inverse of [`unpack`].
+/// Returns the text of a corpus with these inputs: the inverse of [`unpack`].
 pub fn pack(inputs: &[Vec<u8>]) -> String {
     inputs.iter().map(|input| format!("{}\n", input.escape_ascii())).collect()
 }

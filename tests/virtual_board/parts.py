@@ -119,9 +119,9 @@ class Wiring:
     uart_irq: int | None = None
     """The UART's interrupt, if DMA does not serve the UART."""
     usb: bool = False
-    """OTG_FS is the first link to the host."""
+    """Whether OTG_FS is the first link to the host."""
     starts_in_loader: bool = False
-    """The boot loader switches a pull-up on at an output that starts a load, so `$DFU` is refused."""
+    """Whether the boot loader switches a pull-up on at an output that starts a load; then `$DFU` is refused."""
     left_out: tuple = ()
     """Features that this board's image lacks for want of space; all other boards have them."""
 

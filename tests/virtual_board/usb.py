@@ -34,7 +34,7 @@ class UsbHost(Host):
         self.packets = deque()
         self.open = self.is_set_up = False
         self.reads = True
-        """The program at the open port fetches received bytes."""
+        """Whether the program at the open port fetches received bytes."""
         self._toggle_out = self._toggle_in = 0
         """Toggle of the next data packet: 0 for DATA0."""
         self.waits = self._naks = 0

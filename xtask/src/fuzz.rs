@@ -121,9 +121,9 @@ pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
     report(rows.into_inner().expect("no thread panics"))
 }
 
-/// Runs the inputs of the tree in full length, because a search truncates long ones. This build also limits the work of
-/// each call. Then runs the inputs that earlier searches have found: if one still fails, its fault has not been
-/// corrected; an input that passes is deleted.
+/// Runs the inputs of the tree in full length, because a search truncates long ones. In this build a target also fails
+/// if one call does more work than is allowed. Then runs the inputs that earlier searches have found: if one still
+/// fails, its fault has not been corrected; an input that passes is deleted.
 fn replay(program: &Path, target: &str) -> Result<(), Failure> {
     let mut inputs = files(&seeds(target)?)?;
     inputs.extend(files(&finds(target)?)?);

@@ -197,7 +197,7 @@ mod tests {
         [0xF000 | (bits >> 31 << 10 | bits >> 12 & 0x3FF) as u16, 0xF800 | (bits >> 1 & 0x7FF) as u16]
     }
 
-    /// An ELF file with these functions one after the other, and a symbol for each.
+    /// Returns an ELF file with these functions one after the other, and a symbol for each.
     fn elf(functions: &[Function]) -> Vec<u8> {
         let (mut code, mut symbols) = (Vec::new(), Vec::new());
         for (name, halves) in functions {

@@ -1,5 +1,6 @@
-//! Compares each board's image with the expected flash and RAM sizes in `boards/sizes.txt`, so that growth is noticed
-//! at once and not only when the flash is full.
+//! Compares each image with the expected flash and RAM sizes in `boards/sizes.txt`, so that growth is noticed at once
+//! and not only when the flash is full. An image that several boards share has one row there; `board` in this file is
+//! the name of an image.
 
 use crate::{Failure, root};
 use std::fs;
@@ -9,7 +10,7 @@ const TOLERANCE: u64 = 2;
 /// Environment variable: `check` rejects images that have grown, `accept` records the new sizes.
 const MODE: &str = "OXMILL_SIZES";
 
-/// Compares the flash and RAM bytes of a board's image with the expected ones, or records them, depending on [`MODE`].
+/// Compares the flash and RAM bytes of an image with the expected ones, or records them, depending on [`MODE`].
 /// Returns a message for the user if there is one.
 pub fn judge(board: &str, flash: u32, ram: u32) -> Result<Option<String>, Failure> {
     let path = root().join("boards/sizes.txt");
@@ -26,14 +27,14 @@ pub fn judge(board: &str, flash: u32, ram: u32) -> Result<Option<String>, Failur
     }
 }
 
-/// Returns the flash and RAM bytes that `text`, the contents of `boards/sizes.txt`, has for a board; `None` if it has
-/// no row for the board.
+/// Returns the flash and RAM bytes that `text`, the contents of `boards/sizes.txt`, has for an image; `None` if it has
+/// no row for the image.
 fn expected(text: &str, board: &str) -> Option<(u32, u32)> {
     let mut words = text.lines().find(|line| line.split_whitespace().next() == Some(board))?.split_whitespace().skip(1);
     Some((words.next()?.parse().ok()?, words.next()?.parse().ok()?))
 }
 
-/// Returns a message if flash or RAM have grown by more than [`TOLERANCE`], or if the file has no row for the board.
+/// Returns a message if flash or RAM have grown by more than [`TOLERANCE`], or if the file has no row for the image.
 fn compare(text: &str, board: &str, flash: u32, ram: u32) -> Option<String> {
     let accept = format!("if that is right: {MODE}=accept cargo fw {board}");
     let Some((flash_before, ram_before)) = expected(text, board) else {
@@ -48,7 +49,7 @@ fn compare(text: &str, board: &str, flash: u32, ram: u32) -> Option<String> {
     (!grown.is_empty()).then(|| format!("{board}: {}, by more than {TOLERANCE} %; {accept}", grown.join(", ")))
 }
 
-/// Returns the text of the file with the new sizes of a board.
+/// Returns the text of the file with the new sizes of an image.
 fn accepted(text: &str, board: &str, flash: u32, ram: u32) -> String {
     let row = format!("{board:<16} {flash:>7} {ram:>6}");
     let mut rows: Vec<String> = text.lines().map(str::to_owned).collect();

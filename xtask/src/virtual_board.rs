@@ -28,8 +28,8 @@ const BOARDS: [(&str, &[&str]); 13] = [
 ];
 
 /// Long cases that `blackpill_f411` runs only if the command names this board. In a run of all boards, `uart lines`
-/// runs on `nucleo_f446re`, `raster` on `skr2_f407`, and the zigzags run on `robin_nano_v3`, which has the most ports. The
-/// other cases run at night only.
+/// runs on `nucleo_f446re`, `raster` on `skr2_f407`, and the zigzags run on `robin_nano_v3`, which has the most ports.
+/// The other cases run at night only.
 const LEFT_OUT_ON_F411: &[&str] = &[
     "-bursts of overrides",
     "-late starts",
@@ -211,8 +211,7 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
 }
 
 /// Runs a script on one board; with `wall`, the run ends when the machine first rests after this many seconds of real
-/// time.
-/// Returns the board's output and the notes of its test stand.
+/// time. Returns the board's output and the notes of its test stand.
 pub fn soak(board: &str, elf: &Path, script: &Path, wall: Option<u64>) -> Result<(String, String), Failure> {
     if !BOARDS.iter().any(|(name, _)| *name == board) {
         return Err(format!("there is no such virtual board: {board}"));

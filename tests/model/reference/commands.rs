@@ -85,7 +85,7 @@ impl Model {
         motion.speed *= most.max(1.0 / least);
     }
 
-    /// 0x19. Oxmill: brakes, drops the job, keeps position and modal state; ignored in Grbl's dialect.
+    /// Handles 0x19. Oxmill: brakes, drops the job, keeps position and modal state; ignored in Grbl's dialect.
     pub(super) fn stop(&mut self, also: &mut Vec<Model>) {
         if self.setup.grbl {
             return;

@@ -18,7 +18,7 @@ fn heavier(one: u8, other: u8) -> u8 {
 }
 
 impl Model {
-    /// A fault of an input or of the spindle stops the machine, at once or by braking.
+    /// Handles a fault of an input or of the spindle: stops the machine, at once or by braking.
     pub(super) fn fault(&mut self, alarm: u8, also: &mut Vec<Model>) {
         let braking_for = if let Mode::Fault { alarm, .. } = self.mode { Some(alarm) } else { None };
         let told = braking_for.map_or(alarm, |other| heavier(alarm, other));
@@ -110,7 +110,7 @@ impl Model {
         self.fault(SLOW, also);
     }
 
-    /// The host timeout has expired.
+    /// Handles a host timeout that has expired.
     pub(super) fn host_is_silent(&mut self, also: &mut Vec<Model>) {
         self.say("[MSG:The host is silent]");
         // Restart the timeout: so the silence is reported only once, and lines that follow a jog get the full timeout.
@@ -125,8 +125,8 @@ impl Model {
         }
     }
 
-    /// A host has fallen silent or disconnected. A jog ends. A job either stops at once, or waits for a host and can be
-    /// resumed; `$928` selects which.
+    /// Handles a host that has fallen silent or disconnected. A jog ends. A job either stops at once, or waits for a
+    /// host and can be resumed; `$928` selects which.
     pub(super) fn host_fails(&mut self, also: &mut Vec<Model>) {
         self.end_received_jogs();
         let reaction = self.setup.reaction(HOST);

@@ -172,7 +172,7 @@ impl Model {
         }
     }
 
-    /// In Grbl's dialect a line without T counts as one with T0.
+    /// Forgets the selected tool in Grbl's dialect, in which a line without T counts as one with T0.
     pub(super) fn forget_selected(&mut self) {
         if self.setup.grbl {
             self.selected = 0;

@@ -88,7 +88,7 @@ enum Work {
     Forbidden,
     /// `$H`.
     Homing,
-    /// No activity any more: an alarm has ended it, and the line is answered at the reset.
+    /// An alarm has ended the activity; the line is answered at the reset.
     Owed,
 }
 

@@ -126,8 +126,8 @@ impl Model {
         self.read(also);
     }
 
-    /// Oxmill: if the host disconnects during a job, this is a fault, even while the job is being resumed after a door.
-    /// If it disconnects during a jog, the jog ends.
+    /// Handles a host that disconnects. Oxmill: during a job this is a fault, even while the job is being resumed after
+    /// a door; a jog ends.
     pub(super) fn host_goes(&mut self, also: &mut Vec<Model>) {
         self.absent = matches!(self.mode, Mode::Door { restoring: Some(_) });
         if self.motion.is_some() && matches!(self.mode, Mode::Free | Mode::Jog) {
@@ -135,8 +135,8 @@ impl Model {
         }
     }
 
-    /// Another host has connected. It gets the greeting, and messages about an alarm or about state that no report
-    /// shows.
+    /// Handles another host that has connected: sends the greeting, and messages about an alarm or about state that no
+    /// report shows.
     pub(super) fn host_comes(&mut self) {
         self.absent = false;
         self.said.clear();
@@ -225,8 +225,8 @@ impl Model {
         self.cancelled = 0;
     }
 
-    /// Homing has failed, which has the effects of a reset. Oxmill: waiting lines are answered in the alarm that
-    /// follows.
+    /// Ends a homing cycle that has failed; the effects are those of a reset. Oxmill: waiting lines are answered in the
+    /// alarm that follows.
     pub(super) fn fail_homing(&mut self, alarm: u8, also: &mut Vec<Model>) {
         self.end_all(Some(alarm));
         self.initialise(true, also);
@@ -277,8 +277,8 @@ impl Model {
         }
     }
 
-    /// Oxmill: an event that ends a jog also ends all jogs that have been received and not started, including those
-    /// that wait while the machine brakes for a hold. They are answered as if they had been carried out.
+    /// Ends all jogs that have been received and not started. Oxmill: each event that ends a jog does this, also to
+    /// jogs that wait while the machine brakes for a hold. These jogs are answered as if they had been carried out.
     pub(super) fn end_jogs(&mut self, keeps_later_jogs: bool) {
         self.cancelled = self.waiting.len();
         self.keeps_later_jogs = keeps_later_jogs;
@@ -299,7 +299,7 @@ impl Model {
         }
     }
 
-    /// A hold or a door ends jogs. Oxmill: also jogs that have not started; in Grbl these run after the hold.
+    /// Ends jogs at a hold or a door. Oxmill: also jogs that have not started; in Grbl these run after the hold.
     pub(super) fn end_received_jogs(&mut self) {
         if self.mode == Mode::Jog || !self.setup.grbl {
             self.end_jogs(false);

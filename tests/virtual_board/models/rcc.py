@@ -52,7 +52,7 @@ class Rcc(Peripheral):
     def __init__(self, name, board):
         self.flags = POWER_ON_RESET
         self.hse_stands = False
-        """The oscillator has failed."""
+        """Whether the oscillator has failed."""
         super().__init__(name, board)
 
     def reset(self):

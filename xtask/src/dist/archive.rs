@@ -26,7 +26,7 @@ impl Entry {
         Entry { name: name.into(), mode: 0o755, bytes }
     }
 
-    /// Path of the file in the archive.
+    /// Returns the path of the file in the archive.
     pub fn name(&self) -> &str {
         &self.name
     }

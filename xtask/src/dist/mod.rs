@@ -164,8 +164,8 @@ fn make_page(folder: &Path, compiler: &Compiler) -> Result<(), Failure> {
     Sbom::of_page().write(compiler, &folder.join("oxmill-page.cdx.json"))
 }
 
-/// Returns the images that the site carries, of all boards with USB that `folder` has an image of, and their list. A
-/// browser can load only these: the boot loader in the chip's ROM has to be at the USB socket.
+/// Returns the files that the site carries: the image of each board with USB, if `folder` has it, and the list of these
+/// images. A browser can load only these, because it reaches the boot loader in the chip's ROM through the USB socket.
 fn site_images(
     boards: impl Iterator<Item = Result<oxmill_tables::Board, Failure>>,
     folder: &Path,

@@ -25,19 +25,19 @@ pub struct Sbom {
 }
 
 impl Sbom {
-    /// The image of a board.
+    /// Returns what to list for the image of a board.
     pub fn of_board(board: &str) -> Sbom {
         let (package, features) = ("oxmill-firmware", Some(crate::boards::image(board).to_owned()));
         Sbom { name: board.into(), kind: "firmware", package, target: TARGET.into(), features, npm: false }
     }
 
-    /// The program for a host.
+    /// Returns what to list for the program on a host.
     pub fn of_program(target: &str) -> Sbom {
         let (name, package) = ("oxmill".into(), "oxmill");
         Sbom { name, kind: "application", package, target: target.into(), features: None, npm: false }
     }
 
-    /// The page and the module in it.
+    /// Returns what to list for the page and the module in it.
     pub fn of_page() -> Sbom {
         let (name, package) = ("oxmill.html".into(), "oxmill-web");
         Sbom { name, kind: "application", package, target: web::MODULE.into(), features: None, npm: true }

@@ -37,8 +37,8 @@ pub fn generate(name: &str, out: &mut dyn Write) -> Result<bool> {
     Ok(true)
 }
 
-/// Returns sine and cosine of an angle in turns, exact to the last digits of an `f64`. The power series are computed
-/// for the difference to the nearest quarter turn, which is at most an eighth of a turn.
+/// Returns sine and cosine of an angle in turns, with errors below 1e-14. The power series are computed for the
+/// difference to the nearest quarter turn, which is at most an eighth of a turn.
 pub fn sine_cosine(turns: f64) -> (f64, f64) {
     let turns = turns - turns.floor();
     let quarter = (turns * 4.0 + 0.5).floor();
@@ -78,7 +78,7 @@ fn circle_arcs(out: &mut dyn Write) -> Result<()> {
     Ok(())
 }
 
-/// 41 rows of 40 mm, 1 mm apart, over a field of bumps, with a point every 0.1 mm: 16,441 segments.
+/// Writes 41 rows of 40 mm, 1 mm apart, over a field of bumps, with a point every 0.1 mm: 16,441 segments.
 fn relief_rows(out: &mut dyn Write) -> Result<()> {
     writeln!(out, "G21G90\nF2000")?;
     for row in 0..=40_u32 {
@@ -93,7 +93,7 @@ fn relief_rows(out: &mut dyn Write) -> Result<()> {
     Ok(())
 }
 
-/// 60 rows of 50 mm, 0.5 mm apart.
+/// Writes 60 rows of 50 mm, 0.5 mm apart.
 fn zigzag(out: &mut dyn Write) -> Result<()> {
     writeln!(out, "G21G90\nF3000")?;
     for row in 0..60_u32 {
@@ -102,7 +102,7 @@ fn zigzag(out: &mut dyn Write) -> Result<()> {
     Ok(())
 }
 
-/// 140 rows of 50 mm, 0.1 mm apart, with a change of power every 0.5 mm.
+/// Writes 140 rows of 50 mm, 0.1 mm apart, with a change of power every 0.5 mm.
 fn raster(out: &mut dyn Write) -> Result<()> {
     writeln!(out, "G21G90\nM3S0\nF5000")?;
     for row in 0..140_u32 {
@@ -115,7 +115,8 @@ fn raster(out: &mut dyn Write) -> Result<()> {
     Ok(())
 }
 
-/// A sine of amplitude 10 mm and wavelength 200 mm, x from 0 to 190 and back, 6 passes, in chords of 0.1 mm in x.
+/// Writes a sine curve with an amplitude of 10 mm and a wavelength of 200 mm: 6 passes between x = 0 and 190 mm in
+/// alternating directions, in chords of 0.1 mm in x.
 fn look_ahead(out: &mut dyn Write) -> Result<()> {
     writeln!(out, "G21G90\nF6000")?;
     for pass in 0..6_u32 {

@@ -25,7 +25,7 @@
 //! * `#<_feed>` after a change of the unit in which F was set, or in G93: LinuxCNC keeps the number of F; also F in a
 //!   line with G20 or G21
 //! * a change of units under a tool offset
-//! * M6, unless all axes have moved since the last change of offsets: at M6 the machine stub of `rs274` forgets such
+//! * M6, unless X, Y and Z have moved since the last change of offsets: at M6 the machine stub of `rs274` forgets such
 //!   changes
 //! * G53 with G91
 //!

@@ -520,7 +520,7 @@ impl Writer {
         self.put(line);
     }
 
-    /// Writes a rapid of all axes. Needed before M6 and M61, where the machine stub of `rs274` forgets changes of
+    /// Writes a rapid of X, Y and Z. Needed before M6 and M61, where the machine stub of `rs274` forgets changes of
     /// offsets since the last move.
     fn move_all(&mut self) {
         let (x, y, z) = (self.coordinate(), self.coordinate(), self.coordinate());
