@@ -54,6 +54,8 @@ const IMAGE: profiles::Board = profiles::NUCLEO_F446RE;
 const IMAGE: profiles::Board = profiles::CONTROL_F407;
 #[cfg(feature = "control_f446")]
 const IMAGE: profiles::Board = profiles::CONTROL_F446;
+#[cfg(feature = "control_f412")]
+const IMAGE: profiles::Board = profiles::CONTROL_F412;
 
 #[cfg(feature = "stm32f4")]
 mod chosen {
@@ -85,6 +87,8 @@ mod chosen {
     pub const STEP_PORTS: usize = IMAGE.step_ports;
     /// Maximum number of ports that have step or direction pins.
     pub const MOTOR_PORTS: usize = IMAGE.step_ports + IMAGE.direction_ports;
+    /// Whether TIM8 makes the step pulses in place of TIM1.
+    pub const TIM8_MAKES_PULSES: bool = IMAGE.tim8_makes_pulses;
     /// Number of ports that have pins in use, from A on.
     pub const PORTS: usize = IMAGE.ports;
 
@@ -145,8 +149,9 @@ mod chosen {
     /// boot loader enables pull-ups at the pins of its UARTs and of CAN (AN2606). Only the F407 and F446 are checked:
     /// the pins that the other chips' boot loaders use for this are not on their packages.
     fn starts_in_loader(table: &PinTable) -> bool {
-        /// Port B: 5, 10, 11 and 13. Port C: 10 and 11.
-        const PULLED_UP: [(u8, u16); 2] = [(1, 0x2C20), (2, 0x0C00)];
+        /// Port B: 5, 10, 11 and 13. Port C: 10 and 11. Port D of the F412: 5 and 6.
+        const PULLED_UP: [(u8, u16); 3] =
+            [(1, 0x2C20), (2, 0x0C00), (3, if cfg!(feature = "stm32f412") { 0x0060 } else { 0 })];
         use Role::{
             Flood, Mist, MotorPower, ProgramOutput, SecondProgramOutput, SpindleDirection, SpindleOn, SpindlePwm,
         };
@@ -154,7 +159,7 @@ mod chosen {
             [SpindleOn, SpindleDirection, SpindlePwm, Flood, Mist, ProgramOutput, SecondProgramOutput, MotorPower];
         let is_pulled_up =
             |pin: Pin| PULLED_UP.iter().any(|(port, pins)| pin.port == *port && pins >> pin.number & 1 != 0);
-        cfg!(any(feature = "stm32f407", feature = "stm32f446"))
+        cfg!(any(feature = "stm32f407", feature = "stm32f412", feature = "stm32f446"))
             && loads.into_iter().filter_map(|role| table.pin(role)).any(is_pulled_up)
     }
 }

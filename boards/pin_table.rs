@@ -127,6 +127,18 @@ pub struct Pin {
 }
 
 impl Pin {
+    /// Returns the channel of TIM1 on this pin, 0 for channel 1 (data sheets, "Alternate function mapping"; the same for
+    /// all chips of `boards/tables/chips.rs`). `None` if there is none. The pins of the links to the host are left out.
+    pub const fn channel_of_tim1(self) -> Option<usize> {
+        match (self.port, self.number) {
+            (0, 8) | (4, 9) => Some(0),
+            (4, 11) => Some(1),
+            (4, 13) => Some(2),
+            (4, 14) => Some(3),
+            _ => None,
+        }
+    }
+
     /// Returns the channel of TIM3 on this pin, 0 for channel 1 (data sheets, "Alternate function mapping"; the same
     /// for all chips of `boards/tables/chips.rs`). `None` if there is none.
     pub const fn channel_of_tim3(self) -> Option<usize> {

@@ -53,6 +53,9 @@ pub struct Board {
     pub step_ports: usize,
     /// Maximum number of further ports that have direction pins, but no step pins.
     pub direction_ports: usize,
+    /// Whether TIM8 makes the step pulses in place of TIM1. Then a channel of TIM1, such as the one on A8, can make the
+    /// spindle's PWM.
+    pub tim8_makes_pulses: bool,
     /// Whether the G-code dialect has expressions, parameters, O words, rotations, scaling, splines and rounded
     /// corners, for which a small flash has no space.
     pub has_all_words: bool,
@@ -79,6 +82,7 @@ pub const DESK: Board = Board {
     ports: 3,
     step_ports: 2,
     direction_ports: 0,
+    tim8_makes_pulses: false,
     has_all_words: true,
 };
 
@@ -177,6 +181,18 @@ pub const CONTROL_F446: Board = Board {
 /// Control boards with STM32F407 and USB: the clocks are those of [`CONTROL_F446`].
 pub const CONTROL_F407: Board = Board { name: "control_f407", image: 7, ports: 5, ..CONTROL_F446 };
 
+/// Control boards with STM32F412 and USB: the clocks are those of [`BLACKPILL_F411`]. TIM8 makes the pulses, because
+/// these boards have the spindle's PWM on A8.
+pub const CONTROL_F412: Board = Board {
+    name: "control_f412",
+    image: 8,
+    ports: 5,
+    step_ports: 2,
+    tim8_makes_pulses: true,
+    held_bytes: 32_768,
+    ..BLACKPILL_F411
+};
+
 /// BTT Octopus.
 pub const OCTOPUS_F446: Board =
     Board { name: "octopus_f446", has_at_speed: true, program_pins: [2, 2], ..CONTROL_F446 };
@@ -192,6 +208,8 @@ pub const MONSTER8_F407: Board = Board { name: "monster8_f407", ..SKR2_F407 };
 pub const ROBIN_NANO_V3: Board = Board { name: "robin_nano_v3", ..SKR2_F407 };
 /// JZ-F407VET6.
 pub const JZ_F407: Board = Board { name: "jz_f407", ..SKR2_F407 };
+/// Sienci SuperLongBoard EXT.
+pub const SLB_EXT: Board = Board { name: "slb_ext", has_at_speed: true, program_pins: [2, 2], ..CONTROL_F412 };
 /// WeAct Black Pill, STM32F411CE, with the pins of grblHAL.
 pub const BLACKPILL_F411_GRBLHAL: Board = Board { name: "blackpill_f411_grblhal", ..BLACKPILL_F411 };
 
@@ -207,11 +225,19 @@ pub const QEMU_MPS2: Board = Board {
 
 /// The images of the firmware for boards with hardware. Pin tables contain the numbers of these images (`image`), so
 /// the numbers never change.
-pub const IMAGES: [Board; 7] =
-    [BLACKPILL_F411, BLACKPILL_F401, NUCLEO_F446RE, NUCLEO_F411RE, NUCLEO_F401RE, CONTROL_F446, CONTROL_F407];
+pub const IMAGES: [Board; 8] = [
+    BLACKPILL_F411,
+    BLACKPILL_F401,
+    NUCLEO_F446RE,
+    NUCLEO_F411RE,
+    NUCLEO_F401RE,
+    CONTROL_F446,
+    CONTROL_F407,
+    CONTROL_F412,
+];
 
 /// All boards.
-pub const ALL: [Board; 15] = [
+pub const ALL: [Board; 16] = [
     DESK,
     BLACKPILL_F411,
     BLACKPILL_F401,
@@ -226,5 +252,6 @@ pub const ALL: [Board; 15] = [
     MONSTER8_F407,
     ROBIN_NANO_V3,
     JZ_F407,
+    SLB_EXT,
     BLACKPILL_F411_GRBLHAL,
 ];

@@ -8,7 +8,7 @@ use std::{env, fs, path::PathBuf};
 
 /// All images. Each is also the name of a cargo feature of the packages that link an image. Boards that differ only in
 /// their pins share an image (`boards/tables`).
-pub const IMAGES: [&str; 8] = [
+pub const IMAGES: [&str; 9] = [
     "blackpill_f411",
     "blackpill_f401",
     "nucleo_f446re",
@@ -16,6 +16,7 @@ pub const IMAGES: [&str; 8] = [
     "nucleo_f401re",
     "control_f407",
     "control_f446",
+    "control_f412",
     "qemu_mps2",
 ];
 
@@ -40,6 +41,7 @@ pub fn chip(image: &str) -> Option<&'static str> {
         "nucleo_f401re" => include_str!("chips/nucleo_f401re.x"),
         "control_f407" => include_str!("chips/control_f407.x"),
         "control_f446" => include_str!("chips/control_f446.x"),
+        "control_f412" => include_str!("chips/control_f412.x"),
         "qemu_mps2" => include_str!("chips/qemu_mps2.x"),
         _ => return None,
     })

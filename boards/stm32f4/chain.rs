@@ -22,6 +22,15 @@
 //!  the first port with directions alone   TIM8 CC4, S7
 //!  the second port with directions alone  TIM8 CC2, S3
 //! ```
+//! In some images TIM8 makes the pulses in place of TIM1 ([`Map::TIM8_MAKES_PULSES`]). Then TIM1 can make the PWM of a
+//! spindle on pin A8, and there are no ports with directions alone:
+//!
+//! ```text
+//!                                         step on, directions    step off
+//!  the only port with steps               TIM8 CC1, S2           TIM8 CC3, S4
+//!  the first of two ports with steps      TIM8 CC1, S2           TIM8 CC2, S3
+//!  the second of two ports with steps     TIM8 CC3, S4           TIM8 CC4, S7
+//! ```
 //! Event times are absolute, so errors do not accumulate. The ring entry after the last committed event holds a time
 //! one tick before that event. When DMA1 loads this time, it has just passed, and the counter reaches it again only
 //! after almost 2^32 ticks. So if the program commits no more events, for whatever reason, the output stops after the
@@ -47,6 +56,8 @@
 //!   TIM8, which clears such requests.
 //! * A stream to a peripheral fetches its word when it is enabled. The laser's stream is therefore re-enabled for each
 //!   power, and only one change of power is armed at a time. A power takes effect as soon as DMA writes it to TIM3.
+//! * DMA1 cannot reach TIM1. If TIM1 makes the PWM, the step task writes a power when the call for it comes, so a power
+//!   can be late by a run of the step task.
 //!
 //! This module was tested only in emulation, not yet on hardware.
 
@@ -55,6 +66,7 @@ use super::dma::{
     WORDS, stream, switch_on,
 };
 use super::registers::{Map, bsrr_of, read, timer::*, write};
+use super::step::Pwm;
 use crate::contract::{COMBINATIONS, Due, Free};
 use core::marker::PhantomData;
 use core::sync::atomic::{Ordering, compiler_fence};
@@ -96,9 +108,49 @@ const MOMENTS_CHANNEL: u32 = 6 << 25;
 /// Stream of DMA1 that writes the laser's power, and its channel. Its priority is lower than that of [`MOMENTS`].
 const BEAM: usize = 0;
 const BEAM_CHANNEL: u32 = 6 << 25;
-/// Channels of the compare events of TIM1 and TIM8 on DMA2.
-const EDGES_CHANNEL: u32 = 6 << 25;
-const DIRECTIONS_CHANNEL: u32 = 7 << 25;
+/// An advanced timer, TIM1 or TIM8, that TIM5 starts.
+struct Slave {
+    /// Address of its registers.
+    base: usize,
+    /// SMCR: TIM5 is selected as the trigger, but triggers have no effect (SMS = 000).
+    ignored: u32,
+    /// Its bit in the reset register of APB2.
+    reset: u32,
+    /// Channel of its compare events on DMA2.
+    channel: u32,
+}
+
+impl Slave {
+    /// ITR0 of TIM1 (TS = 000) is TIM5 in the table "TIMx internal trigger connection" of TIM1_SMCR: RM0368 (F401;
+    /// table 50), RM0383 (F411), RM0390 (F446), RM0090 (F407; table 94), RM0402 (F412). All five have the same row for
+    /// TIM1: TIM5, TIM2, TIM3, TIM4. Source: drivers that cite these tables, as the manuals themselves were not
+    /// available; not yet confirmed on hardware.
+    const fn tim1<M: Map>() -> Slave {
+        Slave { base: M::TIM1, ignored: 0, reset: 1, channel: 6 << 25 }
+    }
+
+    /// In the same tables, ITR3 of TIM8 (TS = 011) is TIM5.
+    const fn tim8<M: Map>() -> Slave {
+        Slave { base: M::TIM8, ignored: 0b011 << 4, reset: 1 << 1, channel: 7 << 25 }
+    }
+
+    /// Returns the timer of the step pulses.
+    const fn of_pulses<M: Map>() -> Slave {
+        if M::TIM8_MAKES_PULSES { Slave::tim8::<M>() } else { Slave::tim1::<M>() }
+    }
+
+    /// Makes the timer ignore its trigger.
+    #[inline(always)]
+    fn ignore_trigger(&self) {
+        write(self.base + SMCR, self.ignored);
+    }
+
+    /// Makes the timer start at its trigger (SMS = 110).
+    #[inline(always)]
+    fn obey_trigger(&self) {
+        write(self.base + SMCR, self.ignored | 0b110);
+    }
+}
 
 /// Streams of DMA2 for a port, and the DMA request bits of the compare channels that trigger them.
 struct Streams {
@@ -106,16 +158,19 @@ struct Streams {
     on: usize,
     /// Number of the stream that ends the pulse; `None` for a port with directions alone.
     off: Option<usize>,
-    /// Bits for DIER of TIM1, or of TIM8 for a port with directions alone: they enable the DMA requests of these
-    /// streams.
+    /// Bits for DIER of the pulses' timer, or of TIM8 for a port with directions alone: they enable the DMA requests of
+    /// these streams.
     requests: u32,
 }
 
 /// Returns the streams of the port with the index `port`. The ports below `step_ports` have steps, the others
 /// directions alone (reference manuals, "DMA2 request mapping"). Stream 5 stays free: it receives from `USART1` while
 /// flash is written.
-const fn streams(port: usize, step_ports: usize) -> Streams {
+const fn streams<M: Map>(port: usize, step_ports: usize) -> Streams {
     match (port, step_ports) {
+        (0, 1) if M::TIM8_MAKES_PULSES => Streams { on: 2, off: Some(4), requests: 1 << 9 | 1 << 11 },
+        (0, _) if M::TIM8_MAKES_PULSES => Streams { on: 2, off: Some(3), requests: 1 << 9 | 1 << 10 },
+        (1, 2) if M::TIM8_MAKES_PULSES => Streams { on: 4, off: Some(7), requests: 1 << 11 | 1 << 12 },
         (0, 1) => Streams { on: 1, off: Some(4), requests: 1 << 9 | 1 << 12 },
         (0, _) => Streams { on: 1, off: Some(2), requests: 1 << 9 | 1 << 10 },
         (1, 2) => Streams { on: 6, off: Some(4), requests: 1 << 11 | 1 << 12 },
@@ -125,16 +180,6 @@ const fn streams(port: usize, step_ports: usize) -> Streams {
     }
 }
 
-/// SMCR of TIM1: TIM5 is selected as the trigger (TS = 000), but triggers have no effect (SMS = 000).
-///
-/// ITR0 of TIM1 is TIM5 in the table "TIMx internal trigger connection" of TIM1_SMCR: RM0368 (F401; table 50), RM0383
-/// (F411), RM0390 (F446), RM0090 (F407; table 94). All four have the same row for TIM1: TIM5, TIM2, TIM3, TIM4. Source:
-/// drivers that cite these tables, as the manuals themselves were not available; not yet confirmed on hardware.
-const IGNORED: u32 = 0;
-/// SMCR of TIM8: the same with TS = 011. In the same tables, ITR3 of TIM8 is TIM5.
-const IGNORED_BY_TIM8: u32 = 0b011 << 4;
-/// SMCR of TIM1 and TIM8: the selected trigger starts the timer (SMS = 110).
-const STARTS: u32 = 0b110;
 /// CR1 of TIM1 and TIM8: one-pulse mode.
 const ONE_PULSE: u32 = 1 << 3;
 /// CR2 of TIM5: the compare event of channel 1 is the trigger output (MMS = 011).
@@ -146,10 +191,8 @@ const ASKS_FOR_MOMENT: u32 = 1 << 9;
 const ASKS_FOR_POWER: u32 = 1 << 11;
 /// DIER of TIM5: the interrupts that are always enabled.
 pub(super) const CALLS: u32 = Due::MORE.0 | Due::MARK.0 | Due::CALLED.0;
-/// RCC: offset of the reset register of APB2, and the bits of TIM1 and TIM8 in it.
+/// RCC: offset of the reset register of APB2.
 const APB2RSTR: usize = 0x24;
-const TIM1_RESET: u32 = 1;
-const TIM8_RESET: u32 = 1 << 1;
 
 /// Memory that DMA reads. It must not move while DMA is on.
 #[repr(C, align(4))]
@@ -175,10 +218,12 @@ pub(super) struct Chain<M, const S: usize, const P: usize> {
     ports: [usize; P],
     /// Slot of the next event to be committed.
     head: usize,
-    /// Length of a pulse in ticks of TIM1.
+    /// Length of a pulse in ticks of its timer.
     pulse: u32,
-    /// Offset of the register of TIM3 that holds the power.
-    power: usize,
+    /// Where the power is written.
+    pwm: Pwm,
+    /// The power that the step task writes at the time set by [`Chain::mark_at`], if DMA1 cannot write it.
+    waiting: Option<u32>,
     /// The output has been started by [`Chain::begin`], and not been ended since.
     begun: bool,
     /// Each event is output by an interrupt of its own.
@@ -197,14 +242,16 @@ pub(super) struct Chain<M, const S: usize, const P: usize> {
 #[cfg(feature = "stm32f4")]
 #[inline(never)]
 pub(super) fn cut<M: Map, const S: usize, const P: usize>() {
-    write(M::TIM1 + SMCR, 0);
-    write(M::TIM1 + CR1, 0);
+    let pulses = const { Slave::of_pulses::<M>() };
+    pulses.ignore_trigger();
+    write(pulses.base + CR1, 0);
     if P > S {
-        write(M::TIM8 + SMCR, IGNORED_BY_TIM8);
-        write(M::TIM8 + CR1, 0);
+        let directions = const { Slave::tim8::<M>() };
+        directions.ignore_trigger();
+        write(directions.base + CR1, 0);
     }
     let of_ports = (0..P).flat_map(|port| {
-        let Streams { on, off, .. } = streams(port, S);
+        let Streams { on, off, .. } = streams::<M>(port, S);
         [Some(on), off].into_iter().flatten().map(|number| stream(M::DMA2, number))
     });
     let streams = core::iter::once(stream(M::DMA1, BEAM)).chain(of_ports);
@@ -219,15 +266,23 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
     /// one is the slot before the tail: the tail is the next slot that the first port outputs, and the other ports may
     /// still have to output their words in the slot before it.
     const SPARE: usize = if P > 1 { 2 } else { 1 };
+    /// The timer of the step pulses.
+    const PULSES: Slave = Slave::of_pulses::<M>();
+    /// The timer of the ports with directions alone, if there are such ports.
+    const DIRECTIONS: Slave = {
+        assert!(P == S || !M::TIM8_MAKES_PULSES, "TIM8 cannot serve both the pulses and ports with directions alone");
+        Slave::tim8::<M>()
+    };
 
-    /// Creates the output. `power` is the offset of the register of TIM3 that holds the power.
-    pub(super) const fn new(ports: [usize; P], power: usize, rings: &'static mut Rings<P>) -> Self {
+    /// Creates the output.
+    pub(super) const fn new(ports: [usize; P], pwm: Pwm, rings: &'static mut Rings<P>) -> Self {
         Chain {
             rings,
             ports,
             head: 0,
             pulse: 1,
-            power,
+            pwm,
+            waiting: None,
             begun: false,
             one_by_one: false,
             pending: false,
@@ -241,7 +296,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         self.rings.off = off;
     }
 
-    /// Sets the length of a pulse in ticks of TIM1. Call at rest.
+    /// Sets the length of a pulse in ticks of its timer. Call at rest.
     pub(super) fn set_pulse(&mut self, ticks: u32) {
         self.pulse = ticks;
     }
@@ -279,7 +334,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
     }
 
     /// Calls the step task with [`Due::MARK`] at `moment`; with `power`, the same compare event makes DMA1 write the
-    /// power.
+    /// power. If DMA1 does not reach the PWM's timer, [`Chain::take`] writes the power.
     ///
     /// Each use of this function must raise exactly one compare event, and so exactly one DMA request. The flag is
     /// therefore cleared while CCR3 holds a time that has just passed, at which no compare event can occur. If `moment`
@@ -289,12 +344,14 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         self.keep_power();
         write(M::TIM5 + CCR3, read(M::TIM5 + CNT).wrapping_sub(1));
         write(M::TIM5 + SR, !Due::MARK.0);
-        if let Some(power) = power {
+        if !self.pwm.is_in_reach {
+            self.waiting = power;
+        } else if let Some(power) = power {
             self.rings.power = power;
             // `power` must be in memory before `switch_on`, because the stream fetches it as soon as it is on.
             compiler_fence(Ordering::SeqCst);
             let how = CIRCULAR | WORDS | BEAM_CHANNEL | TO_PERIPHERAL;
-            switch_on(M::DMA1, BEAM, M::TIM3 + self.power, &raw const self.rings.power as usize, RING, how);
+            switch_on(M::DMA1, BEAM, self.pwm.compare, &raw const self.rings.power as usize, RING, how);
             write(M::TIM5 + DIER, read(M::TIM5 + DIER) | ASKS_FOR_POWER);
         }
         write(M::TIM5 + CCR3, moment);
@@ -305,11 +362,17 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         }
     }
 
-    /// Disarms the power stream: DMA writes no power after this. First waits until an imminent request has been served.
-    /// Otherwise the request could be disabled half-way, or find no stream that serves it. It would then stay pending
-    /// and output the next power too early.
+    /// Ends the change of power that [`Chain::mark_at`] has scheduled: if its time has come, the power is written,
+    /// otherwise it is not written any more. First waits until an imminent DMA request has been served. Otherwise the
+    /// request could be disabled half-way, or find no stream that serves it. It would then stay pending and output the
+    /// next power too early.
     #[inline(never)]
     pub(super) fn keep_power(&mut self) {
+        if let Some(power) = self.waiting.take()
+            && read(M::TIM5 + SR) & Due::MARK.0 != 0
+        {
+            write(self.pwm.compare, power);
+        }
         let asks = read(M::TIM5 + DIER);
         if asks & ASKS_FOR_POWER != 0 {
             self.await_served(CCR3);
@@ -327,7 +390,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
     /// Returns the slot of the next event that a port will output.
     #[inline(always)]
     fn output_by(&self, port: usize) -> usize {
-        RING.wrapping_sub(read(stream(M::DMA2, streams(port, S).on) + NDTR) as usize) % RING
+        RING.wrapping_sub(read(stream(M::DMA2, streams::<M>(port, S).on) + NDTR) as usize) % RING
     }
 
     #[inline(always)]
@@ -449,28 +512,29 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         self.one_by_one = one_by_one;
         self.pending = one_by_one;
         // A reset clears the pending DMA requests of the timers.
-        write(M::RCC + APB2RSTR, TIM1_RESET | if P > S { TIM8_RESET } else { 0 });
+        write(M::RCC + APB2RSTR, Self::PULSES.reset | if P > S { Self::DIRECTIONS.reset } else { 0 });
         write(M::RCC + APB2RSTR, 0);
         let edge = if P > S { EDGE_COUNT + DIRECTION_LEAD } else { EDGE_COUNT };
         let off = edge + self.pulse;
         for (register, value) in [(CCR1, edge), (CCR3, edge), (CCR2, off), (CCR4, off), (ARR, off + 1)] {
-            write(M::TIM1 + register, value);
+            write(Self::PULSES.base + register, value);
         }
-        write(M::TIM1 + CR1, ONE_PULSE);
+        write(Self::PULSES.base + CR1, ONE_PULSE);
         if P > S {
             for (register, value) in [(CCR2, EDGE_COUNT), (CCR4, EDGE_COUNT), (ARR, EDGE_COUNT + 1)] {
-                write(M::TIM8 + register, value);
+                write(Self::DIRECTIONS.base + register, value);
             }
-            write(M::TIM8 + CR1, ONE_PULSE);
+            write(Self::DIRECTIONS.base + CR1, ONE_PULSE);
         }
         self.ignore_triggers();
         self.expect_no_moment();
         let mut requests = (0, 0);
         for port in 0..P {
-            let Streams { on, off, requests: own } = streams(port, S);
+            let Streams { on, off, requests: own } = streams::<M>(port, S);
             let (Some(words), Some(low)) = (self.rings.words.get(port), self.rings.off.get(port)) else { return 0 };
             let pins = self.ports.get(port).copied().map_or(0, bsrr_of::<M>);
-            let common = CIRCULAR | WORDS | VERY_HIGH | if port < S { EDGES_CHANNEL } else { DIRECTIONS_CHANNEL };
+            let timer = if port < S { Self::PULSES } else { Self::DIRECTIONS };
+            let common = CIRCULAR | WORDS | VERY_HIGH | timer.channel;
             switch_on(M::DMA2, on, words.as_ptr() as usize, pins, RING, common | PERIPHERAL_COUNTS);
             if let Some(off) = off {
                 switch_on(M::DMA2, off, core::ptr::from_ref(low) as usize, pins, RING, common);
@@ -518,29 +582,30 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         }
     }
 
-    /// Makes TIM1 and TIM8 ignore their trigger. TIM1 comes first: if an event occurs between the two stores, its
-    /// directions are output without its steps. Steps without their directions would be wrong.
+    /// Makes the timers of pulses and of directions ignore their trigger. The pulses come first: if an event occurs
+    /// between the two stores, its directions are output without its steps. Steps without their directions would be
+    /// wrong.
     #[inline(always)]
     fn ignore_triggers(&self) {
-        write(M::TIM1 + SMCR, IGNORED);
+        Self::PULSES.ignore_trigger();
         if P > S {
-            write(M::TIM8 + SMCR, IGNORED_BY_TIM8);
+            Self::DIRECTIONS.ignore_trigger();
         }
     }
 
-    /// Makes TIM1 and TIM8 start at their trigger.
+    /// Makes the timers of pulses and of directions start at their trigger.
     fn obey_triggers(&self) {
         if P > S {
-            write(M::TIM8 + SMCR, IGNORED_BY_TIM8 | STARTS);
+            Self::DIRECTIONS.obey_trigger();
         }
-        write(M::TIM1 + SMCR, IGNORED | STARTS);
+        Self::PULSES.obey_trigger();
     }
 
-    /// Enables the DMA requests `pulse` of TIM1 and `directions` of TIM8.
+    /// Enables DMA requests: `pulse` of the pulses' timer, `directions` of that for ports with directions alone.
     fn enable_requests(&self, (pulse, directions): (u32, u32)) {
-        write(M::TIM1 + DIER, pulse);
+        write(Self::PULSES.base + DIER, pulse);
         if P > S {
-            write(M::TIM8 + DIER, directions);
+            write(Self::DIRECTIONS.base + DIER, directions);
         }
     }
 
@@ -602,10 +667,10 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
     #[inline(always)]
     fn counts_agree(&self) -> bool {
         let left = |number| read(stream(M::DMA2, number) + NDTR) as usize;
-        let edges = left(streams(0, S).on);
+        let edges = left(streams::<M>(0, S).on);
         let mut agree = (self.moments_counted() + edges) % RING == self.first_moments;
         for port in 0..P {
-            let Streams { on, off, .. } = streams(port, S);
+            let Streams { on, off, .. } = streams::<M>(port, S);
             agree &= port == 0 || left(on) == edges;
             agree &= off.is_none_or(|off| left(off).wrapping_sub(edges) % RING <= 1);
         }
@@ -646,13 +711,13 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         write(M::TIM5 + DIER, read(M::TIM5 + DIER) & ASKS_FOR_POWER | CALLS);
         self.keep_power();
         if dark {
-            write(M::TIM3 + self.power, 0);
+            write(self.pwm.compare, 0);
         }
         cortex_m::asm::delay(SERVED_CYCLES);
         let tail = self.tail();
         let mut fault = false;
         for port in 1..P {
-            let left = read(stream(M::DMA2, streams(port, S).on) + NDTR) as usize;
+            let left = read(stream(M::DMA2, streams::<M>(port, S).on) + NDTR) as usize;
             let ahead = (RING - tail).wrapping_sub(left) % RING;
             // If an event occurred between the two stores of `ignore_triggers`, only the ports of TIM8 have output it.
             fault |= ahead > usize::from(port >= S);

@@ -18,9 +18,9 @@ use super::SettingsFlash;
 use super::chain::{self, COMPARE_PULSE};
 use super::pins;
 use super::registers::{Chip, Map, read_idr, timer, write, write_bsrr};
-use super::step::{self, Clocks, PORTS, Place, SAFE, bsrr, note_safe_level};
+use super::step::{self, Clocks, PORTS, Place, Pwm, SAFE, bsrr, note_safe_level};
 use crate::pin_table::{Pin, PinTable, Role};
-use crate::{Due, MOTOR_PORTS, Port, STEP_PORTS, SlowLevels};
+use crate::{Due, MOTOR_PORTS, Port, STEP_PORTS, SlowLevels, TIM8_MAKES_PULSES};
 
 /// Writes a whole register as a number.
 macro_rules! raw {
@@ -48,14 +48,24 @@ pub fn safe_state() {
         (*pac::TIM3::ptr()).ccmr2_output().write(|w| w.bits(FORCED_LOW));
         (*pac::TIM5::ptr()).cr1().write(|w| w.bits(0));
     }
+    if TIM8_MAKES_PULSES {
+        // SAFETY: as above.
+        unsafe {
+            (*pac::TIM1::ptr()).ccmr1_output().write(|w| w.bits(FORCED_LOW));
+            (*pac::TIM1::ptr()).ccmr2_output().write(|w| w.bits(FORCED_LOW));
+        }
+    }
     for power in [timer::CCR1, timer::CCR2, timer::CCR3, timer::CCR4] {
         write(<Chip as Map>::TIM3 + power, 0);
+        if TIM8_MAKES_PULSES {
+            write(<Chip as Map>::TIM1 + power, 0);
+        }
     }
 }
 
-/// CCMR1 and CCMR2 of TIM3: both channels in PWM mode 1, without preload.
+/// CCMR1 and CCMR2 of the PWM's timer: both channels in PWM mode 1, without preload.
 const PWM_MODE: u32 = 0b110 << 4 | 0b110 << 12;
-/// CCMR1 and CCMR2 of TIM3: both channels low.
+/// CCMR1 and CCMR2 of the PWM's timer: both channels low.
 const FORCED_LOW: u32 = 0b100 << 4 | 0b100 << 12;
 
 /// Step and direction outputs, with the timers that they need.
@@ -63,7 +73,7 @@ pub type StepPins = step::StepPins<Chip, STEP_PORTS, MOTOR_PORTS, Timers>;
 /// The rings of events, in RAM, that DMA reads.
 pub type Rings = step::Rings<MOTOR_PORTS>;
 
-/// The timers of the step output: pulse, step clock, PWM.
+/// The timers of the step output: pulse or PWM, step clock, PWM.
 pub type Timers = (pac::TIM1, pac::TIM5, pac::TIM3);
 
 /// Calls the step task, from any task. The call is a pending flag of the step task's timer until `take` clears it.
@@ -72,31 +82,44 @@ pub fn call_step() {
     write(<Chip as Map>::TIM5 + timer::EGR, Due::CALLED.0);
 }
 
-/// Sets up the step output: starts TIM5, and sets up TIM1, TIM8 if it is needed, the DMA controllers and, for the PWM,
-/// TIM3. Sets all step and direction pins to their levels at rest.
+/// Sets up the step output: starts TIM5, and sets up TIM1, TIM8 if it is needed, the DMA controllers and the PWM. Sets
+/// all step and direction pins to their levels at rest.
 pub fn step_pins(
     table: &PinTable,
-    (pulse, clock, pwm): Timers,
+    (tim1, clock, tim3): Timers,
     rings: Option<&'static mut Rings>,
     rcc: &mut Rcc,
 ) -> StepPins {
-    let pwm_pin = table.pin(Role::SpindlePwm);
-    let pwm_channel = pwm_pin.and_then(Pin::channel_of_tim3).unwrap_or(0);
-    pac::TIM3::enable(rcc);
-    pac::TIM3::reset(rcc);
-    // Without preload, a new compare value (the power) takes effect at once. This matters most for 0, which switches
-    // the spindle or the laser off.
-    pwm.ccmr1_output().write(|w| raw!(w, PWM_MODE));
-    pwm.ccmr2_output().write(|w| raw!(w, PWM_MODE));
-    // CCER: four bits for each channel, of which the first enables its output.
-    pwm.ccer().write(|w| raw!(w, 1 << (4 * pwm_channel)));
-    pwm.cr1().write(|w| w.cen().set_bit());
-    // Enable the clock of the slave timer, TIM1, first (reference manual, timer synchronization).
+    // Enable the clocks of the slave timers, TIM1 and TIM8, first (reference manual, timer synchronization).
     pac::TIM1::enable(rcc);
     // By the manuals of the F401 and F411 (RCC_APB2LPENR, reset value 0x0007 7930), TIM1 would otherwise stop while the
     // processor sleeps and ignore its trigger. All other peripherals in use keep their clock during sleep.
     pac::TIM1::enable_in_low_power(rcc);
     pac::TIM1::reset(rcc);
+    pac::TIM3::enable(rcc);
+    pac::TIM3::reset(rcc);
+    // Without preload, a new compare value (the power) takes effect at once. This matters most for 0, which switches
+    // the spindle or the laser off. CCER has four bits for each channel, of which the first enables its output.
+    let pwm_pin = table.pin(Role::SpindlePwm);
+    let pwm = match pwm_pin.and_then(Pin::channel_of_tim1).filter(|_| TIM8_MAKES_PULSES) {
+        Some(channel) => {
+            tim1.ccmr1_output().write(|w| raw!(w, PWM_MODE));
+            tim1.ccmr2_output().write(|w| raw!(w, PWM_MODE));
+            tim1.ccer().write(|w| raw!(w, 1 << (4 * channel)));
+            // The outputs of an advanced timer also need MOE.
+            tim1.bdtr().write(|w| w.moe().set_bit());
+            tim1.cr1().write(|w| w.cen().set_bit());
+            Pwm::of_tim1::<Chip>(channel)
+        }
+        None => {
+            let channel = pwm_pin.and_then(Pin::channel_of_tim3).unwrap_or(0);
+            tim3.ccmr1_output().write(|w| raw!(w, PWM_MODE));
+            tim3.ccmr2_output().write(|w| raw!(w, PWM_MODE));
+            tim3.ccer().write(|w| raw!(w, 1 << (4 * channel)));
+            tim3.cr1().write(|w| w.cen().set_bit());
+            Pwm::of_tim3::<Chip>(channel)
+        }
+    };
     #[cfg(feature = "tim8")]
     {
         pac::TIM8::enable(rcc);
@@ -114,7 +137,8 @@ pub fn step_pins(
     clock.cr1().write(|w| w.cen().set_bit());
     let clocks = Clocks {
         pulse_mhz: pac::TIM1::timer_clock(&rcc.clocks).raw() / 1_000_000,
-        pwm_hz: pac::TIM3::timer_clock(&rcc.clocks).raw(),
+        pwm_hz: if pwm.is_in_reach { pac::TIM3::timer_clock(&rcc.clocks) } else { pac::TIM1::timer_clock(&rcc.clocks) }
+            .raw(),
     };
     use Role::{DirectionFourth, DirectionX, DirectionY, DirectionZ, StepFourth, StepX, StepY, StepZ};
     let step = pins::places(table, &[StepX, StepY, StepZ, StepFourth]);
@@ -122,13 +146,13 @@ pub fn step_pins(
     step.into_iter().flatten().for_each(pins::step_output);
     direction.into_iter().flatten().for_each(|place| pins::output(place, false));
     if let Some(place) = pins::place(table, Role::SpindlePwm) {
-        pins::pwm(place);
+        pins::pwm(place, pwm);
     }
     let Some(rings) = rings else {
         // Not reached: `setup` takes the peripherals, so it runs only once, and the memory of the rings is still free.
         unreachable!()
     };
-    StepPins::at(step, direction, pins::place(table, Role::Probe), pwm_channel, clocks, rings, (pulse, clock, pwm))
+    StepPins::at(step, direction, pins::place(table, Role::Probe), pwm, clocks, rings, (tim1, clock, tim3))
 }
 
 /// Ticks of [`clock_ticks`] in a microsecond.

@@ -5,7 +5,7 @@
 //! STM32F4 have the same.
 
 use super::registers::{Chip, Map, read, write, write_bsrr};
-use super::step::{PORTS, Place, bsrr};
+use super::step::{PORTS, Place, Pwm, bsrr};
 use crate::pin_table::{Pin, PinTable, Role};
 use stm32f4xx_hal::rcc::Rcc;
 
@@ -26,7 +26,8 @@ const PULL_UP: u32 = 1;
 const PULL_DOWN: u32 = 2;
 /// OSPEEDR: edges of a few nanoseconds, for steps.
 const MEDIUM: u32 = 1;
-/// Alternate function of TIM3 on all its pins (data sheets, "Alternate function mapping").
+/// Alternate functions of TIM1 and TIM3 on all their pins (data sheets, "Alternate function mapping").
+const TIM1: u32 = 1;
 const TIM3: u32 = 2;
 
 impl Place {
@@ -88,11 +89,12 @@ pub(super) fn input(place: Place) {
     set(place, MODER, 2, INPUT);
 }
 
-/// Makes a pin the PWM output of TIM3.
-pub(super) fn pwm(place: Place) {
+/// Makes a pin the PWM output of its timer.
+pub(super) fn pwm(place: Place, pwm: Pwm) {
+    let timer = if pwm.timer == <Chip as Map>::TIM1 { TIM1 } else { TIM3 };
     set(place, PUPDR, 2, NO_PULL);
     let register = AFRL + 4 * (place.pin() / 8) as usize;
-    set(Place::new(place.port(), place.pin() % 8), register, 4, TIM3);
+    set(Place::new(place.port(), place.pin() % 8), register, 4, timer);
     set(place, MODER, 2, ALTERNATE);
 }
 
@@ -119,6 +121,11 @@ pub(super) fn clock_ports(rcc: &mut Rcc) {
     rcc.ahb1enr().modify(|r, w| {
         // SAFETY: unsafe because the device crate cannot know which numbers the register takes; safe because bit 0 is
         // the clock of port A, and those of the other ports follow (RCC_AHB1ENR).
+        unsafe { w.bits(r.bits() | ((1 << PORTS) - 1)) }
+    });
+    // Steps go on while the processor sleeps. By the manuals of the F401 and F411 (RCC_AHB1LPENR), port E would stop.
+    rcc.ahb1lpenr().modify(|r, w| {
+        // SAFETY: as above; the bits of this register are the same.
         unsafe { w.bits(r.bits() | ((1 << PORTS) - 1)) }
     });
     // An enabled clock takes some cycles to arrive; reading back waits for them.

@@ -17,10 +17,12 @@ pub unsafe trait Map {
     const TIM5: usize;
     /// PWM of the spindle or laser.
     const TIM3: usize;
-    /// Timer of the step pulses.
+    /// Timer of the step pulses; with [`Map::TIM8_MAKES_PULSES`], PWM of the spindle or laser.
     const TIM1: usize;
-    /// Timer of the ports with directions alone; used only on chips that have it.
+    /// Timer of the ports with directions alone, or of the step pulses; used only on chips that have it.
     const TIM8: usize;
+    /// Whether TIM8 makes the step pulses in place of TIM1.
+    const TIM8_MAKES_PULSES: bool;
     /// DMA controller that loads event times and the laser's power.
     const DMA1: usize;
     /// DMA controller that writes the edges.
@@ -30,16 +32,19 @@ pub unsafe trait Map {
 }
 
 /// The addresses of the STM32F4.
+#[cfg(feature = "stm32f4")]
 pub struct Chip;
 
 // SAFETY: unsafe because this module writes to these addresses; safe because they are the addresses of the named
 // peripherals in the memory maps of the reference manuals.
+#[cfg(feature = "stm32f4")]
 unsafe impl Map for Chip {
     const GPIO: usize = 0x4002_0000;
     const TIM5: usize = 0x4000_0C00;
     const TIM3: usize = 0x4000_0400;
     const TIM1: usize = 0x4001_0000;
     const TIM8: usize = 0x4001_0400;
+    const TIM8_MAKES_PULSES: bool = crate::TIM8_MAKES_PULSES;
     const DMA1: usize = 0x4002_6000;
     const DMA2: usize = 0x4002_6400;
     const RCC: usize = 0x4002_3800;

@@ -72,7 +72,7 @@ pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {
     let table = pin_table();
     stm32f4::begin_with_reset(&device.RCC, &device.SYSCFG);
     stm32f4::await_voltage(&device.PWR);
-    #[cfg(feature = "stm32f411")]
+    #[cfg(any(feature = "stm32f411", feature = "stm32f412"))]
     stm32f4::full_core_voltage(&device.PWR);
     let oscillator_mhz = clocks::find_oscillator(&device.RCC, table);
     let config = Config::hsi().sysclk(CORE_HZ.Hz());

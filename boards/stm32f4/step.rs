@@ -113,17 +113,39 @@ fn ports_of<const P: usize>(places: impl Iterator<Item = Place> + Clone) -> [usi
     ports
 }
 
+/// The timer channel that makes the PWM of the spindle or laser.
+#[derive(Clone, Copy, Debug)]
+pub struct Pwm {
+    /// Address of the timer's registers.
+    pub(super) timer: usize,
+    /// Address of the channel's compare register.
+    pub(super) compare: usize,
+    /// DMA1 can write the timer's registers.
+    pub(super) is_in_reach: bool,
+}
+
+impl Pwm {
+    /// Returns a channel of TIM3, 0 to 3.
+    pub const fn of_tim3<M: Map>(channel: usize) -> Pwm {
+        Pwm { timer: M::TIM3, compare: M::TIM3 + CCR1 + (CCR2 - CCR1) * channel, is_in_reach: true }
+    }
+
+    /// Returns a channel of TIM1, 0 to 3.
+    pub const fn of_tim1<M: Map>(channel: usize) -> Pwm {
+        Pwm { timer: M::TIM1, compare: M::TIM1 + CCR1 + (CCR2 - CCR1) * channel, is_in_reach: false }
+    }
+}
+
 /// Clocks of the output timers.
 #[derive(Clone, Copy, Debug)]
 pub struct Clocks {
-    /// Clock of TIM1, MHz.
+    /// Clock of the pulses' timer, MHz.
     pub pulse_mhz: u32,
     /// Clock of the PWM's timer, Hz.
     pub pwm_hz: u32,
 }
 
-/// Step and direction outputs on `P` ports, of which the first `S` have step pins, and the spindle's PWM (a channel of
-/// TIM3).
+/// Step and direction outputs on `P` ports, of which the first `S` have step pins, and the spindle's PWM.
 pub struct StepPins<M, const S: usize, const P: usize, O> {
     chain: Chain<M, S, P>,
     ports: [usize; P],
@@ -139,8 +161,7 @@ pub struct StepPins<M, const S: usize, const P: usize, O> {
     /// port's word, with several ports the combination itself.
     table: [u32; COMBINATIONS],
     clocks: Clocks,
-    /// Offset of the register of TIM3 that holds the PWM's compare value.
-    pwm_compare: usize,
+    pwm: Pwm,
     pwm_period: u32,
     /// The touch probe's pin, if there is one. The pin itself belongs to the inputs.
     probe: Option<Place>,
@@ -151,21 +172,20 @@ pub struct StepPins<M, const S: usize, const P: usize, O> {
 
 impl<M: Map, const S: usize, const P: usize, O> StepPins<M, S, P, O> {
     /// Creates the outputs. The step and direction pins must be outputs already, the timers must run, and the pulse
-    /// timers and both DMA controllers must have their clocks. `pwm_channel` is that of TIM3, 0 to 3.
+    /// timers and both DMA controllers must have their clocks.
     pub fn at(
         step: [Option<Place>; 4],
         direction: [Option<Place>; 4],
         probe: Option<Place>,
-        pwm_channel: usize,
+        pwm: Pwm,
         clocks: Clocks,
         rings: &'static mut Rings<P>,
         owned: O,
     ) -> Self {
         let ports = ports_of(step.into_iter().chain(direction).flatten());
         let none = [[0; COMBINATIONS]; P];
-        let pwm_compare = CCR1 + (CCR2 - CCR1) * pwm_channel;
         let mut pins = StepPins {
-            chain: Chain::new(ports, pwm_compare, rings),
+            chain: Chain::new(ports, pwm, rings),
             ports,
             step,
             direction,
@@ -174,7 +194,7 @@ impl<M: Map, const S: usize, const P: usize, O> StepPins<M, S, P, O> {
             both: none,
             table: core::array::from_fn(|steps| steps as u32),
             clocks,
-            pwm_compare,
+            pwm,
             pwm_period: 1,
             probe,
             _owned: owned,
@@ -331,7 +351,7 @@ impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M,
         self.write_ports(self.directions.map(|words| words[0]));
     }
 
-    /// Converts the length to ticks of TIM1.
+    /// Converts the length to ticks of the pulses' timer.
     fn set_pulse(&mut self, tenths: u16) {
         // Rounded up to a whole number of ticks: a pulse is never shorter than the driver requires.
         self.chain.set_pulse((u32::from(tenths) * self.clocks.pulse_mhz).div_ceil(10));
@@ -343,18 +363,18 @@ impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M,
         // whole period.
         let prescaler = (counts >> 16).min(0xFFFF);
         self.pwm_period = (counts / (prescaler + 1)).clamp(2, 0xFFFF);
-        write(M::TIM3 + PSC, prescaler);
-        write(M::TIM3 + ARR, self.pwm_period - 1);
+        write(self.pwm.timer + PSC, prescaler);
+        write(self.pwm.timer + ARR, self.pwm_period - 1);
         // DMA does not overwrite this value: it writes no power while the machine is at rest.
-        write(M::TIM3 + self.pwm_compare, self.compare(power));
+        write(self.pwm.compare, self.compare(power));
         // Restarts the counter. This loads the prescaler, and the counter cannot be beyond the end of the new period.
-        write(M::TIM3 + EGR, 1);
+        write(self.pwm.timer + EGR, 1);
     }
 
     #[inline(never)]
     fn set_power(&mut self, power: u16) {
         self.chain.keep_power();
-        write(M::TIM3 + self.pwm_compare, self.compare(power));
+        write(self.pwm.compare, self.compare(power));
     }
 
     #[inline(always)]

@@ -16,9 +16,9 @@ macro_rules! raw {
     }};
 }
 
-/// Raises the core's voltage scale for the full clock: an F411 starts with the scale for 84 MHz (reference manual,
-/// PWR_CR, VOS), and the HAL leaves it there. The scale can be changed only while the PLL is off.
-#[cfg(feature = "stm32f411")]
+/// Raises the core's voltage scale for the full clock: an F411 or F412 starts with the scale for 84 MHz (reference
+/// manuals, PWR_CR, VOS), and the HAL leaves it there. The scale can be changed only while the PLL is off.
+#[cfg(any(feature = "stm32f411", feature = "stm32f412"))]
 pub fn full_core_voltage(pwr: &pac::PWR) {
     clock_supply();
     pwr.cr().modify(|r, w| raw!(w, r.bits() | 0b11 << 14));

@@ -93,7 +93,7 @@ const FLAG_TICKS: u32 = 100 * crate::CLOCK_TICKS_PER_US;
 const SD0PID: u32 = 1 << 28;
 /// True if the driver enables an endpoint when it fetches a packet (cores since the F446's, by their CID); false if the
 /// driver does so when it takes the entry that ends the packet.
-const IS_ENABLED_WITH_DATA: bool = cfg!(feature = "stm32f446");
+const IS_ENABLED_WITH_DATA: bool = cfg!(any(feature = "stm32f446", feature = "stm32f412"));
 /// Index of the interface with the data endpoints: it is the class's second interface, after the control interface.
 const DATA_INTERFACE: u16 = 1;
 

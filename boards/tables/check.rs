@@ -241,13 +241,16 @@ fn check_pins(checked: &mut Checked<'_>, image: &profiles::Board, chip: &Chip, p
             checked.fault(*line, format!("{name}: {} is also {other}; a pin has one function", text_of(*pin)));
         }
     }
+    let has_pwm =
+        |pin: &Pin| pin.channel_of_tim3().is_some() || image.tim8_makes_pulses && pin.channel_of_tim1().is_some();
     if let Some(Use { pin, line, .. }) = pins.get("spindle_pwm")
-        && pin.channel_of_tim3().is_none()
+        && !has_pwm(pin)
     {
-        let all = (0..3).flat_map(|port| (0..16).map(move |number| Pin { port, number }));
-        let have: Vec<String> = all.filter(|pin| pin.channel_of_tim3().is_some()).map(text_of).collect();
+        let all = (0..5).flat_map(|port| (0..16).map(move |number| Pin { port, number }));
+        let have: Vec<String> = all.filter(has_pwm).map(text_of).collect();
+        let timers = if image.tim8_makes_pulses { "TIM1 or TIM3" } else { "TIM3" };
         let text = text_of(*pin);
-        checked.fault(*line, format!("spindle_pwm: {text} has no channel of TIM3; {} have one", have.join(", ")));
+        checked.fault(*line, format!("spindle_pwm: {text} has no channel of {timers}; {} have one", have.join(", ")));
     }
     for role in ON_WHEN_HIGH {
         if let Some(Use { pin, line, .. }) = pins.get(name_of(role))

@@ -26,7 +26,7 @@ use oxmill_boards::profiles;
 use std::collections::BTreeMap;
 
 /// The boards of this project: name, and contents of the file.
-pub const BOARDS: [(&str, &str); 13] = [
+pub const BOARDS: [(&str, &str); 14] = [
     ("blackpill_f411", include_str!("blackpill_f411.toml")),
     ("blackpill_f401", include_str!("blackpill_f401.toml")),
     ("nucleo_f446re", include_str!("nucleo_f446re.toml")),
@@ -39,6 +39,7 @@ pub const BOARDS: [(&str, &str); 13] = [
     ("monster8_f407", include_str!("monster8_f407.toml")),
     ("robin_nano_v3", include_str!("robin_nano_v3.toml")),
     ("jz_f407", include_str!("jz_f407.toml")),
+    ("slb_ext", include_str!("slb_ext.toml")),
     ("blackpill_f411_grblhal", include_str!("blackpill_f411_grblhal.toml")),
 ];
 

@@ -90,7 +90,7 @@ fn rates_table() -> String {
 }
 
 /// The sections of the page: boards with the same pins share one.
-pub const SECTIONS: [(&str, &[&str]); 10] = [
+pub const SECTIONS: [(&str, &[&str]); 11] = [
     ("WeAct Black Pill V2 and V3", &["blackpill_f411", "blackpill_f401"]),
     ("Black Pill on a carrier with grblHAL's pins", &["blackpill_f411_grblhal"]),
     ("ST Nucleo-64 with CNC shield v3", &["nucleo_f446re", "nucleo_f411re", "nucleo_f401re"]),
@@ -101,6 +101,7 @@ pub const SECTIONS: [(&str, &[&str]); 10] = [
     ("MKS Monster8 V1 and V2", &["monster8_f407"]),
     ("MKS Robin Nano V3 and V3.1, MKS Eagle", &["robin_nano_v3"]),
     ("JZ-F407VET6 industrial board", &["jz_f407"]),
+    ("Sienci SuperLongBoard EXT", &["slb_ext"]),
 ];
 
 /// Returns the boards of a section. All have the same pins and remarks.
@@ -135,7 +136,7 @@ fn wiring_list() -> String {
 
 /// Rows of the table for choosing a board: the boards, whom they suit, their drivers, and what they lack. The numbers
 /// come from the profiles.
-const CHOICES: [(&str, &[&str], &str, &str, &str); 11] = [
+const CHOICES: [(&str, &[&str], &str, &str, &str); 12] = [
     (
         "Black Pill, STM32F411",
         &["blackpill_f411"],
@@ -212,6 +213,13 @@ const CHOICES: [(&str, &[&str], &str, &str, &str); 11] = [
         "owners who have the board's drawing: the map is preliminary",
         "external",
         "RS-485, Ethernet, card",
+    ),
+    (
+        "Sienci SuperLongBoard EXT",
+        &["slb_ext"],
+        "owners; not the SuperLongBoard with drivers on the board",
+        "external",
+        "axis A, RS-485 (Modbus spindles), Ethernet, card, the tool setter's own input",
     ),
 ];
 

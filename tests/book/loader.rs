@@ -1,6 +1,7 @@
 //! The boot loader in the ROM of the chips: on which outputs of a board it switches a pull-up on, and which pins it may
 //! drive. Source: ST's AN2606, tables "configuration in system memory boot mode" of the STM32F401, F411, F446 and
-//! F40xxx (boot loaders V13, V13, V9 and V9.1; V3.1 of the F40xxx uses fewer pins).
+//! F40xxx (boot loaders V13, V13, V9 and V9.1; V3.1 of the F40xxx uses fewer pins). The F412 has the pins of the F411 and the
+//! F446 together, because its table was not available.
 
 use crate::wiring::{Way, Wire, groups};
 use oxmill_tables::Board;
@@ -15,12 +16,15 @@ struct Loader {
 const F401_F411: Loader = Loader { up: &["D5", "D6"], driven: &["A6", "B14", "C11"] };
 const F446: Loader = Loader { up: &["B5", "B10", "B11", "C10", "C11"], driven: &["A6", "B13", "B14", "E13"] };
 const F407: Loader = Loader { up: &["B5", "B10", "B11", "C10", "C11"], driven: &["A6", "B13"] };
+const F412: Loader =
+    Loader { up: &["B5", "B10", "B11", "C10", "C11", "D5", "D6"], driven: &["A6", "B13", "B14", "C11", "E13"] };
 
 fn loader(board: &Board) -> &'static Loader {
     match &board.chip.name["STM32".len().."STM32F411".len()] {
         "F401" | "F411" => &F401_F411,
         "F446" => &F446,
         "F407" => &F407,
+        "F412" => &F412,
         other => panic!("no boot loader of {other}"),
     }
 }

@@ -31,7 +31,7 @@ from .models.pulse import PulseTimer
 from .models.pwr import Pwr
 from .models.rcc import HSI_HZ, Rcc
 from .models.syscfg import SYSTEM_MEMORY, Syscfg
-from .models.timer import FUNCTION, INPUTS, SMCR, Timer
+from .models.timer import FUNCTION, INPUTS, SMCR, AdvancedPwm, Timer
 from .models.usart import Usart
 
 ENTRY_CYCLES, RETURN_CYCLES, CHAIN_CYCLES = 12, 12, 6
@@ -205,7 +205,10 @@ class Board:
             fit(base, Usart(name, self, base, clock, irq, bus))
         fit(0x4001_4800, ClockMeter("TIM11", self))
         slaves = self.peripherals["TIM5"].slaves
-        slaves.append(fit(0x4001_0000, PulseTimer("TIM1", self)))
+        if self.wiring.pwm_timer == "TIM1":
+            fit(0x4001_0000, AdvancedPwm("TIM1", self))
+        else:
+            slaves.append(fit(0x4001_0000, PulseTimer("TIM1", self)))
         if self.part.has_tim8:
             slaves.append(fit(0x4001_0400, PulseTimer("TIM8", self)))
         self.dma = [fit(0x4002_6000, Dma("DMA1", self, 21)), fit(0x4002_6400, Dma("DMA2", self, 22))]

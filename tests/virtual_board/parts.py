@@ -76,6 +76,9 @@ STM32F407 = Part(
     asleep=(0x7E67_91FF, 0xF1, 0x36FE_C9FF, 0x0007_5F33), otg_id=0x1100, has_tim8=True,
 )  # fmt: skip
 """RM0090; its core-coupled RAM is left out, because the firmware does not use it."""
+STM32F412 = replace(STM32F411, name="STM32F412VG", otg_id=0x2000, has_tim8=True, interrupts=97, flash_kib=1024, ram_kib=256)
+"""RM0402: supply, wait states and clocks as in an F411; USB and timers as in an F446. Which clocks run in sleep after a
+reset is taken from the F411, which has fewer: so the image must enable those that it needs."""
 
 
 @dataclass(frozen=True)
@@ -136,10 +139,15 @@ class Wiring:
             begin = f"const {rest.strip()}: Board"
 
     @property
+    def pwm_timer(self):
+        """Timer on the spindle's pin."""
+        return "TIM1" if self.pwm == "A8" else "TIM3"
+
+    @property
     def pwm_channel(self):
-        """Channel of TIM3 on the spindle's pin (RM0383 and RM0390 refer to the data sheets, "Alternate function
+        """Channel of the timer on the spindle's pin (RM0383 and RM0390 refer to the data sheets, "Alternate function
         mapping")."""
-        channels = {"A6": 1, "B4": 1, "C6": 1, "A7": 2, "B5": 2, "C7": 2, "B0": 3, "C8": 3, "B1": 4, "C9": 4}
+        channels = {"A6": 1, "B4": 1, "C6": 1, "A7": 2, "B5": 2, "C7": 2, "B0": 3, "C8": 3, "B1": 4, "C9": 4, "A8": 1}
         return channels[self.pwm]
 
     def promised(self, number):
@@ -213,6 +221,7 @@ BOARDS = {
         on("monster8_f407", STM32F407, 8 * MHZ, 168 * MHZ, **USB),
         on("robin_nano_v3", STM32F407, 8 * MHZ, 168 * MHZ, **USB),
         on("jz_f407", STM32F407, 25 * MHZ, 168 * MHZ, **USB),
+        on("slb_ext", STM32F412, 25 * MHZ, 96 * MHZ, **USB),
         on("blackpill_f411_grblhal", STM32F411, 25 * MHZ, 96 * MHZ, **USB),
     )
 }

@@ -11,7 +11,7 @@ use std::thread;
 
 /// Boards whose chips are modelled, each with the cases that a run of all boards includes; `-` before a case excludes
 /// it. A board without cases runs only if it is named, as in `.ci/nightly`. A named board runs all cases.
-const BOARDS: [(&str, &[&str]); 13] = [
+const BOARDS: [(&str, &[&str]); 14] = [
     ("blackpill_f411", LEFT_OUT_ON_F411),
     ("nucleo_f446re", LEFT_OUT_ON_F446),
     ("blackpill_f401", ON_F401),
@@ -24,6 +24,7 @@ const BOARDS: [(&str, &[&str]); 13] = [
     ("skr2_f407", ON_SKR2),
     ("monster8_f407", &[]),
     ("jz_f407", &[]),
+    ("slb_ext", ON_CONTROL_F412),
     ("blackpill_f411_grblhal", ON_OTHER_PINS),
 ];
 
@@ -135,6 +136,27 @@ const ON_CONTROL_F407: &[&str] = &[
     "spindle PWM",
     "settings write",
     "usb",
+    "lost clock",
+    "restart on request",
+];
+
+/// Cases for the image of control boards with an F412, in which TIM8 makes the pulses and TIM1 the spindle's PWM.
+const ON_CONTROL_F412: &[&str] = &[
+    "boot",
+    "crystals",
+    "tasks",
+    "pulses",
+    "safe rate",
+    "turns at full rate",
+    "stops on the ring",
+    "probe",
+    "raster",
+    "second motor",
+    "spindle PWM",
+    "outputs of programs",
+    "settings write",
+    "usb",
+    "fault",
     "lost clock",
     "restart on request",
 ];

@@ -13,7 +13,7 @@ use core::hint::black_box;
 use core::mem::MaybeUninit;
 use core::sync::atomic::Ordering;
 use oxmill_boards::stm32f4::registers::Map;
-use oxmill_boards::stm32f4::step::{Clocks, Place, Rings};
+use oxmill_boards::stm32f4::step::{Clocks, Place, Pwm, Rings};
 use oxmill_controller::axes::{Arrangement, Axis, PerAxis};
 use oxmill_controller::gcode::{Action, Dialect, Interpreter, ProgramStorage};
 use oxmill_controller::memory::{Memory, Storage};
@@ -74,6 +74,7 @@ mod boards {
         const TIM3: usize = 0x2100_0400;
         const TIM1: usize = 0x2100_0800;
         const TIM8: usize = 0x2100_1800;
+        const TIM8_MAKES_PULSES: bool = false;
         const DMA1: usize = 0x2100_0C00;
         const DMA2: usize = 0x2100_1000;
         const RCC: usize = 0x2100_1400;
@@ -254,7 +255,15 @@ fn step_task() {
     // once.
     let rings = unsafe { (boards::FAR_RINGS as *mut MaybeUninit<Rings<1>>).as_mut_unchecked() }.write(Rings::EMPTY);
     let clocks = Clocks { pulse_mhz: 96, pwm_hz: 96_000_000 };
-    let pins = boards::StepPins::at([1, 2, 3, 8].map(pin), [4, 5, 6, 9].map(pin), pin(15), 1, clocks, rings, ());
+    let pins = boards::StepPins::at(
+        [1, 2, 3, 8].map(pin),
+        [4, 5, 6, 9].map(pin),
+        pin(15),
+        Pwm::of_tim3::<boards::Memory>(1),
+        clocks,
+        rings,
+        (),
+    );
     let step = Step::new(pins, from_control, wiring_out, events_in, wake.writer());
     // SAFETY: unsafe because a static is changed; safe because no other code uses it yet.
     unsafe { (&raw mut STEP).cast::<Step>().write(step) };

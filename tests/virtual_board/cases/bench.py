@@ -165,7 +165,7 @@ def duty(board):
     """Returns the share of time for which the spindle's PWM is high; 0 if the timer does not drive its pin."""
     if board.shown(board.wiring.pwm) != "AF":
         return 0
-    share = board.peripherals["TIM3"].duty(board.wiring.pwm_channel)
+    share = board.peripherals[board.wiring.pwm_timer].duty(board.wiring.pwm_channel)
     if share is None:
         raise Failure("the spindle's pin belongs to the timer, which does not drive it")
     return share

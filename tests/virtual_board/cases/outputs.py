@@ -164,7 +164,7 @@ def spindle_pwm(bench):
     (for a laser), also if the frequency changes while the spindle turns."""
     bench.boot()
     bench.settings(s30=1000)
-    pwm = bench.board.peripherals["TIM3"]
+    pwm = bench.board.peripherals[bench.wiring.pwm_timer]
     for hz in (5_000, 1_000, 50, 1, 25_000, 100_000):
         bench.settings(s33=hz)
         bench.ask("M3 S250")

@@ -40,7 +40,7 @@ REQUESTS = {
     ("DMA2", 2, 4): "USART1", ("DMA2", 5, 4): "USART1", ("DMA1", 5, 4): "USART2", ("DMA1", 6, 4): "USART2_TX",
     ("DMA1", 0, 2): "TIM4_CH1", ("DMA1", 3, 2): "TIM4_CH2", ("DMA1", 7, 2): "TIM4_CH3", ("DMA1", 2, 6): "TIM5_CH1",
     ("DMA1", 0, 6): "TIM5_CH3", ("DMA2", 4, 6): "TIM1_CH4",
-    ("DMA2", 3, 7): "TIM8_CH2", ("DMA2", 7, 7): "TIM8_CH4",
+    ("DMA2", 2, 7): "TIM8_CH1", ("DMA2", 3, 7): "TIM8_CH2", ("DMA2", 4, 7): "TIM8_CH3", ("DMA2", 7, 7): "TIM8_CH4",
     ("DMA2", 1, 6): "TIM1_CH1", ("DMA2", 3, 6): "TIM1_CH1", ("DMA2", 2, 6): "TIM1_CH2", ("DMA2", 6, 6): "TIM1_CH3",
 }  # fmt: skip
 """Source of the requests, by (controller, stream, channel): RM0383 and RM0390, tables "DMA1 request mapping" and "DMA2

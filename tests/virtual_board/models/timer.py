@@ -1,4 +1,5 @@
-"""General-purpose timers TIM2 to TIM5 (RM0390 chapter 17, RM0383 chapter 13).
+"""General-purpose timers TIM2 to TIM5 (RM0390 chapter 17, RM0383 chapter 13), and TIM1 where it makes only a PWM (RM0390
+chapter 16).
 
 Modelled: counting up from the internal clock; prescaler (loaded at an update); auto-reload; compare flags of channels 1
 to 4 (set when the counter reaches CCRx, not when CCRx is written to the current count), flags by EGR, clearing flags by
@@ -18,6 +19,7 @@ FORCED_LOW = 4
 """OC1M of TIMx_CCMR1: the output is inactive, independent of the comparison."""
 CR1, CR2, SMCR, DIER, SR, EGR, CCMR1, CCMR2, CCER = 0x00, 0x04, 0x08, 0x0C, 0x10, 0x14, 0x18, 0x1C, 0x20
 CNT, PSC, ARR, CCR1, CCR2, CCR3, CCR4 = 0x24, 0x28, 0x2C, 0x34, 0x38, 0x3C, 0x40
+BDTR, MOE = 0x44, 1 << 15
 COMPARE = (CCR1, CCR2, CCR3, CCR4)
 OWN_PIN, FILTERS, BOTH_EDGES = 1, (0, 2), 0b1011
 """CCxS for a channel's own pin and the values of ICxF whose effect is ignored (TIMx_CCMR1); CCxNP, CCxP and CCxE for
@@ -91,9 +93,11 @@ class Timer(Peripheral):
             self.since = now
         self.began = value
 
+    BUS = "pclk1"
+
     def _take_prescaler(self):
         rcc = self.board.rcc
-        clock = rcc.timer_clock(rcc.pclk1)
+        clock = rcc.timer_clock(getattr(rcc, self.BUS))
         cycles, rest = divmod(rcc.hclk, clock)
         if rest:
             raise Unmodelled(f"{self.name}: its clock {clock} does not divide the core's {rcc.hclk}")
@@ -274,3 +278,24 @@ class Timer(Peripheral):
         if mode != 6 or not self.values[CCER] >> 4 * (channel - 1) & 1 or not self.running:
             return None
         return min(1.0, self.values[COMPARE[channel - 1]] / (self.values[ARR] + 1))
+
+
+class AdvancedPwm(Timer):
+    """TIM1 as a PWM: its outputs also need MOE (TIMx_BDTR), without which they are high-impedance (OSSI, OSSR = 0)."""
+
+    REGISTERS = Timer.REGISTERS | {BDTR: ("BDTR", 0, MOE)}
+    BUS = "pclk2"
+
+    def __init__(self, name, board):
+        super().__init__(name, board, 0, None, False, 0x4001_0000)
+        self.CLOCK = (0x44, 0)
+
+    def _call(self):
+        if self.values[DIER]:
+            raise Unmodelled(f"{self.name}: interrupts and DMA requests of an advanced timer")
+
+    def store_by_dma(self, offset, value, at):
+        raise Misuse(f"{self.name}: DMA1 does not reach APB2")
+
+    def duty(self, channel):
+        return super().duty(channel) if self.values[BDTR] & MOE else None
