@@ -115,6 +115,17 @@ fn directions_of_a_control_board_may_be_on_ports_of_their_own() {
     );
 }
 
+/// In the image for the F412, TIM8 makes the pulses, so the spindle's PWM may be on a pin of TIM1.
+#[test]
+fn the_pwm_may_be_on_tim1_if_tim8_makes_the_pulses() {
+    let slb = include_str!("slb_ext.toml");
+    for pin in ["A8", "E14", "C6"] {
+        assert!(Board::parse(&slb.replace("\"A8\"", &format!("\"{pin}\""))).is_ok(), "{pin}");
+    }
+    let found = Board::parse(&slb.replace("\"A8\"", "\"D15\"")).expect_err("a fault");
+    assert!(found[0].text.starts_with("spindle_pwm: D15 has no channel of TIM1 or TIM3; A6, A7, A8, B0, "), "{found:?}");
+}
+
 #[test]
 fn an_image_that_does_not_fit_the_flash_is_refused() {
     let text = GOOD.replace("blackpill_f411", "nucleo_f401re").replace("STM32F411CE", "STM32F401CC");
