@@ -4,9 +4,9 @@
 //! time, and [`Controller::output`] returns the next thing to do. So the same code, bit for bit, runs in the firmware
 //! on a board and in the simulator on a desk.
 //!
-//! The journey of `G1 X10 F600`:
+//! The journey of `G1 X10 F500`:
 //! 1. `protocol::realtime` passes its bytes on (a `?` between them would be answered at once);
-//! 2. `protocol::line_filter` collects them, without blanks, as `G1X10F600`;
+//! 2. `protocol::line_filter` collects them, without blanks, as `G1X10F500`;
 //! 3. `gcode` reads words, checks them against each other and the modal state, and returns an action: feed, target;
 //! 4. `work` waits for room in the look-ahead, applies the new modal state and hands the move to `motion`;
 //! 5. `motion::planner` makes a block of whole motor steps and fits its speeds to those of its neighbours;
