@@ -503,6 +503,7 @@ impl Check {
             distance_mm: round(measured.distance),
             rapid_distance_mm: round(measured.rapid_distance),
             extents_mm: Extents { min: named(low), max: named(high) },
+            travel_mm: travel(simulator),
             peak_speed_mm_s: round(measured.speed),
             peak_acceleration_mm_s2: round(measured.acceleration),
             peak_axis_speed_mm_s: measured.axis_speed.map(round)[..axes].to_vec(),
@@ -512,6 +513,14 @@ impl Check {
             host_s,
         }
     }
+}
+
+/// Returns the travel of X, Y and Z after homing, in machine coordinates.
+fn travel(simulator: &Simulator) -> Extents {
+    let settings = simulator.controller().settings();
+    let ends = |axis: &Axis| settings.ends_of_travel(*axis).unwrap_or_default().map(|end| round(f64::from(end)));
+    let (min, max) = Axis::ALL[..LINEAR].iter().map(ends).map(|[low, high]| (low, high)).unzip();
+    Extents { min, max }
 }
 
 /// Rounds each part of a tool's time as [`round`] does.

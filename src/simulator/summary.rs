@@ -129,6 +129,8 @@ pub struct Summary {
     pub distance_mm: f64,
     pub rapid_distance_mm: f64,
     pub extents_mm: Extents,
+    /// Travel of X, Y and Z after homing, in machine coordinates, by the settings.
+    pub travel_mm: Extents,
     /// Maximum path speed: an average over a few milliseconds or more, reduced by what rounding to steps may have
     /// added.
     pub peak_speed_mm_s: f64,
@@ -373,6 +375,7 @@ pub(crate) mod tests {
             distance_mm: 2.5,
             rapid_distance_mm: 0.5,
             extents_mm: Extents { min: vec![0.0, -2.0, 0.0], max: vec![1.0, 0.0, 0.0] },
+            travel_mm: Extents { min: vec![-200.0; 3], max: vec![0.0; 3] },
             peak_speed_mm_s: 10.0,
             peak_acceleration_mm_s2: 10.0,
             peak_axis_speed_mm_s: vec![5.0, 10.0, 0.0],

@@ -33,7 +33,7 @@ export interface Summary {
   alarm: AlarmReport | null; complete: boolean; notes: string[]; messages: string[];
   forecast_s: number; feed_s: number; rapid_s: number; standing_s: number; dwell_s: number; spin_up_s: number; tools: ToolTime[];
   position_mm: number[]; work_position_mm: number[]; pulses: number[];
-  distance_mm: number; rapid_distance_mm: number; extents_mm: { min: number[]; max: number[] };
+  distance_mm: number; rapid_distance_mm: number; extents_mm: { min: number[]; max: number[] }; travel_mm: { min: [number, number, number]; max: [number, number, number] };
   peak_speed_mm_s: number; peak_acceleration_mm_s2: number; trace_hash: string; order_hash: string; host_s: number;
 }
 

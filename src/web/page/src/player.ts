@@ -252,11 +252,9 @@ export class Player implements Timeline {
   }
 
   private limits(): void {
-    if (!this.path) return;
-    const travel = [130, 131, 132].map(number => this.page.settings.value(number));
-    const shown = $<HTMLInputElement>("limits").checked;
-    // With $932=0, the travel after homing is from minus its length to 0, at whichever ends the switches are.
-    const box = shown ? { low: travel.map(v => -v) as [number, number, number], high: [0, 0, 0] as [number, number, number] } : undefined;
+    if (!this.path || !this.summary) return;
+    const { min: low, max: high } = this.summary.travel_mm;
+    const box = $<HTMLInputElement>("limits").checked ? { low, high } : undefined;
     for (const picture of [this.picture, this.second]) picture?.limits(box);
   }
 

@@ -266,6 +266,12 @@ export async function the_limits_are_drawn_where_the_travel_ends(browser) {
   await page.uncheck("#limits");
   assert.equal(await view(), without);
   assert.equal(await colorsOn(page, "view"), colors);
+  // With machine zero where homing ends, X reaches from 0 to its travel without the pull-off.
+  await settings(page, { ...MILL, 20: 1, 22: 1, 23: 1, 27: 2, 130: 60, 131: 50, 132: 40, 932: 1 });
+  await openJob(page, "small.nc", "G21 G91\nG1 X20 Y-20 Z-20 F600\n");
+  await page.check("#limits");
+  await view();
+  for (const place of [[58, -48, -20], [58, -24, -38], [29, 0, -38]]) assert(await inkAt(page, place) > 60, `${place}`);
   assert.deepEqual(faults, []);
 }
 
