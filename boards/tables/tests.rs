@@ -123,7 +123,10 @@ fn the_pwm_may_be_on_tim1_if_tim8_makes_the_pulses() {
         assert!(Board::parse(&slb.replace("\"A8\"", &format!("\"{pin}\""))).is_ok(), "{pin}");
     }
     let found = Board::parse(&slb.replace("\"A8\"", "\"D15\"")).expect_err("a fault");
-    assert!(found[0].text.starts_with("spindle_pwm: D15 has no channel of TIM1 or TIM3; A6, A7, A8, B0, "), "{found:?}");
+    assert!(
+        found[0].text.starts_with("spindle_pwm: D15 has no channel of TIM1 or TIM3; A6, A7, A8, B0, "),
+        "{found:?}"
+    );
 }
 
 #[test]

@@ -134,7 +134,8 @@ mod tests {
     /// With `$932=1`, machine zero is where homing ends: off the switch, at the end of each axis that `$23` names.
     #[test]
     fn the_report_has_the_ends_of_the_travel() {
-        let travel = |more: &[&str]| run(machine(&[&SOFT, more].concat(), Fittings::default()), None, "G21\n").travel_mm;
+        let travel =
+            |more: &[&str]| run(machine(&[&SOFT, more].concat(), Fittings::default()), None, "G21\n").travel_mm;
         let ends = travel(&["23=1"]);
         assert_eq!((ends.min, ends.max), (vec![-60.0, -50.0, -40.0], vec![0.0; 3]));
         let ends = travel(&["23=1", "27=2", "932=1"]);

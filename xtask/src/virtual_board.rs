@@ -9,11 +9,12 @@ use std::process::{Command, Stdio};
 use std::sync::Mutex;
 use std::thread;
 
-/// Boards whose chips are modelled, each with the cases that a run of all boards includes; `-` before a case excludes
-/// it. A board without cases runs only if it is named, as in `.ci/nightly`. A named board runs all cases.
+/// Boards whose chips are modelled, each with the cases that a run of all boards includes: a case runs on the board
+/// where it is hardest, and a few on one board of each chip. A board without cases runs only if it is named, as in
+/// `.ci/nightly`. A named board runs all cases.
 const BOARDS: [(&str, &[&str]); 14] = [
-    ("blackpill_f411", LEFT_OUT_ON_F411),
-    ("nucleo_f446re", LEFT_OUT_ON_F446),
+    ("blackpill_f411", ON_F411),
+    ("nucleo_f446re", ON_F446),
     ("blackpill_f401", ON_F401),
     ("nucleo_f411re", &[]),
     ("nucleo_f401re", &[]),
@@ -28,56 +29,9 @@ const BOARDS: [(&str, &[&str]); 14] = [
     ("blackpill_f411_grblhal", ON_OTHER_PINS),
 ];
 
-/// Long cases that `blackpill_f411` runs only if the command names this board. In a run of all boards, `uart lines`
-/// runs on `nucleo_f446re`, `raster` on `skr2_f407`, and the zigzags run on `robin_nano_v3`, which has the most ports.
-/// The other cases run at night only.
-const LEFT_OUT_ON_F411: &[&str] = &[
-    "-bursts of overrides",
-    "-late starts",
-    "-tight pulses",
-    "-uart lines",
-    "-uart flooded",
-    "-raster",
-    "-zigzag",
-    "-stops in a zigzag",
-    "-safe rate, fast UART",
-    "-safe rate, disturbed",
-    "-late segments",
-    "-called at turns",
-    "-stream splines.nc",
-];
-
-/// Long cases that `nucleo_f446re` runs only if the command names this board. About half of them run on
-/// `blackpill_f411`, which uses the same timers and DMA streams, and `safe rate` on `octopus_f446`, which has the same
-/// chip at 168 instead of 180 MHz.
-const LEFT_OUT_ON_F446: &[&str] = &[
-    "-bursts of overrides",
-    "-late starts",
-    "-lines at stops",
-    "-tight pulses",
-    "-raster",
-    "-uart flooded",
-    "-safe rate",
-    "-safe rate, disturbed",
-    "-safe rate, fast UART",
-    "-fourth axis",
-    "-zigzag",
-    "-stops in a zigzag",
-    "-unserved tasks",
-    "-low supply at power-up",
-    "-second motor",
-    "-masked for long",
-    "-miscounts",
-    "-trips",
-    "-stops on the ring",
-    "-late segments",
-    "-called at turns",
-    "-stream lines.nc",
-    "-stream splines.nc",
-];
-
-/// Cases for the slowest chip, an F401. They cover what can differ because of its clocks, rates and memory.
-const ON_F401: &[&str] = &[
+/// Cases for the board that most owners have. Its processor is slow, and it has both links: USB, and a UART that needs
+/// an interrupt for each byte.
+const ON_F411: &[&str] = &[
     "boot",
     "crystals",
     "own pins",
@@ -86,103 +40,113 @@ const ON_F401: &[&str] = &[
     "pulses",
     "safe rate",
     "hard start",
+    "laser start",
     "turns",
-    "spindle PWM",
+    "hold",
+    "stops",
+    "stops on the ring",
+    "masked for long",
+    "miscounts",
+    "emergency stop",
+    "lines at stops",
+    "switch noise",
+    "probe",
+    "flood of realtime commands",
+    "second motor",
+    "torn line",
+    "waiting line",
+    "fault",
+    "stack overflow",
+    "failure in a failure",
+    "hung control task",
+    "unserved tasks",
+    "recorded failure",
+    "masked for ever",
+    "lost clock",
+    "boot loader left",
+    "restart on request",
+    "brown-out",
+    "brown-out of a beam",
+    "usb",
+    "usb answers",
+    "usb flood",
+    "usb lines",
+    "usb reset",
+    "usb set up again",
+    "usb stop",
+    "usb unplugged",
+    "usb unread",
+];
+
+/// Cases for the board with a UART by DMA, with the highest step rate, and with a core that runs at twice the clock of
+/// the step timer.
+const ON_F446: &[&str] = &[
+    "boot",
+    "tasks",
+    "pulses",
+    "turns",
+    "hold",
+    "uart lines",
+    "baud rates",
+    "torn line",
+    "disturbed line",
+    "waiting line",
     "settings write",
+    "power cut",
     "fault",
     "lost clock",
-    "restart on request",
 ];
+
+/// Cases for the slowest chip, an F401. They cover what can differ because of its clocks, rates and memory.
+const ON_F401: &[&str] =
+    &["boot", "crystals", "tasks", "pulses", "safe rate", "turns", "settings write", "fault", "lost clock"];
 
 /// Cases for the image of control boards with an F446. It differs from the Nucleo's in its ports, its clock rate (168
 /// instead of 180 MHz) and its USB, whose core is newer than the Black Pills'.
 const ON_CONTROL_F446: &[&str] = &[
     "boot",
     "crystals",
-    "own pins",
     "tasks",
-    "stream axes.nc",
-    "pulses",
-    "safe rate",
-    "turns at full rate",
-    "stops on the ring",
-    "probe",
     "trips",
     "inverted outputs",
     "fourth axis",
-    "spindle PWM",
-    "settings write",
     "power cut",
     "usb",
     "usb flood",
-    "usb lines",
     "lost clock",
     "restart on request",
 ];
 
 /// Cases for the image of control boards with an F407. On `robin_nano_v3`, two ports have direction outputs but no step
 /// outputs; TIM8 drives such ports.
-const ON_CONTROL_F407: &[&str] = &[
-    "boot",
-    "crystals",
-    "tasks",
-    "pulses",
-    "safe rate",
-    "turns at full rate",
-    "zigzag",
-    "stops on the ring",
-    "stops in a zigzag",
-    "fourth axis",
-    "spindle PWM",
-    "settings write",
-    "usb",
-    "lost clock",
-    "restart on request",
-];
+const ON_CONTROL_F407: &[&str] =
+    &["boot", "safe rate", "turns at full rate", "zigzag", "stops in a zigzag", "fourth axis", "settings write", "usb"];
 
 /// Cases for the image of control boards with an F412, in which TIM8 makes the pulses and TIM1 the spindle's PWM.
 const ON_CONTROL_F412: &[&str] = &[
     "boot",
     "crystals",
-    "tasks",
     "pulses",
-    "safe rate",
-    "turns at full rate",
+    "turns",
     "stops on the ring",
-    "probe",
     "raster",
-    "second motor",
     "spindle PWM",
-    "outputs of programs",
-    "settings write",
     "usb",
     "fault",
     "lost clock",
-    "restart on request",
 ];
 
 /// Cases for a board that has the same image as another board, and only another pin table. The other board runs more
 /// cases; these test the pins.
 const ON_OTHER_PINS: &[&str] =
-    &["boot", "pulses", "trips", "probe", "inverted outputs", "outputs of programs", "inputs of programs"];
+    &["boot", "pulses", "trips", "inverted outputs", "outputs of programs", "inputs of programs"];
 
-/// Cases for the board that can switch off the supply of its motors. Its spindle PWM is on channel 3 of the timer; the
-/// other boards with cases in [`BOARDS`] use channel 2.
-const ON_SKR2: &[&str] = &[
-    "boot",
-    "pulses",
-    "trips",
-    "probe",
-    "outputs of programs",
-    "inputs of programs",
-    "spindle PWM",
-    "raster",
-    "fault",
-    "restart on request",
-];
+/// Cases for the board that can switch off the supply of its motors. Its spindle PWM is on channel 3 of the timer.
+const ON_SKR2: &[&str] =
+    &["boot", "pulses", "outputs of programs", "inputs of programs", "spindle PWM", "raster", "restart on request"];
 
-/// Boards that also run the loop-back suite with its wires: one per chip.
-const LOOPBACK: [&str; 3] = ["blackpill_f411", "nucleo_f446re", "blackpill_f401"];
+/// Boards that also run the loop-back suite with its wires, each with whether a run of all boards includes it.
+const LOOPBACK: [(&str, bool); 3] = [("blackpill_f411", true), ("nucleo_f446re", true), ("blackpill_f401", false)];
 
 /// Alternative readings of facts that the manuals leave open (`tests/virtual_board/models/readings.py`), each with a
 /// board and the cases that depend on the fact. `.ci/nightly` runs all cases of two boards under each reading.
@@ -222,8 +186,10 @@ pub fn check(board: Option<&str>, cases: &[&str]) -> Result<(), Failure> {
         command.arg(root().join("target/debug/oxmill")).args(*own).args(["--reading", reading]);
         runs.push((*board, command));
     }
-    let has_loopback = |board: &&str| cases.is_empty() && boards.iter().any(|(name, _)| name == board);
-    for board in LOOPBACK.into_iter().filter(has_loopback) {
+    let has_loopback = |(board, in_all): &(&str, bool)| {
+        cases.is_empty() && (is_named || *in_all) && boards.iter().any(|(name, _)| name == board)
+    };
+    for (board, _) in LOOPBACK.into_iter().filter(has_loopback) {
         let mut command = module(&python, "virtual_board.loopback");
         command.arg(board).arg(suites::loopback(board)?);
         runs.push((board, command));
