@@ -139,6 +139,16 @@ class Wiring:
             begin = f"const {rest.strip()}: Board"
 
     @property
+    def pulse_timer(self):
+        """Timer of the step pulses."""
+        return "TIM8" if self.entry("tim8_makes_pulses") == "true" else "TIM1"
+
+    @property
+    def pulse_stream(self):
+        """Stream of DMA2 that writes the words of the first port (docstring of `boards/stm32f4/chain.rs`)."""
+        return 2 if self.pulse_timer == "TIM8" else 1
+
+    @property
     def pwm_timer(self):
         """Timer on the spindle's pin."""
         return "TIM1" if self.pwm == "A8" else "TIM3"

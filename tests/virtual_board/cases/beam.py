@@ -262,9 +262,9 @@ def raster_stops_at_full_rate(bench):
     # Set the pulse first, because with a longer pulse the rate would be rejected.
     bench.settings(s0=bench.wiring.least_pulse_us, s110=6000)
     bench.settings(s100=bench.wiring.safe_step_hz // 100)
-    clock, tim1, obeyed = step_clock(board), board.peripherals["TIM1"], []
+    clock, pulses, obeyed = step_clock(board), board.peripherals[bench.wiring.pulse_timer], []
     watch, behind = StopWatch(board), 0
-    to_tim1 = tim1.write
+    to_pulses = pulses.write
 
     def away():
         """Returns the ticks from now to the next change."""
@@ -273,12 +273,12 @@ def raster_stops_at_full_rate(bench):
 
     def halt(offset, value):
         ahead = away() - wanted
-        if offset == timer.SMCR and tim1.values[offset] & 7 and not value & 7 and 0 <= ahead * clock.cycles / hz < 40 * US:
+        if offset == timer.SMCR and pulses.values[offset] & 7 and not value & 7 and 0 <= ahead * clock.cycles / hz < 40 * US:
             board.stand(ahead * clock.cycles / hz)
             obeyed.append(away())
-        to_tim1(offset, value)
+        to_pulses(offset, value)
 
-    tim1.write = halt
+    pulses.write = halt
     row = "M3S0\nX2\n" + "".join(f"X.05S{2 + 6 * (k % 2)}\n" for k in range(10)) + "X9S7\n"
     stops = 0
     while len(obeyed) < 16 and stops < 150:

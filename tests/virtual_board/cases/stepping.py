@@ -482,20 +482,21 @@ def late_starts(bench):
 
 
 def miscounts(bench):
-    """TIM1 misses a trigger, DMA serves one request too many, or a DMA stream reports an error, each at a slow rate and
-    at the maximum rate: the motion must end soon, with ALARM:103."""
+    """The timer of the pulses misses a trigger, DMA serves one request too many, or a DMA stream reports an error, each at
+    a slow rate and at the maximum rate: the motion must end soon, with ALARM:103."""
 
-    def miss(tim1):
-        trigger = tim1.trigger
+    def miss(pulses):
+        trigger = pulses.trigger
 
         def once(at):
-            tim1.trigger = trigger
+            pulses.trigger = trigger
 
-        tim1.trigger = once
+        pulses.trigger = once
 
+    pulses = bench.wiring.pulse_timer
     faults = {
-        "a trigger is missed": lambda board: miss(board.peripherals["TIM1"]),
-        "a request too many": lambda board: board.dma[1].ask("TIM1_CH1", board.now + 1),
+        "a trigger is missed": lambda board: miss(board.peripherals[pulses]),
+        "a request too many": lambda board: board.dma[1].ask(f"{pulses}_CH1", board.now + 1),
         "a stream's error": lambda board: board.dma[1].values.__setitem__(0, board.dma[1].values[0] | 1 << 9),
         "an error of the moments": lambda board: board.dma[0].values.__setitem__(0, board.dma[0].values[0] | 1 << 19),
     }

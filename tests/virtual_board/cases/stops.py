@@ -114,8 +114,8 @@ class StopWatch:
 
     def __init__(self, board):
         self.board, self.called, self.stopped, self.halts, self.halted_at = board, None, [], 0, None
-        tim1, tim5, edges = board.peripherals["TIM1"], board.peripherals["TIM5"], board.dma[1]
-        to_tim1, to_tim5 = tim1.write, tim5.write
+        pulses, tim5, edges = board.peripherals[board.wiring.pulse_timer], board.peripherals["TIM5"], board.dma[1]
+        to_pulses, to_tim5, left = pulses.write, tim5.write, 0x10 + 0x18 * board.wiring.pulse_stream + NDTR
 
         def call(offset, value):
             if offset == EGR and value & 16:
@@ -127,15 +127,15 @@ class StopWatch:
             to_tim5(offset, value)
 
         def stop(offset, value):
-            if offset == SMCR and tim1.values[SMCR] & 7 and not value & 7:
+            if offset == SMCR and pulses.values[SMCR] & 7 and not value & 7:
                 self.halts += 1
                 self.halted_at = board.now
                 if self.called:
-                    self.stopped.append((board.now - self.called, edges.values[0x10 + 0x18 + NDTR]))
+                    self.stopped.append((board.now - self.called, edges.values[left]))
                 self.called = None
-            to_tim1(offset, value)
+            to_pulses(offset, value)
 
-        tim1.write, tim5.write = stop, call
+        pulses.write, tim5.write = stop, call
 
 
 def ring_stops(bench):
