@@ -421,7 +421,7 @@ impl<const N: usize> Controller<N> {
                 self.m.start_idle_delay();
             }
         }
-        if self.m.motion.is_at_rest() && self.m.accessories.rests() {
+        if self.m.motion.is_at_rest() && self.m.accessories.apply_stop_at_rest() {
             self.m.replies.overrides_changed();
         }
         match self.state {

@@ -79,7 +79,7 @@ impl<const N: usize> Controller<N> {
     /// Sends a notice, a message about a word of the program. Each notice is sent once for each program.
     #[inline(never)]
     pub(crate) fn tell_notice(&mut self, notice: Notice) {
-        if self.line.is_new(notice) {
+        if self.line.take_unsent(notice) {
             self.say(|out| reply_texts::message(out, notice.text()));
         }
     }

@@ -13,7 +13,7 @@ use crate::states::stops::reaction::Reaction;
 impl<const N: usize> Controller<N> {
     pub(crate) fn signals_changed(&mut self, sensed: &Sensed) {
         let InputChange { stops, came } = self.m.inputs.take(sensed, &self.m.settings);
-        self.m.stops.count(stops);
+        self.m.stops.add_expected(stops);
         let mut stopped = Stopped { already: stops != 0, answered: false };
         self.emergency(&came, &mut stopped);
         if came.reset {

@@ -68,7 +68,7 @@ impl<const N: usize> Controller<N> {
         action.speed_changed
             && action.spindle.is_none()
             && self.m.accessories.is_on_without_speed()
-            && (settings.is_on(Key::SpinUp) || self.m.accessories.must_tell_speed(settings))
+            && (settings.is_on(Key::SpinUp) || self.m.accessories.waits_for_speed(settings))
             && !settings.is_on(Key::Laser)
     }
 
@@ -302,7 +302,7 @@ impl<const N: usize> Controller<N> {
         let dwell = self.line.action.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
         let wait = dwell + job.spindle_delay;
         let switched = self.line.action.spindle.is_some() || !job.spindle_delay.is_zero();
-        if switched && self.m.accessories.must_tell_speed(&self.m.settings) && !checking {
+        if switched && self.m.accessories.waits_for_speed(&self.m.settings) && !checking {
             job.wait(Stage::SpinningUp, self.m.now + wait)
         } else if wait.is_zero() {
             Stage::Via

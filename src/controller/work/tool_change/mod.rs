@@ -156,7 +156,7 @@ impl<const N: usize> Controller<N> {
             }
             ChangeOrder::Measured(place) => {
                 if self.m.interpreter.tool_measured(self.line.action.spindle_tool(), place) {
-                    self.line.change().is_first_tool();
+                    self.line.change().mark_first_tool();
                 }
                 self.m.replies.offset_changed();
             }
