@@ -138,7 +138,7 @@ impl Control {
     /// inlined, so that the virtual board can replace it by an endless loop.
     #[inline(never)]
     pub fn turn(&mut self) {
-        let heard = SERIAL.heard.load(Ordering::Relaxed);
+        let activity = SERIAL.activity.load(Ordering::Relaxed);
         loop {
             while round(self) || self.release_answers() {}
             self.note_place();
@@ -156,7 +156,7 @@ impl Control {
         }
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
         // Whether the replies have been sent is not considered here: the serial task itself checks that.
-        shared::set_free(heard, nothing_waits && self.controller.is_free() && observed.step_idle);
+        shared::set_free(activity, nothing_waits && self.controller.is_free() && observed.step_idle);
         CONTROL.reads_characters.store(self.controller.reads_characters(), Ordering::Relaxed);
         CONTROL.speaks_grblhal.store(self.controller.speaks_grblhal(), Ordering::Relaxed);
         if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
@@ -238,7 +238,7 @@ impl Control {
         // As long as bytes of a preloaded job are left, report the queue of received bytes as full, because the next
         // bytes of the job are always ready.
         let arrived = SERIAL.bytes_received.load(Ordering::Relaxed);
-        let heard = arrived.wrapping_add(SERIAL.bytes_ignored.load(Ordering::Relaxed));
+        let activity = arrived.wrapping_add(SERIAL.bytes_ignored.load(Ordering::Relaxed));
         let received = arrived.wrapping_sub(self.line_bytes_out) as usize;
         let has_job = self.job.as_ref().is_some_and(|job| job.next < job.text.len());
         let (used, received) = if has_job { (LINES_DEPTH, LINES_DEPTH) } else { (used, received) };
@@ -249,7 +249,7 @@ impl Control {
             step_idle,
             rx_free,
             received: received as u16,
-            heard: heard as u16,
+            activity: activity as u16,
         }
     }
 

@@ -95,7 +95,7 @@ fn count(counter: &AtomicU32, by: u32) {
 
 impl Queues for ToControl {
     fn realtime(&mut self, command: Realtime) -> bool {
-        count(&SERIAL.heard, 1);
+        count(&SERIAL.activity, 1);
         let queued = !shared::owes() && self.realtime.try_send(command).is_ok();
         let owed = !queued && self.may_owe && shared::owe(command);
         if owed {
@@ -335,7 +335,7 @@ impl Serial {
         // The counts may be updated after the bytes are queued, because the tasks that take the bytes or read the
         // counts do not preempt this task.
         let queued = core::mem::take(&mut queues.bytes_queued);
-        count(&SERIAL.heard, queued);
+        count(&SERIAL.activity, queued);
         count(&SERIAL.bytes_queued, queued);
         news |= queues.flush();
         let held = uart.link.held() + usb.link.held();

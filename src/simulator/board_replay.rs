@@ -210,7 +210,7 @@ struct Playing<'a, H, P> {
 
 impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
     fn play(&mut self, inputs: &[(u64, Input)], left_out: usize, notes: &mut Vec<String>) -> Result<(), String> {
-        self.simulator.hear_always();
+        self.simulator.set_never_silent();
         self.start(inputs, left_out, notes)?;
         for (at, (time, input)) in inputs.iter().enumerate().skip(1) {
             // If another input, such as a realtime command, came before the end of a line, the board recorded the

@@ -40,7 +40,7 @@ pub struct SerialStatus {
     pub bytes_ignored: AtomicU32,
     /// Number of received commands and queued line bytes since power-up (wrapping). A command that waits for room in
     /// the queue counts again at each attempt to queue it.
-    pub heard: AtomicU32,
+    pub activity: AtomicU32,
     /// Number of times that a host opened a port and became or remained the active host, since power-up (wrapping).
     pub hosts_came: AtomicU8,
     /// Number of times that the active host disconnected, since power-up (wrapping).
@@ -54,7 +54,7 @@ pub static SERIAL: SerialStatus = SerialStatus {
     bytes_queued: AtomicU32::new(0),
     bytes_received: AtomicU32::new(0),
     bytes_ignored: AtomicU32::new(0),
-    heard: AtomicU32::new(0),
+    activity: AtomicU32::new(0),
     hosts_came: AtomicU8::new(0),
     hosts_went: AtomicU16::new(0),
     owed: AtomicU32::new(0),
@@ -74,7 +74,7 @@ pub static INPUTS: InputStatus =
 
 /// Status that `control` publishes to the other tasks.
 pub struct ControlStatus {
-    /// Value of [`SerialStatus::heard`] up to which everything has been executed and answered.
+    /// Value of [`SerialStatus::activity`] up to which everything has been executed and answered.
     free_at: AtomicU32,
     /// Whether UTF-8 characters in G-code comments are text. `false` until the first round of `control`. While it is
     /// `false`, each byte of such a character is a command or ignored, as in Grbl.
@@ -147,15 +147,15 @@ pub fn stops_asked() -> u16 {
     STOPS_ASKED.load(Ordering::Relaxed)
 }
 
-/// For `control`: publishes whether everything that [`SerialStatus::heard`] had counted at the value `heard` has been
-/// executed and answered.
-pub fn set_free(heard: u32, free: bool) {
-    CONTROL.free_at.store(if free { heard } else { heard.wrapping_sub(1) }, Ordering::Relaxed);
+/// For `control`: publishes whether everything that [`SerialStatus::activity`] had counted at the value `activity` has
+/// been executed and answered.
+pub fn set_free(activity: u32, free: bool) {
+    CONTROL.free_at.store(if free { activity } else { activity.wrapping_sub(1) }, Ordering::Relaxed);
 }
 
 /// For `serial`: returns whether everything received from any host has been executed and answered.
 pub fn is_free() -> bool {
-    CONTROL.free_at.load(Ordering::Relaxed) == SERIAL.heard.load(Ordering::Relaxed)
+    CONTROL.free_at.load(Ordering::Relaxed) == SERIAL.activity.load(Ordering::Relaxed)
 }
 
 /// Power to be output by the spindle's PWM.

@@ -510,7 +510,7 @@ impl Pump<AXES> for Board {
             step_idle: self.due.is_none() && self.queue.is_empty() && self.stepper.is_idle(),
             rx_free: (LINES_DEPTH as u16).saturating_sub(received),
             received,
-            heard: 0,
+            activity: 0,
         }
     }
 

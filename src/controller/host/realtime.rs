@@ -138,7 +138,7 @@ impl<const N: usize> Controller<N> {
             _ => Key::HostSilence,
         };
         if !self.m.settings.is_on(longest) {
-            self.m.lines.heartbeat_mut().rest();
+            self.m.lines.heartbeat_mut().allow_silence();
         } else {
             self.look_for_silence(self.m.settings.seconds(longest));
         }
@@ -154,9 +154,9 @@ impl<const N: usize> Controller<N> {
             _ => false,
         };
         if !is_at_work {
-            self.m.lines.heartbeat_mut().rest();
+            self.m.lines.heartbeat_mut().allow_silence();
         } else if self.m.lines.heartbeat_mut().is_silent(self.m.now, longest) {
-            self.m.lines.heartbeat_mut().rest();
+            self.m.lines.heartbeat_mut().allow_silence();
             self.say(|out| reply_texts::message(out, "The host is silent"));
             match self.state {
                 State::Jog { .. } => self.end_jog_of_no_host(true),

@@ -323,9 +323,9 @@ impl LineIntake {
     }
 
     /// Updates the byte counts. `received`: line bytes received and not yet taken, without those that the link dropped
-    /// because their host disconnected. `heard`: all bytes received except commands (wrapping).
-    pub fn observe(&mut self, received: u16, heard: u16) {
-        self.heartbeat.observe(heard);
+    /// because their host disconnected. `activity`: all bytes received except commands (wrapping).
+    pub fn observe(&mut self, received: u16, activity: u16) {
+        self.heartbeat.observe(activity);
         if self.drop_bytes | self.jog_bytes != 0 {
             self.drop_bytes = self.drop_bytes.min(received);
             self.jog_bytes = self.jog_bytes.min(received);

@@ -116,7 +116,7 @@ fn a_raster_changes_its_power_where_the_program_does() {
     }
     assert!(motion.queued_blocks() < 80, "{}", motion.queued_blocks());
     motion.start();
-    let mut observed = Observed { segments_begun: 0, step_idle: false, rx_free: 0, received: 1, heard: 0 };
+    let mut observed = Observed { segments_begun: 0, step_idle: false, rx_free: 0, received: 1, activity: 0 };
     let mut units = 0;
     while let Some(message) = motion.next(&observed) {
         let ToStep::Segment(segment) = message else { continue };

@@ -139,7 +139,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
             step_idle: self.stepper.is_idle() && self.queue.is_empty(),
             rx_free: 0,
             received: 1,
-            heard: 0,
+            activity: 0,
         }
     }
 

@@ -256,7 +256,7 @@ fn characters_of_a_remark_are_no_commands() {
 }
 
 /// Returns the text, the commands that were queued at once, and the commands that were queued after a long pause.
-fn heard(bytes: &[u8], is_grbl: bool) -> (String, Vec<Realtime>, Vec<Realtime>) {
+fn received(bytes: &[u8], is_grbl: bool) -> (String, Vec<Realtime>, Vec<Realtime>) {
     let mut both = Both::<16>::new(8, 100);
     both.queues.is_grbl = is_grbl;
     both.usb(bytes);
@@ -285,9 +285,9 @@ fn a_hold_in_a_remark_is_text_if_the_line_goes_on() {
         (b"G1!X~1\n", "G1X1\n", &[FeedHold, CycleStart], &[]),
     ] {
         let expected = (text.to_owned(), at_once.to_vec(), later.to_vec());
-        assert_eq!(heard(bytes, false), expected, "{}", bytes.escape_ascii());
+        assert_eq!(received(bytes, false), expected, "{}", bytes.escape_ascii());
     }
-    assert_eq!(heard(b"(slow!)~", true), ("(slow)".into(), vec![FeedHold, CycleStart], vec![]));
+    assert_eq!(received(b"(slow!)~", true), ("(slow)".into(), vec![FeedHold, CycleStart], vec![]));
 }
 
 #[test]
