@@ -13,7 +13,7 @@ use crate::path::Drawing;
 use crate::plot;
 use crate::power_up::{SettingRefused, apply_setting};
 use crate::recording::{Input, RecordedJob, Recorder, Recording};
-use crate::resume::{Begin, Wish};
+use crate::resume::{Begin, ResumeRequest};
 use crate::short_report::ShortReport;
 use crate::simulator::{Options, Simulator};
 use crate::store::Store;
@@ -296,8 +296,8 @@ pub fn resume(options: &ResumeJob) -> Result<Ending> {
     };
     let plunge = options.plunge.map(|Millimetres(feed)| Decimal(feed));
     let clearance = options.clearance.map(|Millimetres(height)| Coordinate(height));
-    let wish = Wish { begin, clearance, plunge, spin_up: options.spin_up };
-    let resumed = crate::resume::resume(&simulator, &base_name(&options.job), &job, &wish);
+    let request = ResumeRequest { begin, clearance, plunge, spin_up: options.spin_up };
+    let resumed = crate::resume::resume(&simulator, &base_name(&options.job), &job, &request);
     let resumed = resumed.map_err(|why| anyhow!("{name} cannot go on there: {why}"))?;
     match file {
         Some(file) => file.begin().and_then(|mut file| file.write_all(&resumed.program)),
