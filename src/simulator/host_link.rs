@@ -238,7 +238,10 @@ impl HostLink {
     /// * in a replay, further bytes that waited on the board.
     pub fn received(&self) -> usize {
         let held = self.link.held();
-        self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut()) + usize::from(self.more)
+        self.queues.lines.len()
+            + held
+            + usize::from(held > 0 && self.arbiter.is_host_change_due())
+            + usize::from(self.more)
     }
 
     /// Number of bytes that the link has fetched (wrapping). If the host must never count as silent, the number also

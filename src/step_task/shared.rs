@@ -2,7 +2,7 @@
 //! grouped by the task that writes them. The table in docs/how-it-works.md gives the reason for each.
 
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU16, AtomicU32, Ordering};
-use oxmill_controller::Owed;
+use oxmill_controller::DeferredCommands;
 use oxmill_controller::messages::{Realtime, input};
 
 /// The signal that wakes `control`; any task can set it.
@@ -45,11 +45,13 @@ pub struct SerialStatus {
     pub hosts_came: AtomicU8,
     /// Number of times that the active host disconnected, since power-up (wrapping).
     pub hosts_went: AtomicU16,
-    /// Commands for which the queue had no room and which must not be lost ([`Owed`]); `control` takes them.
-    owed: AtomicU32,
+    /// Commands for which the queue had no room and which must not be lost ([`DeferredCommands`]); `control` takes
+    /// them.
+    deferred: AtomicU32,
 }
 
-/// Status of the serial task. Only `serial` writes it, except that `control` clears the owed commands ([`take_owed`]).
+/// Status of the serial task. Only `serial` writes it, except that `control` clears the deferred commands
+/// ([`take_deferred`]).
 pub static SERIAL: SerialStatus = SerialStatus {
     bytes_queued: AtomicU32::new(0),
     bytes_received: AtomicU32::new(0),
@@ -57,7 +59,7 @@ pub static SERIAL: SerialStatus = SerialStatus {
     activity: AtomicU32::new(0),
     hosts_came: AtomicU8::new(0),
     hosts_went: AtomicU16::new(0),
-    owed: AtomicU32::new(0),
+    deferred: AtomicU32::new(0),
 };
 
 /// Status that `inputs` publishes to the other tasks.
@@ -118,27 +120,27 @@ pub fn ask_for_stop() {
 /// keep it and returns `false`. A stop (0x19) and a jog cancel are kept as resets, and each reset needs a stop of the
 /// step task. For a stop or jog cancel, this function requests that stop of the step task; for a reset, `serial` has
 /// already requested it. The caller must pend the step vector afterwards, as for [`ask_for_stop`].
-pub fn owe(command: Realtime) -> bool {
-    let Some(owed) = Owed(SERIAL.owed.load(Ordering::Relaxed)).with(command) else { return false };
+pub fn defer(command: Realtime) -> bool {
+    let Some(deferred) = DeferredCommands(SERIAL.deferred.load(Ordering::Relaxed)).with(command) else { return false };
     if command.opens_epoch() && command != Realtime::Reset {
         ask_for_stop();
     }
     // A separate load and store suffice here: `control`, which takes the commands, cannot run in between, as it does
     // not preempt `serial`.
-    SERIAL.owed.store(owed.0, Ordering::Relaxed);
+    SERIAL.deferred.store(deferred.0, Ordering::Relaxed);
     true
 }
 
-/// Returns whether the serial task has commands for which the queue had no room (owed commands). The serial task queues
-/// no further command until `control` has taken these, so that commands keep their order.
-pub fn owes() -> bool {
-    SERIAL.owed.load(Ordering::Relaxed) != 0
+/// Returns whether the serial task has commands for which the queue had no room (deferred commands). The serial task
+/// queues no further command until `control` has taken these, so that commands keep their order.
+pub fn has_deferred() -> bool {
+    SERIAL.deferred.load(Ordering::Relaxed) != 0
 }
 
-/// For `control`: takes the owed commands. Call only if [`owes`] has returned `true` and the queue of commands was
-/// emptied after that, because the owed commands arrived after all commands in the queue.
-pub fn take_owed() -> Owed {
-    Owed(SERIAL.owed.swap(0, Ordering::Relaxed))
+/// For `control`: takes the deferred commands. Call only if [`has_deferred`] has returned `true` and the queue of
+/// commands was emptied after that, because the deferred commands arrived after all commands in the queue.
+pub fn take_deferred() -> DeferredCommands {
+    DeferredCommands(SERIAL.deferred.swap(0, Ordering::Relaxed))
 }
 
 /// Returns how many stops have been requested since power-up (wrapping).

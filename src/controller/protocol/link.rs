@@ -144,7 +144,7 @@ impl Link {
             Received::Realtime(command) => {
                 if command == Realtime::Reset {
                     queues.stop();
-                    arbiter.turn_to(|floor| floor.seize(self.number), || other.lose_floor());
+                    arbiter.turn_to(|active| active.take_over(self.number), || other.lose_active_role());
                     self.mid_line = false;
                     self.after_cr = false;
                     // The bytes lost so far belong to lines that the reset voids.
@@ -159,7 +159,7 @@ impl Link {
                 // active one, and gets the answer even to this host's `?`.
                 if !other.mid_line || other.refusing_line {
                     let free = queues.is_free();
-                    arbiter.turn_to(|floor| floor.claim(self.number, free, false), || other.lose_floor());
+                    arbiter.turn_to(|active| active.claim(self.number, free, false), || other.lose_active_role());
                 }
                 self.command(command, arbiter, queues)
             }
@@ -169,13 +169,13 @@ impl Link {
                 let second_of_crlf = byte == b'\n' && self.after_cr;
                 self.after_cr = byte == b'\r';
                 if second_of_crlf {
-                    if self.refusing_line || arbiter.holder() != self.number {
+                    if self.refusing_line || arbiter.active_link() != self.number {
                         return false;
                     }
                 } else {
                     self.refusing_line &= self.mid_line;
                     self.refusing_line =
-                        self.refusing_line || !arbiter.claim(self.number, queues, || other.lose_floor());
+                        self.refusing_line || !arbiter.claim(self.number, queues, || other.lose_active_role());
                 }
                 self.mid_line = !is_end(byte);
                 if self.refusing_line {
@@ -202,12 +202,12 @@ impl Link {
         if self.remark.has_begun_character() {
             return 0;
         }
-        let has_floor = arbiter.reads(self.number);
-        let has_no_room = self.held.len() >= self.may_hold && !queues.waits() && has_floor;
+        let is_active = arbiter.reads(self.number);
+        let has_no_room = self.held.len() >= self.may_hold && !queues.waits() && is_active;
         if self.mid_line && (self.refusing_line || has_no_room) {
             return self.drop_text(bytes);
         }
-        let is_text = has_floor && !(self.refusing_line || self.lost || self.after_cr) && self.held.is_empty();
+        let is_text = is_active && !(self.refusing_line || self.lost || self.after_cr) && self.held.is_empty();
         if !is_text {
             return 0;
         }
@@ -286,7 +286,7 @@ impl Link {
 
     /// Voids the unfinished line, because the other host has become the active one: the held bytes of the line are
     /// dropped, and the rest of the line is refused.
-    fn lose_floor(&mut self) {
+    fn lose_active_role(&mut self) {
         self.refusing_line |= self.mid_line;
         self.held.clear();
     }
@@ -302,7 +302,7 @@ impl Link {
             self.held.pop_back();
         }
         if self.held.is_empty() {
-            arbiter.owe_cut();
+            arbiter.require_host_change();
         }
     }
 
@@ -319,9 +319,9 @@ impl Link {
     /// [`HOST_CHANGED`](crate::messages::HOST_CHANGED) voids it before the host's first line byte.
     pub fn came(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &impl Queues) -> bool {
         let free = queues.is_free();
-        let granted = arbiter.turn_to(|floor| floor.claim(self.number, free, true), || other.lose_floor());
+        let granted = arbiter.turn_to(|active| active.claim(self.number, free, true), || other.lose_active_role());
         if granted {
-            arbiter.owe_cut();
+            arbiter.require_host_change();
         }
         self.forget();
         granted
@@ -331,9 +331,9 @@ impl Link {
     /// queue are dropped. A `HOST_CHANGED` precedes the next host's first byte, which therefore starts a new line; the
     /// controller does not answer the lines before that `HOST_CHANGED`.
     pub fn went(&mut self, arbiter: &mut HostArbiter) -> bool {
-        let held_floor = arbiter.leave(self.number);
+        let was_active = arbiter.leave(self.number);
         self.forget();
-        held_floor
+        was_active
     }
 
     fn forget(&mut self) {

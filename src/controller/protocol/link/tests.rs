@@ -13,7 +13,7 @@ pub struct Depths {
     pub most_lines: usize,
     /// The link being read cannot wait. Its resets always find room, because the serial task keeps them if the queue is
     /// full.
-    owes_resets: bool,
+    defers_resets: bool,
     pub free: bool,
     stops: usize,
     is_grbl: bool,
@@ -21,7 +21,7 @@ pub struct Depths {
 
 impl Queues for Depths {
     fn realtime(&mut self, command: Realtime) -> bool {
-        let room = self.commands.len() < self.most_commands || self.owes_resets && command == Realtime::Reset;
+        let room = self.commands.len() < self.most_commands || self.defers_resets && command == Realtime::Reset;
         if room {
             self.commands.push(command);
         }
@@ -37,7 +37,7 @@ impl Queues for Depths {
     }
 
     fn waits(&self) -> bool {
-        !self.owes_resets
+        !self.defers_resets
     }
 
     fn is_free(&self) -> bool {
@@ -78,11 +78,11 @@ impl<const HELD: usize> Both<HELD> {
     }
 
     pub fn uart(&mut self, text: &[u8]) {
-        self.queues.owes_resets = true;
+        self.queues.defers_resets = true;
         for byte in text {
             self.uart.take(*byte, &mut self.arbiter, &mut self.usb, &mut self.queues);
         }
-        self.queues.owes_resets = false;
+        self.queues.defers_resets = false;
     }
 
     pub fn pass_on(&mut self) -> bool {
@@ -429,7 +429,7 @@ impl Both<40> {
         let Both { queues, arbiter, uart, usb } = self;
         match event {
             Event::Bytes { usb: is_usb, bytes } => {
-                queues.owes_resets = !is_usb;
+                queues.defers_resets = !is_usb;
                 let mut left = bytes.as_slice();
                 while let Some((first, behind)) = left.split_first() {
                     let run = match (by_run, is_usb) {
