@@ -448,7 +448,7 @@ impl Pump<AXES> for Control {
                 self.recorder.handed(&message);
                 // There is room, and only this task sends.
                 let _ = self.ends.segments.try_send(message);
-                if STEP.wants.load(Ordering::Relaxed) != 0 {
+                if STEP.needs_message.load(Ordering::Relaxed) != 0 {
                     boards::call_step();
                 }
             }

@@ -17,14 +17,14 @@ pub struct StepStatus {
     /// Nonzero if a message queued now must not wait for the next scheduled run of `step`: the task that queues the
     /// message must then pend the step vector. Each run of `step` writes 0 or 1. So if the watchdog has written
     /// [`STEP_ASKED`] and later finds that value unchanged, `step` has not run since.
-    pub wants: AtomicU8,
+    pub needs_message: AtomicU8,
 }
 
-/// Status of the step task. Only `step` writes it, except that the watchdog writes [`STEP_ASKED`] to `wants`.
+/// Status of the step task. Only `step` writes it, except that the watchdog writes [`STEP_ASKED`] to `needs_message`.
 pub static STEP: StepStatus =
-    StepStatus { segments_begun: AtomicU32::new(0), at_rest: AtomicBool::new(true), wants: AtomicU8::new(1) };
+    StepStatus { segments_begun: AtomicU32::new(0), at_rest: AtomicBool::new(true), needs_message: AtomicU8::new(1) };
 
-/// Value of [`StepStatus::wants`] that the watchdog (in `inputs`) writes to check whether `step` runs: each run
+/// Value of [`StepStatus::needs_message`] that the watchdog (in `inputs`) writes to check whether `step` runs: each run
 /// replaces it. It is nonzero, so a task that queues a message before that run still pends the step vector.
 pub const STEP_ASKED: u8 = 2;
 

@@ -78,7 +78,7 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
             Some(Output::Reply(chunk) | Output::Answer(chunk)) => answers.extend_from_slice(chunk.as_bytes()),
             Some(_) => {}
             None => {
-                while stepper.wants()
+                while stepper.has_room()
                     && let Some(message) = queue.pop_front()
                 {
                     stepper.load(message);

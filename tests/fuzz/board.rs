@@ -344,7 +344,7 @@ impl Board {
     }
 
     fn load(&mut self) {
-        while self.stepper.wants()
+        while self.stepper.has_room()
             && let Some(message) = self.queue.pop_front()
         {
             self.stepper.load(message);

@@ -155,11 +155,11 @@ impl<const N: usize> Stepper<N> {
     /// Returns whether there is room for one more message. The step task loads messages while this holds, then calls
     /// [`Stepper::tick`]. The first segment of a block takes two or more messages, any other segment one.
     #[inline]
-    pub fn wants(&self) -> bool {
+    pub fn has_room(&self) -> bool {
         !self.is_next || self.latch.is_unnoted
     }
 
-    /// Loads a message. Call only while [`Stepper::wants`] returns `true`.
+    /// Loads a message. Call only while [`Stepper::has_room`] returns `true`.
     #[inline]
     pub fn load(&mut self, message: ToStep) {
         if self.latch.is_unnoted {

@@ -124,7 +124,7 @@ impl Maker {
     /// Loads queued messages while the stepper has room.
     #[inline(always)]
     pub fn receive(&mut self) {
-        while self.stepper.wants() && self.receive_one() {}
+        while self.stepper.has_room() && self.receive_one() {}
     }
 
     #[inline(never)]

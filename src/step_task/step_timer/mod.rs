@@ -449,21 +449,21 @@ impl Step {
     /// of that run already takes queued segments into account. So a message is urgent only if a segment is needed and
     /// none is queued.
     #[inline(always)]
-    fn wants_message(&self) -> bool {
+    fn needs_message(&self) -> bool {
         let Maker { stepper, one_by_one, .. } = &self.maker;
         match self.state {
             State::Running | State::Preparing(_) if !one_by_one => self.maker.is_out_of_segments(),
-            _ => stepper.wants(),
+            _ => stepper.has_room(),
         }
     }
 
     /// Publishes the state to the other tasks, updates the laser power, and sends reports.
     #[inline(always)]
     fn tell(&mut self) {
-        let (is_preparing, wants) = (self.is_preparing(), self.wants_message());
+        let (is_preparing, needs_message) = (self.is_preparing(), self.needs_message());
         let Maker { stepper, output, begins, beam, .. } = &mut self.maker;
         STEP.segments_begun.store(stepper.segments_begun().wrapping_sub(begins.len()), Ordering::Relaxed);
-        STEP.wants.store(u8::from(wants), Ordering::Relaxed);
+        STEP.needs_message.store(u8::from(needs_message), Ordering::Relaxed);
         let (is_rest, is_ending) = (self.state == State::Rest, self.state == State::Ending);
         let is_dark = (is_rest || is_ending) && stepper.is_shut();
         if beam.show(output, is_rest, is_dark) && !is_preparing {

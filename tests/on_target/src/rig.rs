@@ -199,7 +199,7 @@ impl Pump<AXES> for Rig {
     }
 
     fn room(&mut self) -> Room {
-        Room { step: self.stepper.wants(), reply: true }
+        Room { step: self.stepper.has_room(), reply: true }
     }
 
     fn carry(&mut self, output: Output) {

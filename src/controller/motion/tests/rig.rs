@@ -204,7 +204,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
 
     /// Executes one tick of the step timer; returns `false` at rest.
     pub fn tick(&mut self) -> bool {
-        while self.stepper.wants() {
+        while self.stepper.has_room() {
             let Some(message) = self.queue.pop_front() else { break };
             self.stepper.load(message);
         }
