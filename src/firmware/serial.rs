@@ -220,7 +220,7 @@ impl<P: Port> Ported<P> {
             // `others` does not count line bytes, because the room in their queue limits them. On a link that cannot
             // make its sender wait, it does not count the characters of comments either: `singly` limits these, and a
             // host that counts characters includes them.
-            let is_other = queues.bytes_queued == queued && (P::WAITS || !self.link.is_in_remark());
+            let is_other = queues.bytes_queued == queued && (P::WAITS || !self.link.is_in_comment());
             queues.others = queues.others.saturating_sub(u32::from(is_other));
             self.singly += 1;
             self.quiet_runs = 0;

@@ -266,7 +266,7 @@ pub fn replay(options: &Replay) -> Result<Ending> {
         files::print(io::stdout(), notes.as_bytes()).context("cannot write the summary")?;
     }
     if let Err(why) = &same {
-        files::remark(&format!("oxmill: {path}: {why}"));
+        files::eprint_line(&format!("oxmill: {path}: {why}"));
     }
     traced?;
     Ok(if same.is_ok() { Ending::of(&summary) } else { Ending::OtherSteps })
@@ -305,11 +305,11 @@ pub fn resume(options: &ResumeJob) -> Result<Ending> {
     }
     .context("cannot write the program")?;
     let (line, lines) = (resumed.line, resumed.lines);
-    files::remark(&format!(
+    files::eprint_line(&format!(
         "oxmill: for a machine that has been reset and homed: line {line} of {lines} and what follows, behind:"
     ));
     for line in &resumed.prologue {
-        files::remark(&format!("  {line}"));
+        files::eprint_line(&format!("  {line}"));
     }
     Ok(Ending::Good)
 }
@@ -426,7 +426,7 @@ fn carry_out_job(options: &Run, form: Form) -> Result<Ending> {
     let mut failures = failures.into_iter();
     let Some(first) = failures.next() else { return Ok(Ending::of(&summary)) };
     for other in failures {
-        files::remark(&format!("oxmill: {other:#}"));
+        files::eprint_line(&format!("oxmill: {other:#}"));
     }
     Err(first)
 }

@@ -2,8 +2,8 @@
 //! warning says what they would do, and in which dialects.
 
 use oxmill_controller::messages::Realtime;
+use oxmill_controller::protocol::comment::CommentTracker;
 use oxmill_controller::protocol::realtime::{command, command_of_grblhal};
-use oxmill_controller::protocol::remark::Remark;
 
 /// Returns what a command does to a job; `None` if it has no noticeable effect.
 fn effect(command: Realtime) -> Option<&'static str> {
@@ -68,20 +68,20 @@ pub fn warning(line: &[u8]) -> Option<String> {
 
 /// Returns for each byte whether it is text of a comment. Such a byte can be a command in dialect grbl only.
 fn texts(line: &[u8]) -> Vec<bool> {
-    let mut remark = Remark::NONE;
+    let mut comment = CommentTracker::NONE;
     let mut is_text = vec![false; line.len()];
     let mut begun_at = 0;
     for (at, byte) in line.iter().enumerate() {
-        remark.break_off(*byte);
-        if !remark.has_begun_character() {
+        comment.break_off(*byte);
+        if !comment.has_begun_character() {
             begun_at = at;
         }
-        if !remark.takes(*byte, || true) {
+        if !comment.takes(*byte, || true) {
             // `!` and `~`, and the bytes that mean the same in dialect grblhal, are text in a comment if another byte
             // follows. One always does, at least the line end.
-            is_text[at] = matches!(byte, b'!' | b'~' | 0x81 | 0x82 | 0xA3) && remark.is_inside();
-            remark.follow(*byte, || true);
-        } else if !remark.has_begun_character() {
+            is_text[at] = matches!(byte, b'!' | b'~' | 0x81 | 0x82 | 0xA3) && comment.is_inside();
+            comment.follow(*byte, || true);
+        } else if !comment.has_begun_character() {
             is_text[begun_at..=at].fill(true);
         }
     }

@@ -111,9 +111,9 @@ pub fn resume(machine: &Simulator, name: &str, job: &[u8], request: &ResumeReque
     }
     walk.compare(&begin, &rest[..=mode.line], &lines[at..=at + mode.line])?;
     let has_mark = front.iter().any(|line| is_tape_mark(&spoken(line)));
-    let remark: String = name.chars().filter(|c| c.is_ascii_alphanumeric() || " ._-".contains(*c)).collect();
+    let comment: String = name.chars().filter(|c| c.is_ascii_alphanumeric() || " ._-".contains(*c)).collect();
     let mut program = Vec::new();
-    let head = [format!("({remark} from line {} on)", at + 1)];
+    let head = [format!("({comment} from line {} on)", at + 1)];
     let head = has_mark.then(|| "%".to_owned()).into_iter().chain(head);
     for line in head.chain(begin.iter().cloned()).map(String::into_bytes).chain(rest) {
         program.extend(line);

@@ -2,7 +2,7 @@
 //! turns others away. Time-outs and keep-alive end the connections of clients that have vanished or do not read.
 
 use crate::clients::{Connection, ENDLESS, Happened, Incoming, LOOK, PIECE, Places};
-use crate::files::remark;
+use crate::files::eprint_line;
 use crate::no_browser::NoBrowser;
 use anyhow::{Context, Result};
 use socket2::{SockRef, TcpKeepalive};
@@ -55,7 +55,7 @@ pub(crate) fn listen(address: &str) -> Result<TcpListener> {
     let listener = TcpListener::bind(&address).with_context(|| format!("cannot listen on {address}"))?;
     let address = listener.local_addr()?;
     if !address.ip().is_loopback() {
-        remark(&format!("oxmill: {address} is open to other computers: whoever reaches it moves this machine"));
+        eprint_line(&format!("oxmill: {address} is open to other computers: whoever reaches it moves this machine"));
     }
     Ok(listener)
 }

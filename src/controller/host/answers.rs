@@ -51,11 +51,11 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Sends the message of a line that is executed. `remark`: a mark, then the message. With the mark [`WITH_VALUES`],
-    /// parameters in the message are replaced by their values. Sends nothing in an alarm, or if the line would exceed
-    /// the travel. When the message is sent, moves queued before the line can still be running.
-    pub(crate) fn tell_remark(&mut self, remark: &[u8]) {
-        if let Some((mark, written)) = remark.split_first() {
+    /// Sends the message of a line that is executed. `comment`: a mark, then the message. With the mark
+    /// [`WITH_VALUES`], parameters in the message are replaced by their values. Sends nothing in an alarm, or if the
+    /// line would exceed the travel. When the message is sent, moves queued before the line can still be running.
+    pub(crate) fn send_comment(&mut self, comment: &[u8]) {
+        if let Some((mark, written)) = comment.split_first() {
             self.tell_message(*mark, written);
         }
     }

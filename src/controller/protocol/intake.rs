@@ -290,14 +290,14 @@ impl LineIntake {
     }
 
     /// Returns whether a comment of the line contained parentheses.
-    pub fn has_nested_remark(&self) -> bool {
-        self.line.has_nested_remark()
+    pub fn has_nested_comment(&self) -> bool {
+        self.line.has_nested_comment()
     }
 
     /// Returns whether the line has no comment that could contain a message.
     #[inline]
-    pub fn has_no_remark(&self) -> bool {
-        self.line.has_no_remark()
+    pub fn has_no_comment(&self) -> bool {
+        self.line.has_no_comment()
     }
 
     /// Returns the message in the line's comment, if any, and whether it shows values of parameters.
@@ -418,7 +418,7 @@ mod tests {
     use crate::protocol::line_filter::LENGTH;
 
     fn rules() -> LineRules {
-        LineRules { length: LENGTH, merge_crlf: true, nested_remarks: false, expressions: true, block_delete: false }
+        LineRules { length: LENGTH, merge_crlf: true, nested_comments: false, expressions: true, block_delete: false }
     }
 
     fn byte(byte: u8, epoch: u16) -> LineByte {
@@ -622,7 +622,7 @@ mod tests {
                 (intake.text().to_vec(), message, jog, intake.lines_read(), intake.holds())
             };
             assert_eq!(seen(&self.brief), seen(&self.whole));
-            if self.brief.has_no_remark() {
+            if self.brief.has_no_comment() {
                 assert_eq!(self.whole.message(), None);
             }
             let ends = brief.pushed != Pushed::More;

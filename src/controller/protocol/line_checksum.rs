@@ -418,7 +418,7 @@ mod tests {
             let rules = || LineRules {
                 length: LONGEST,
                 merge_crlf: true,
-                nested_remarks: false,
+                nested_comments: false,
                 expressions: true,
                 block_delete: false,
             };

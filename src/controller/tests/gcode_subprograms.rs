@@ -208,7 +208,7 @@ fn a_rest_drops_a_held_program() {
         let mut sender = Sender::new();
         sender.send_all(held);
         assert!(sender.errors.is_empty(), "{held}: {:?}", sender.errors);
-        // A line that has only a remark is accepted.
+        // A line that has only a comment is accepted.
         sender.rested = true;
         sender.send("(PART)");
         sender.send_after_rest("G21\nG0 X3\nO8\nG0 X4\nM99\nM30");

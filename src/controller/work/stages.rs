@@ -554,7 +554,7 @@ impl<const N: usize> Controller<N> {
     fn run_held_line(&mut self, caller: Caller) {
         let mut line = HeldLine::new();
         let next = self.m.interpreter.next_held(&mut line);
-        let (words, remark) = gcode::split_remark(&line);
+        let (words, comment) = gcode::split_comment(&line);
         let carried_out = match next {
             Ok(Held::Line) if !words.is_empty() => self.gcode(words, Answer::Held(caller)),
             Ok(Held::Line | Held::Again) => {
@@ -565,7 +565,7 @@ impl<const N: usize> Controller<N> {
             Err(error) => Err(error),
         };
         match carried_out {
-            Ok(()) => self.tell_remark(remark),
+            Ok(()) => self.send_comment(comment),
             Err(error) => {
                 if gcode::REASONS {
                     let dialect = self.dialect();

@@ -8,7 +8,7 @@ use super::canon::Settings;
 use super::ours::Mill;
 use super::{Event, canon};
 use crate::Failure;
-use oxmill_controller::gcode::{Direction, Flow, Held, HeldLine, Interpreter, split_remark};
+use oxmill_controller::gcode::{Direction, Flow, Held, HeldLine, Interpreter, split_comment};
 use oxmill_controller::protocol::line_filter::{self, Line, LineRules, Pushed};
 use std::collections::BTreeMap;
 use std::fs;
@@ -125,7 +125,7 @@ fn interpret(text: &[u8]) -> Ours {
     let rules = || LineRules {
         length: line_filter::LENGTH,
         merge_crlf: true,
-        nested_remarks: false,
+        nested_comments: false,
         expressions: true,
         block_delete: false,
     };
@@ -190,7 +190,7 @@ impl Program {
             match self.interpreter().next_held(&mut held).map_err(tell)? {
                 Held::Line => {
                     let line = held.clone();
-                    let (words, _) = split_remark(&line);
+                    let (words, _) = split_comment(&line);
                     if !words.is_empty() && self.carry_out(words)? {
                         return Ok(true);
                     }
