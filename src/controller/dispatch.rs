@@ -350,7 +350,7 @@ impl<const N: usize> Controller<N> {
         if self.m.records.has_next() {
             return Some(Output::Store);
         }
-        if let Some(clear_noise) = self.m.inputs.take_look() {
+        if let Some(clear_noise) = self.m.inputs.take_request() {
             return Some(Output::ReadPins { clear_noise });
         }
         if FULL_IMAGE && let Some(first) = self.take_ask() {

@@ -309,7 +309,7 @@ impl Control {
     fn read_recording(&mut self, first: bool) {
         let Control { controller, recorder, settings, .. } = self;
         let board = (boards::profile().name, boards::PROFILE.step_clock_hz);
-        recorder.read(first, board, |number| settings.record(number), |piece| controller.recorded(piece));
+        recorder.read(first, board, |number| settings.record(number), |item| controller.recorded(item));
     }
 
     fn view_of_pins(&self) -> PinView {

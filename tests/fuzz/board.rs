@@ -634,7 +634,7 @@ impl Pump<AXES> for Board {
                     let (key, value) = records.iter().nth(at.into())?;
                     Some(Record { key: *key, value: heapless::Vec::from_slice(value).ok()? })
                 };
-                recorder.read(first, ("fuzz", 1_000_000), record, |piece| controller.recorded(piece));
+                recorder.read(first, ("fuzz", 1_000_000), record, |item| controller.recorded(item));
             }
             Output::Pins(_) | Output::Worked => {}
         }

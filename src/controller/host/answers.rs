@@ -150,8 +150,8 @@ impl<const N: usize> Controller<N> {
 
     /// Switches line checksums off after a reset or a stop, because a line in transit can have been cut, and reports
     /// that to the host.
-    pub(crate) fn lapse_check(&mut self) {
-        if self.m.lines.lapse_check() {
+    pub(crate) fn abort_check(&mut self) {
+        if self.m.lines.abort_check() {
             self.tell_unchecked();
         }
     }

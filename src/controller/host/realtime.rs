@@ -18,7 +18,7 @@ impl<const N: usize> Controller<N> {
         match command {
             Realtime::Reset => {
                 self.m.lines.reset();
-                self.lapse_check();
+                self.abort_check();
                 self.m.stops.begin(StopReason::Reset);
                 self.finish_stop();
                 self.release_held();
@@ -26,12 +26,12 @@ impl<const N: usize> Controller<N> {
             // Grbl ignores 0x19. In Grbl's dialect the byte only advances the epoch, because the serial task has
             // advanced the epoch of later line bytes (see `LineByte`).
             Realtime::Stop if self.dialect() == Dialect::Grbl => {
-                self.m.lines.open_epoch();
+                self.m.lines.advance_epoch();
                 self.release_held();
             }
             Realtime::Stop => {
                 self.m.lines.reset();
-                self.lapse_check();
+                self.abort_check();
                 self.stop_softly(false);
                 self.release_held();
             }

@@ -20,7 +20,7 @@ impl<const N: usize> Controller<N> {
             // The button acts like 0x18. But 0x18 starts an epoch of line bytes (see `LineByte`), and the button does
             // not. So the bytes received so far are counted, and that many are dropped.
             self.m.lines.drop_received(self.m.step_supply.observed().received);
-            self.lapse_check();
+            self.abort_check();
             self.stop_for(StopReason::Reset, &mut stopped);
         }
         let limits = came.limits & levels::hard_limits(&self.m.settings);

@@ -220,8 +220,8 @@ impl LineIntake {
 
     /// Switches line checksums off because of a reset or a stop: everything up to the next line end is refused. Returns
     /// whether checksums were on.
-    pub fn lapse_check(&mut self) -> bool {
-        self.check.lapse()
+    pub fn abort_check(&mut self) -> bool {
+        self.check.abort()
     }
 
     /// Returns whether line checksums are on (`$LC=ON`).
@@ -358,7 +358,7 @@ impl LineIntake {
 
     /// Handles a stop (0x19) in Grbl's dialect, which ignores it. Advances the epoch, because the serial task has
     /// advanced the epoch of the line bytes after the stop, but drops nothing.
-    pub fn open_epoch(&mut self) {
+    pub fn advance_epoch(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
         self.keep_epochs_near();
     }
@@ -576,7 +576,7 @@ mod tests {
         let mut intake = LineIntake::new();
         for epoch in 1..=100_000_u32 {
             if epoch % 3 == 0 {
-                intake.open_epoch()
+                intake.advance_epoch()
             } else {
                 intake.cancel_jogs()
             }
@@ -704,13 +704,13 @@ mod tests {
                 }
             }
             match below(80) {
-                0 => both.each(LineIntake::open_epoch),
+                0 => both.each(LineIntake::advance_epoch),
                 1 => both.each(LineIntake::cancel_jogs),
                 2 => both.each(LineIntake::reset),
                 number @ 3..6 => both.each(|intake| intake.end_received_jogs(3 * (number as u16 - 3))),
                 number @ 6..9 => both.each(|intake| intake.drop_received(3 * (number as u16 - 6))),
                 9 => both.each(|intake| intake.observe(2, 0)),
-                10..14 => both.each(|intake| _ = intake.lapse_check()),
+                10..14 => both.each(|intake| _ = intake.abort_check()),
                 14 if !both.brief.holds() => _ = both.give(byte(HOST_CHANGED, epoch)),
                 _ => {}
             }
