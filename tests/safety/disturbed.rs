@@ -23,7 +23,7 @@ const SETTINGS: &str = "$0=1 $22=1 $24=600 $25=3000 $26=1 $110=6000 $111=5000 $1
 const BELTS: &str = "$904=1";
 const TURNS: &str = "$930=4";
 /// Maximum backlash of `$160` to `$162` below, steps.
-const MOST_SLACK: f64 = 10.0;
+const MOST_BACKLASH: f64 = 10.0;
 /// Settings of each machine, and whether it parks its tool: the moves to and from the parking position are not on the
 /// path.
 const MACHINES: [(&str, bool); 11] = [
@@ -233,10 +233,10 @@ impl Mill {
     fn assert_place(&mut self) {
         let (reported, place) = (self.bench.reported(), tool(&self.bench, self.settings));
         let half = if self.settings.contains(BELTS) { 0.51 } else { 0.01 };
-        let slack = if self.settings.contains("$16") { MOST_SLACK } else { 0.0 };
+        let backlash = if self.settings.contains("$16") { MOST_BACKLASH } else { 0.0 };
         for axis in 0..AXES {
             let off = reported[axis] - self.zero[axis] - place[axis];
-            assert!(off.abs() < half + slack, "reported {reported:?}, is {place:?}: {}", self.log);
+            assert!(off.abs() < half + backlash, "reported {reported:?}, is {place:?}: {}", self.log);
         }
     }
 

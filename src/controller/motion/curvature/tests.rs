@@ -94,12 +94,12 @@ fn limits<const N: usize>(history: &History<N>, new: &Span<N>, rule: &TurnRule<N
         let both_single = new.blocks == 1 && old.blocks == 1;
         if new.straight && old.straight && !(index == 0 && both_single) {
             let all2 = turn2(&old.direction, &new.direction);
-            if let Some((turn2, sine)) = certain(all2, old.noise + new.noise) {
-                let radius = (between + old.half() + new.half()) * radius_of(turn2, sine);
+            if let Some((turn2, half_cosine)) = certain(all2, old.noise + new.noise) {
+                let radius = (between + old.half() + new.half()) * radius_of(turn2, half_cosine);
                 let moving = rule.moving(&old.direction, &new.direction);
                 let bend2 = rule.in_plane(&old.direction, &new.direction, all2, moving) * rule.curve_share * radius;
                 let across = rule.across(&old.direction, &new.direction, square_root(all2));
-                let junction2 = if turn2 > REVERSAL { 0.0 } else { rule.junction2(across, sine, turn2) };
+                let junction2 = if turn2 > REVERSAL { 0.0 } else { rule.junction2(across, half_cosine, turn2) };
                 let single2 = (0.5 * (square_root(junction2) + square_root(junction2 + 4.0 * bend2))).powi(2);
                 let speed2 = if both_single { single2 } else { junction2 + bend2 };
                 if speed2 < fast2 {
