@@ -161,12 +161,12 @@ impl Outcome {
     }
 
     /// Adds advice to the error about a program that the controller stores until its subprograms have arrived, and that
-    /// does not fit into the memory: `lacking` bytes are missing.
-    fn measure_held(&mut self, lacking: usize, board: &str) {
+    /// does not fit into the memory: `excess` bytes are missing.
+    fn measure_held(&mut self, excess: usize, board: &str) {
         let is_of_memory = |error: &&mut LineError| error.code == Error::OutOfMemory.code();
         if let Some(error) = self.errors.iter_mut().rfind(is_of_memory) {
             error.advice = format!(
-                "{board} lacks {lacking} bytes for what it has to hold, from the first call on: a line takes its words and a byte. \
+                "{board} lacks {excess} bytes for what it has to hold, from the first call on: a line takes its words and a byte. \
                  Subprograms as o1001 sub .. o1001 endsub above the program hold less."
             );
         }
@@ -343,8 +343,8 @@ impl Check {
         self.simulator.take_output();
         let open_since = self.simulator.controller().open_since();
         let long_lines = self.simulator.meter().times().long_lines();
-        if let Some(lacking) = self.simulator.controller().lacking_bytes() {
-            self.outcome.measure_held(lacking, self.simulator.board().name);
+        if let Some(excess) = self.simulator.controller().excess_bytes() {
+            self.outcome.measure_held(excess, self.simulator.board().name);
         }
         if let Some(job) = self.simulator.job_mut() {
             self.outcome.collect(job);

@@ -553,8 +553,8 @@ fn memory_for_programs() {
             let mut sender = Sender::new();
             let body = body.replace("{}", &"X5\n".repeat(lines));
             sender.send_all(&format!("G0 X1\nM98 P1\n{body}\n%\n"));
-            assert_eq!(sender.interpreter.lacking_bytes().is_some(), !sender.errors.is_empty(), "{lines}");
-            sender.interpreter.lacking_bytes()
+            assert_eq!(sender.interpreter.excess_bytes().is_some(), !sender.errors.is_empty(), "{lines}");
+            sender.interpreter.excess_bytes()
         };
         let lacking = send(2500).unwrap();
         let fits = 2500 - lacking.div_ceil(3);

@@ -641,10 +641,10 @@ impl FlowControl {
         Ok(())
     }
 
-    /// Starts to execute the held text at `at`. `of_loop`: start of a text that was stored only for this execution (see
-    /// [`FlowState::Running`]).
-    pub(super) fn run(&mut self, at: u16, of_loop: Option<u16>) {
-        self.state = FlowState::Running(of_loop);
+    /// Starts to execute the held text at `at`. `temporary_from`: start of a text that was stored only for this
+    /// execution (see [`FlowState::Running`]).
+    pub(super) fn run(&mut self, at: u16, temporary_from: Option<u16>) {
+        self.state = FlowState::Running(temporary_from);
         self.next = at;
         self.below = self.frames.len() as u8;
         self.passes = 0;
@@ -688,8 +688,8 @@ impl FlowControl {
     /// Stops executing the held text, whether or not it has reached its end, and closes the blocks and calls within it.
     /// Removes the text if it was stored only for this execution.
     pub fn stop(&mut self) {
-        if let FlowState::Running(of_loop) = self.state {
-            if let Some(at) = of_loop {
+        if let FlowState::Running(temporary_from) = self.state {
+            if let Some(at) = temporary_from {
                 self.text.truncate(usize::from(at));
             }
             while self.frames.len() > usize::from(self.below) {

@@ -133,7 +133,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Returns `None`: no program is held.
-    pub fn lacking_bytes(&self) -> Option<usize> {
+    pub fn excess_bytes(&self) -> Option<usize> {
         None
     }
 

@@ -229,8 +229,8 @@ impl<const N: usize> Interpreter<N> {
 
     /// Returns by how many bytes, at least, the most recent held program that did not fit was too long; `None` if all
     /// programs have fit.
-    pub fn lacking_bytes(&self) -> Option<usize> {
-        self.computed.overflow.lacking()
+    pub fn excess_bytes(&self) -> Option<usize> {
+        self.computed.overflow.excess()
     }
 
     /// Begins the definition of a subprogram. If a subprogram with this number exists, or there is no room, refuses
