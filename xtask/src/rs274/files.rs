@@ -96,7 +96,7 @@ fn collect(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), Failure> {
 /// Runs a program through both interpreters. Returns the verdict with its reason, and the number of Oxmill's events.
 pub fn judge(home: &Path, file: &Path, text: &[u8]) -> Result<(&'static str, String, usize), Failure> {
     let tools: String = TOOLS.map(|tool| format!("T{tool} P{tool}\n")).collect();
-    let theirs = canon::interpret(home, file, &Settings { tools: &tools, deletes_blocks: false, is_told_all: false })?;
+    let theirs = canon::interpret(home, file, &Settings { tools: &tools, deletes_blocks: false, reports_all: false })?;
     let ours = interpret(text);
     let alike = ours.events.iter().zip(&theirs.events).take_while(|(a, b)| a.is_as(b)).count();
     let (mine, others) = (ours.events.len(), theirs.events.len());

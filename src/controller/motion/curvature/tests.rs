@@ -114,7 +114,7 @@ fn limits<const N: usize>(history: &History<N>, new: &Span<N>, rule: &TurnRule<N
 
 /// For many turns, checks that the limits found are those of the complete rule, at speeds close to these limits.
 /// Returns in how many cases a limit was found, and in how many `surely_allows` excluded all limits in advance.
-fn ask<const N: usize>(random: &mut Random, count: u32) -> (u32, u32) {
+fn check_turns<const N: usize>(random: &mut Random, count: u32) -> (u32, u32) {
     let (mut limited, mut left_out) = (0, 0);
     for _ in 0..count {
         let rule = random.rule::<N>();
@@ -173,7 +173,7 @@ fn ask<const N: usize>(random: &mut Random, count: u32) -> (u32, u32) {
 #[test]
 fn no_turn_that_limits_is_left_out_in_advance() {
     let mut random = Random(0x2545_F491_4F6C_DD1D);
-    for (limited, left_out) in [ask::<3>(&mut random, 60_000), ask::<6>(&mut random, 60_000)] {
+    for (limited, left_out) in [check_turns::<3>(&mut random, 60_000), check_turns::<6>(&mut random, 60_000)] {
         assert!(limited > 10_000 && (left_out > 1000 || !LEAVES_OUT), "{limited} {left_out}");
     }
 }
