@@ -304,9 +304,9 @@ pub struct SecondMotor {
     /// The second motor's direction is inverted.
     pub inverted: bool,
     /// The second motor gets no steps, while the axis' own motor moves alone (for squaring the axis).
-    pub stands: bool,
+    pub gets_no_steps: bool,
     /// The axis' own motor gets no steps, while the second motor moves alone.
-    pub first_stands: bool,
+    pub first_gets_no_steps: bool,
 }
 
 /// Makes the compiler check that the chosen board provides the items in the first table of this file, with these types.

@@ -335,8 +335,8 @@ impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M,
         let fourth = |mask: u8, turn: bool| mask & 7 | u8::from((mask & axis != 0) != turn) << 3;
         let step_invert = fourth(step_invert, false);
         let direction_invert = fourth(direction_invert, second.inverted);
-        let own = |stands: bool| [1, 2, 4].map(|axis| if stands && axis == second.axis { 0 } else { axis });
-        let ([x, y, z], motor) = (own(second.first_stands), if second.stands { 0 } else { axis });
+        let own = |no_steps: bool| [1, 2, 4].map(|axis| if no_steps && axis == second.axis { 0 } else { axis });
+        let ([x, y, z], motor) = (own(second.first_gets_no_steps), if second.gets_no_steps { 0 } else { axis });
         self.steps = fill(self.ports, self.step, [x, y, z, motor], step_invert, false);
         self.directions = fill(self.ports, self.direction, [1, 2, 4, axis], direction_invert, true);
         let off = fill(self.ports, self.step, [ALL; 4], !step_invert, false).map(|words| words[COMBINATIONS - 1]);

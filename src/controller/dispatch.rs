@@ -105,11 +105,11 @@ impl<const N: usize> Controller<N> {
     /// command, a change of signals, a disconnect.
     pub fn observe(&mut self, observed: Observed) {
         self.m.step_supply.observe(observed);
-        self.m.lines.observe(observed.received, observed.heard);
+        self.m.lines.observe(observed.received, observed.activity);
         if observed.rx_free == 0 {
             // The queue is full, so bytes from the host may be waiting outside of it: the host does not count as
             // silent.
-            self.m.lines.heartbeat_mut().hear();
+            self.m.lines.heartbeat_mut().record_activity();
         }
         self.m.motion.observe(&observed);
         self.m.parking.observe(&observed);
@@ -149,7 +149,7 @@ impl<const N: usize> Controller<N> {
         self.m.pins.disturb();
         match event {
             Event::Realtime(command) => {
-                self.m.lines.heartbeat_mut().hear();
+                self.m.lines.heartbeat_mut().record_activity();
                 self.realtime(command);
             }
             Event::Line(byte) => self.line_byte(now, byte),
@@ -350,7 +350,7 @@ impl<const N: usize> Controller<N> {
         if self.m.records.has_next() {
             return Some(Output::Store);
         }
-        if let Some(clear_noise) = self.m.inputs.take_look() {
+        if let Some(clear_noise) = self.m.inputs.take_request() {
             return Some(Output::ReadPins { clear_noise });
         }
         if FULL_IMAGE && let Some(first) = self.take_ask() {
@@ -421,7 +421,7 @@ impl<const N: usize> Controller<N> {
                 self.m.start_idle_delay();
             }
         }
-        if self.m.motion.is_at_rest() && self.m.accessories.rests() {
+        if self.m.motion.is_at_rest() && self.m.accessories.apply_stop_at_rest() {
             self.m.replies.overrides_changed();
         }
         match self.state {

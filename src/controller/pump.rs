@@ -97,31 +97,31 @@ pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
     // Commands come after the earlier reports of the step task and the store, and a disconnect comes before the
     // commands of the next host. The calls are written out: a loop over the sources would take a third more time, and a
     // round runs for each segment.
-    let mut events = tell(pump, now, Source::Step);
-    events |= tell(pump, now, Source::Store);
-    events |= tell(pump, now, Source::Hosts);
+    let mut events = pass_events(pump, now, Source::Step);
+    events |= pass_events(pump, now, Source::Store);
+    events |= pass_events(pump, now, Source::Hosts);
     let mut again = false;
-    let mut told = 0;
-    while told < MOST_COMMANDS {
-        let some = tell_some(pump, now, Source::Commands, COMMANDS_AT_ONCE);
+    let mut passed = 0;
+    while passed < MOST_COMMANDS {
+        let some = pass_events_up_to(pump, now, Source::Commands, COMMANDS_AT_ONCE);
         events |= some > 0;
-        told += some;
+        passed += some;
         if some < COMMANDS_AT_ONCE {
             break;
         }
         if pump.controller().is_short_of_segments() {
-            let goes_on = put_out(pump, now, &mut again);
+            let goes_on = carry_outputs(pump, now, &mut again);
             again |= goes_on;
         }
     }
-    events |= tell(pump, now, Source::Inputs);
-    events |= tell(pump, now, Source::Pins);
-    again |= told >= MOST_COMMANDS || events && !P::IS_WOKEN;
+    events |= pass_events(pump, now, Source::Inputs);
+    events |= pass_events(pump, now, Source::Pins);
+    again |= passed >= MOST_COMMANDS || events && !P::IS_WOKEN;
     // A host that sends faster than the controller takes lines must not starve the step task, so segments come before
     // the next line.
     if pump.controller().is_short_of_segments() {
         again |= pump.make_room(events);
-        if put_out(pump, now, &mut again) {
+        if carry_outputs(pump, now, &mut again) {
             return true;
         }
     }
@@ -141,7 +141,7 @@ pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
     again |= pump.make_room(events || lines) || lines;
     let wanted = pump.controller().wants_line();
     // Sent answers may make room for the answers to waiting lines.
-    put_out(pump, now, &mut again) || again || !wanted && pump.controller().wants_line()
+    carry_outputs(pump, now, &mut again) || again || !wanted && pump.controller().wants_line()
 }
 
 /// Drops bytes received before a reset while lines wait (for example at an open door, or in a state that only a reset
@@ -162,7 +162,7 @@ fn drop_old_bytes<const N: usize>(pump: &mut impl Pump<N>, now: Instant) -> bool
 /// Carries out outputs until none is left (returns false) or until an output starts another round (returns true). Sets
 /// `again` if an output may have made further outputs possible.
 #[inline(never)]
-fn put_out<const N: usize, P: Pump<N>>(pump: &mut P, now: Instant, again: &mut bool) -> bool {
+fn carry_outputs<const N: usize, P: Pump<N>>(pump: &mut P, now: Instant, again: &mut bool) -> bool {
     loop {
         let room = pump.room();
         let Some(output) = pump.controller().output(now, room) else { return false };
@@ -203,24 +203,24 @@ fn next_byte_past_text<const N: usize>(pump: &mut impl Pump<N>, now: Instant, to
 
 /// Passes all waiting events of a source to the controller. Returns whether there was an event.
 #[inline(always)]
-fn tell<const N: usize>(pump: &mut impl Pump<N>, now: Instant, source: Source) -> bool {
-    tell_some(pump, now, source, u32::MAX) > 0
+fn pass_events<const N: usize>(pump: &mut impl Pump<N>, now: Instant, source: Source) -> bool {
+    pass_events_up_to(pump, now, source, u32::MAX) > 0
 }
 
 /// Passes up to `most` events of a source to the controller. Returns how many events were passed on.
 #[inline(always)]
-fn tell_some<const N: usize>(pump: &mut impl Pump<N>, now: Instant, source: Source, most: u32) -> u32 {
-    let mut told = 0;
-    while told < most
+fn pass_events_up_to<const N: usize>(pump: &mut impl Pump<N>, now: Instant, source: Source, most: u32) -> u32 {
+    let mut passed = 0;
+    while passed < most
         && let Some(event) = pump.next_event(source)
     {
         // Observe first, because bytes received up to here count as earlier than the event.
         observe(pump);
         pump.record(now, &event);
         pump.controller().event(now, event);
-        told += 1;
+        passed += 1;
     }
-    told
+    passed
 }
 
 fn observe<const N: usize>(pump: &mut impl Pump<N>) -> Observed {

@@ -196,8 +196,8 @@ impl<const N: usize> Controller<N> {
 
     /// Returns the minimum number of bytes by which a held program exceeded the memory; `None` if it did not. A program
     /// is held in memory if it calls a subprogram that is defined after it.
-    pub fn lacking_bytes(&self) -> Option<usize> {
-        self.m.interpreter.lacking_bytes()
+    pub fn excess_bytes(&self) -> Option<usize> {
+        self.m.interpreter.excess_bytes()
     }
 
     /// Returns the active alarm, if any.

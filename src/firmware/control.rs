@@ -17,7 +17,7 @@ use oxmill_controller::messages::{
 use oxmill_controller::pump::{Pump, Source, round};
 use oxmill_controller::recorder::{Page, Recorder};
 use oxmill_controller::units::{Duration, Instant};
-use oxmill_controller::{Coalescing, LineReader, Owed};
+use oxmill_controller::{Coalescing, DeferredCommands, LineReader};
 use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalWriter;
 
@@ -68,11 +68,11 @@ pub struct Control {
     /// Value of `bytes_queued` in [`SERIAL`] when the present round of this task began. Line bytes queued after that
     /// belong to a later round.
     lines_in: u32,
-    /// At the start of the round, the serial task held commands for which the queue had no room (owed commands).
-    owes: bool,
-    /// Owed commands (those for which the queue had no room) that were taken from the serial task but not yet passed to
-    /// the controller.
-    owed: Owed,
+    /// At the start of the round, the serial task held commands for which the queue had no room (deferred commands).
+    has_deferred: bool,
+    /// Deferred commands (those for which the queue had no room) that were taken from the serial task but not yet
+    /// passed to the controller.
+    deferred: DeferredCommands,
     coalescing: Coalescing,
     /// Whether the most recent change of a setting was stored; `None` once the controller has been informed.
     stored: Option<bool>,
@@ -118,8 +118,8 @@ impl Control {
             job,
             unsent_wiring: None,
             lines_in: 0,
-            owes: false,
-            owed: Owed::default(),
+            has_deferred: false,
+            deferred: DeferredCommands::default(),
             coalescing: Coalescing::default(),
             stored: None,
             fitted,
@@ -138,7 +138,7 @@ impl Control {
     /// inlined, so that the virtual board can replace it by an endless loop.
     #[inline(never)]
     pub fn turn(&mut self) {
-        let heard = SERIAL.heard.load(Ordering::Relaxed);
+        let activity = SERIAL.activity.load(Ordering::Relaxed);
         loop {
             while round(self) || self.release_answers() {}
             self.note_place();
@@ -156,7 +156,7 @@ impl Control {
         }
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
         // Whether the replies have been sent is not considered here: the serial task itself checks that.
-        shared::set_free(heard, nothing_waits && self.controller.is_free() && observed.step_idle);
+        shared::set_free(activity, nothing_waits && self.controller.is_free() && observed.step_idle);
         CONTROL.reads_characters.store(self.controller.reads_characters(), Ordering::Relaxed);
         CONTROL.speaks_grblhal.store(self.controller.speaks_grblhal(), Ordering::Relaxed);
         if self.job.as_ref().is_some_and(|job| job.next == job.text.len())
@@ -238,7 +238,7 @@ impl Control {
         // As long as bytes of a preloaded job are left, report the queue of received bytes as full, because the next
         // bytes of the job are always ready.
         let arrived = SERIAL.bytes_received.load(Ordering::Relaxed);
-        let heard = arrived.wrapping_add(SERIAL.bytes_ignored.load(Ordering::Relaxed));
+        let activity = arrived.wrapping_add(SERIAL.bytes_ignored.load(Ordering::Relaxed));
         let received = arrived.wrapping_sub(self.line_bytes_out) as usize;
         let has_job = self.job.as_ref().is_some_and(|job| job.next < job.text.len());
         let (used, received) = if has_job { (LINES_DEPTH, LINES_DEPTH) } else { (used, received) };
@@ -249,7 +249,7 @@ impl Control {
             step_idle,
             rx_free,
             received: received as u16,
-            heard: heard as u16,
+            activity: activity as u16,
         }
     }
 
@@ -278,12 +278,12 @@ impl Control {
         (came != core::mem::replace(&mut self.hosts_came, came)).then_some(Event::Connected)
     }
 
-    /// Returns the next command: first the rest of the owed commands (those for which the queue had no room) that have
-    /// already been taken over, then queued commands. When the queue is empty, takes over the owed commands, if there
-    /// were any when the round began. While the serial task has owed commands, it queues no further command, so the
-    /// order is kept.
+    /// Returns the next command: first the rest of the deferred commands (those for which the queue had no room) that
+    /// have already been taken over, then queued commands. When the queue is empty, takes over the deferred commands,
+    /// if there were any when the round began. While the serial task has deferred commands, it queues no further
+    /// command, so the order is kept.
     fn next_command(&mut self) -> Option<Realtime> {
-        if let Some(command) = self.owed.pop() {
+        if let Some(command) = self.deferred.pop() {
             return Some(command);
         }
         if !self.ends.realtime.is_empty()
@@ -291,10 +291,10 @@ impl Control {
         {
             return Some(command);
         }
-        if core::mem::take(&mut self.owes) {
-            self.owed = shared::take_owed();
+        if core::mem::take(&mut self.has_deferred) {
+            self.deferred = shared::take_deferred();
         }
-        self.owed.pop()
+        self.deferred.pop()
     }
 
     /// Returns whether lines must wait for an erase. This makes a host that sends many settings wait before the
@@ -309,7 +309,7 @@ impl Control {
     fn read_recording(&mut self, first: bool) {
         let Control { controller, recorder, settings, .. } = self;
         let board = (boards::profile().name, boards::PROFILE.step_clock_hz);
-        recorder.read(first, board, |number| settings.record(number), |piece| controller.recorded(piece));
+        recorder.read(first, board, |number| settings.record(number), |item| controller.recorded(item));
     }
 
     fn view_of_pins(&self) -> PinView {
@@ -335,7 +335,7 @@ impl Pump<AXES> for Control {
     fn begin(&mut self) -> Instant {
         ASKED.control.store(false, Ordering::Relaxed);
         self.lines_in = SERIAL.bytes_queued.load(Ordering::Relaxed);
-        self.owes = shared::owes();
+        self.has_deferred = shared::has_deferred();
         self.wants_erase_soon = self.settings.wants_erase_soon();
         self.round_began = self.clock.now();
         self.coalescing.begin(self.round_began);
@@ -448,7 +448,7 @@ impl Pump<AXES> for Control {
                 self.recorder.handed(&message);
                 // There is room, and only this task sends.
                 let _ = self.ends.segments.try_send(message);
-                if STEP.wants.load(Ordering::Relaxed) != 0 {
+                if STEP.needs_message.load(Ordering::Relaxed) != 0 {
                     boards::call_step();
                 }
             }

@@ -89,8 +89,8 @@ impl Inputs {
         if calls {
             boards::call_serial();
         }
-        if self.inputs.is_untold() {
-            self.tell(uart);
+        if self.inputs.has_changed() {
+            self.send_levels(uart);
         }
         if !self.wiring.is_empty()
             && let Ok(wiring) = self.wiring.try_recv()
@@ -102,7 +102,7 @@ impl Inputs {
 
     /// Sends the input levels to `control`. If the queue is full, the newest levels are sent at a later sample.
     #[inline(never)]
-    fn tell(&mut self, uart: &mut UartInput) {
+    fn send_levels(&mut self, uart: &mut UartInput) {
         let Some(sensed) = self.inputs.sensed() else { return };
         // `control` must get the UART bytes read up to now before this message, so call the serial task, which passes
         // them on. Bytes that are still in the buffer, because more arrived than one sample reads, come after the
@@ -111,7 +111,7 @@ impl Inputs {
         boards::call_serial();
         let is_known = self.sent == Some(sensed);
         if is_known || self.signals.try_send(sensed).is_ok() {
-            self.inputs.told();
+            self.inputs.mark_sent();
             self.sent = self.inputs.sensed();
             if !is_known {
                 self.wake.write(());

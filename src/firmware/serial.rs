@@ -52,8 +52,8 @@ const USB: usize = 1;
 /// The senders of the queues to `control`, and the limits on how many received bytes are processed.
 struct ToControl {
     /// Whether the link being read cannot make its sender wait. If the queue has no room for resets, holds and door
-    /// commands from such a link, they are kept outside the queue ("owed" commands, [`shared::owe`]).
-    may_owe: bool,
+    /// commands from such a link, they are kept outside the queue ("deferred" commands, [`shared::defer`]).
+    may_defer: bool,
     /// No reply waits or is partly sent, and the previous run of the task left no received bytes unread.
     flushed: bool,
     realtime: Sender<'static, Realtime, REALTIME_DEPTH>,
@@ -95,13 +95,13 @@ fn count(counter: &AtomicU32, by: u32) {
 
 impl Queues for ToControl {
     fn realtime(&mut self, command: Realtime) -> bool {
-        count(&SERIAL.heard, 1);
-        let queued = !shared::owes() && self.realtime.try_send(command).is_ok();
-        let owed = !queued && self.may_owe && shared::owe(command);
-        if owed {
+        count(&SERIAL.activity, 1);
+        let queued = !shared::has_deferred() && self.realtime.try_send(command).is_ok();
+        let deferred = !queued && self.may_defer && shared::defer(command);
+        if deferred {
             boards::call_step();
         }
-        queued || owed
+        queued || deferred
     }
 
     fn line(&mut self, byte: LineByte) -> bool {
@@ -119,7 +119,7 @@ impl Queues for ToControl {
     }
 
     fn waits(&self) -> bool {
-        !self.may_owe
+        !self.may_defer
     }
 
     fn is_free(&self) -> bool {
@@ -195,7 +195,7 @@ impl<P: Port> Ported<P> {
 
     /// Reads received bytes as far as there is room. Returns whether there is news for `control`.
     fn receive(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut ToControl) -> bool {
-        queues.may_owe = !P::WAITS;
+        queues.may_defer = !P::WAITS;
         let mut news = self.link.pass_on(arbiter, queues);
         if boards::clock_ticks().wrapping_sub(self.singly_since) >= SINGLY_US * boards::CLOCK_TICKS_PER_US {
             (self.singly, self.singly_since) = (0, boards::clock_ticks());
@@ -220,7 +220,7 @@ impl<P: Port> Ported<P> {
             // `others` does not count line bytes, because the room in their queue limits them. On a link that cannot
             // make its sender wait, it does not count the characters of comments either: `singly` limits these, and a
             // host that counts characters includes them.
-            let is_other = queues.bytes_queued == queued && (P::WAITS || !self.link.is_in_remark());
+            let is_other = queues.bytes_queued == queued && (P::WAITS || !self.link.is_in_comment());
             queues.others = queues.others.saturating_sub(u32::from(is_other));
             self.singly += 1;
             self.quiet_runs = 0;
@@ -299,7 +299,7 @@ impl Serial {
             uart: Ported::new(UART, uart, UART_HELD),
             usb: Ported::new(USB, usb, MOST_HELD),
             queues: ToControl {
-                may_owe: false,
+                may_defer: false,
                 flushed: true,
                 realtime,
                 lines,
@@ -335,14 +335,14 @@ impl Serial {
         // The counts may be updated after the bytes are queued, because the tasks that take the bytes or read the
         // counts do not preempt this task.
         let queued = core::mem::take(&mut queues.bytes_queued);
-        count(&SERIAL.heard, queued);
+        count(&SERIAL.activity, queued);
         count(&SERIAL.bytes_queued, queued);
         news |= queues.flush();
         let held = uart.link.held() + usb.link.held();
         // One more byte counts as received: a `HOST_CHANGED` that must precede held line bytes, or, while no line byte
         // is held, a command that waits for room.
         let is_stuck = held == 0 && (uart.link.is_waiting() || usb.link.is_waiting());
-        let held = (held + usize::from(held > 0 && arbiter.owes_cut() || is_stuck)) as u32;
+        let held = (held + usize::from(held > 0 && arbiter.is_host_change_due() || is_stuck)) as u32;
         SERIAL.bytes_received.store(SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_add(held), Ordering::Relaxed);
         news |= self.send();
         if news {
@@ -354,9 +354,9 @@ impl Serial {
     fn send(&mut self) -> bool {
         let mut room = false;
         let (uart, usb) = (self.uart.refuse(), self.usb.refuse());
-        let holder = self.arbiter.holder();
-        let to_usb = holder == USB;
-        if self.sending_to != holder {
+        let active = self.arbiter.active_link();
+        let to_usb = active == USB;
+        if self.sending_to != active {
             // The active host has changed, so the remaining part of a reply to the previous one is dropped.
             self.sent = self.sending.as_bytes().len();
         }
@@ -374,7 +374,7 @@ impl Serial {
                 let Ok(chunk) = self.replies.try_recv() else { break };
                 self.sending = chunk;
                 self.sent = 0;
-                self.sending_to = holder;
+                self.sending_to = active;
                 // If the queue was full, `control` may be waiting for room: wake it.
                 room |= was_full;
                 continue;

@@ -16,8 +16,8 @@ pub struct Watch {
     looked: u32,
     /// Time at which a motor or a host was last active.
     busy: u32,
-    /// Value of `heard` in [`SERIAL`] at the time `busy`.
-    heard: u32,
+    /// Value of `activity` in [`SERIAL`] at the time `busy`.
+    activity: u32,
     /// Maximum stack depth so far, in bytes.
     most: u32,
 }
@@ -26,7 +26,7 @@ impl Watch {
     /// Starts with nothing measured.
     pub fn start() -> Watch {
         let now = boards::clock_ticks();
-        Watch { looked: now, busy: now, heard: 0, most: 0 }
+        Watch { looked: now, busy: now, activity: 0, most: 0 }
     }
 
     /// Measures the use of the stack if motors and hosts have been quiet for `QUIET_TICKS`, and the previous
@@ -34,9 +34,9 @@ impl Watch {
     pub fn look(&mut self) {
         // A log line masks interrupts for longer than a byte takes at 1 Mbaud, so no log line is written while motors
         // turn or a host sends.
-        let (now, heard) = (boards::clock_ticks(), SERIAL.heard.load(Ordering::Relaxed));
-        if heard != self.heard || !STEP.at_rest.load(Ordering::Relaxed) {
-            (self.busy, self.heard) = (now, heard);
+        let (now, activity) = (boards::clock_ticks(), SERIAL.activity.load(Ordering::Relaxed));
+        if activity != self.activity || !STEP.at_rest.load(Ordering::Relaxed) {
+            (self.busy, self.activity) = (now, activity);
         }
         if now.wrapping_sub(self.busy) < QUIET_TICKS || now.wrapping_sub(self.looked) < REST_TICKS {
             return;

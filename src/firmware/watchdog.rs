@@ -48,7 +48,7 @@ impl Supervisor {
     }
 
     fn ask(&mut self, wake: &mut Wake) {
-        let stuck = if STEP.wants.load(Ordering::Relaxed) == STEP_ASKED {
+        let stuck = if STEP.needs_message.load(Ordering::Relaxed) == STEP_ASKED {
             Some("step")
         } else if ASKED.serial.load(Ordering::Relaxed) {
             Some("serial")
@@ -69,7 +69,7 @@ impl Supervisor {
                 }
             }
         }
-        STEP.wants.store(STEP_ASKED, Ordering::Relaxed);
+        STEP.needs_message.store(STEP_ASKED, Ordering::Relaxed);
         boards::call_step();
         // Set the flag of a task before calling the task. In the opposite order, the task could run before its flag is
         // set, and the flag would remain set.

@@ -38,7 +38,7 @@ const WORD_OF_A: &str =
     "Set $930=4 if the machine has a rotary axis A and the board has four axes; otherwise remove the word.";
 
 /// Advice for a comment with nested parentheses, such as `(profile (outside)`.
-const NESTED_REMARK: &str =
+const NESTED_COMMENT: &str =
     "Remove the inner parentheses of the comment: in Grbl's dialect a comment ends at the first closing parenthesis.";
 
 /// Returns the advice for error `code` at the line `line`: the replacement for its rejected word, if there is one,
@@ -46,8 +46,8 @@ const NESTED_REMARK: &str =
 pub fn for_line(code: u8, line: &str) -> &'static str {
     let refused =
         [Error::NotSupported, Error::UnsupportedCommand, Error::CutterCompensation, Error::UnsupportedCoordinateSystem];
-    if [Error::ExpectedLetter, Error::BadNumber].iter().any(|error| error.code() == code) && has_nested_remark(line) {
-        return NESTED_REMARK;
+    if [Error::ExpectedLetter, Error::BadNumber].iter().any(|error| error.code() == code) && has_nested_comment(line) {
+        return NESTED_COMMENT;
     }
     if !refused.iter().any(|error| error.code() == code) {
         return for_code(code);
@@ -85,7 +85,7 @@ pub fn count(line: &str, letter: char) -> usize {
 }
 
 /// Returns whether a comment of the line contains an opening parenthesis.
-fn has_nested_remark(line: &str) -> bool {
+fn has_nested_comment(line: &str) -> bool {
     let mut within = false;
     for character in line.split(';').next().unwrap_or_default().chars() {
         match character {

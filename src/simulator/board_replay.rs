@@ -8,7 +8,7 @@
 //! of the motors, the order of the stepped blocks, and the position and line of a failure must follow from the
 //! simulation.
 
-use crate::recording::{Input, NOTHING_COMPARED, Recording, Told};
+use crate::recording::{BoardReport, Input, NOTHING_COMPARED, Recording};
 use crate::simulator::Simulator;
 use oxmill_controller::messages::{Noted, Signals, Standing, Stopping};
 use oxmill_controller::protocol::realtime;
@@ -31,12 +31,12 @@ pub struct Arrival {
     pub parted: Option<String>,
 }
 
-/// Plays a recording on a machine that has the recorded settings and has just been powered up. `hear` receives the
+/// Plays a recording on a machine that has the recorded settings and has just been powered up. `on_output` receives the
 /// machine's output; `pass` is called as time passes, with the ticks of the step clock since the beginning.
 pub fn play(
     recording: &Recording,
     simulator: &mut Simulator,
-    hear: impl FnMut(&str),
+    on_output: impl FnMut(&str),
     pass: impl FnMut(u64),
 ) -> Arrival {
     let mut arrival = Arrival::default();
@@ -53,7 +53,7 @@ pub fn play(
     };
     let at_once = u64::from(simulator.board().step_clock_hz) / AT_ONCE_PARTS;
     let inputs = at_once_together(inputs.split_off(begin), at_once);
-    let mut replay = Playing { simulator, hear, pass, begin: 0, shift: 0, offset: Vec::new(), cuts: 1, met: 0 };
+    let mut replay = Playing { simulator, on_output, pass, begin: 0, shift: 0, offset: Vec::new(), cuts: 1, met: 0 };
     let played = replay.play(&inputs, begin, &mut arrival.notes);
     arrival.parted = played.err();
     if arrival.parted.is_none() {
@@ -95,7 +95,7 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
     // following `Cut` are therefore from the former host: move them before the connect or disconnect.
     let mut since = 0;
     for cut in 0..ordered.len() {
-        if !matches!(ordered[cut].1, Input::Told(Told::Noted(Noted::Cut))) {
+        if !matches!(ordered[cut].1, Input::Report(BoardReport::Noted(Noted::Cut))) {
             continue;
         }
         let gone = (since..cut).find(|at| matches!(ordered[*at].1, Input::Connect | Input::Disconnect));
@@ -120,7 +120,8 @@ fn at_once_together(inputs: Vec<(u64, Input)>, at_once: u64) -> Vec<(u64, Input)
     let mut last = 0;
     for (time, input) in inputs {
         if let Input::Host(more) = &input
-            && let [.., (_, Input::Host(lines)), (_, Input::Told(Told::Noted(Noted::More)))] = &mut together[..]
+            && let [.., (_, Input::Host(lines)), (_, Input::Report(BoardReport::Noted(Noted::More)))] =
+                &mut together[..]
             && is_of_line(&input)
             && time <= last + at_once
         {
@@ -141,7 +142,7 @@ fn is_of_line(input: &Input) -> bool {
         Input::Host(bytes) => {
             bytes.len() != 1 || realtime::command(bytes[0]).or(realtime::command_of_grblhal(bytes[0])).is_none()
         }
-        Input::Told(Told::Noted(Noted::More)) => true,
+        Input::Report(BoardReport::Noted(Noted::More)) => true,
         _ => false,
     }
 }
@@ -155,32 +156,37 @@ fn is_begin(input: &Input) -> bool {
 fn stops(input: &Input) -> bool {
     match input {
         Input::Host(bytes) => bytes[..] == [0x18],
-        Input::Told(Told::Noted(Noted::Inputs { tripped, .. })) => *tripped != 0,
+        Input::Report(BoardReport::Noted(Noted::Inputs { tripped, .. })) => *tripped != 0,
         _ => false,
     }
 }
 
 /// Returns whether an input reports that the step task was stopped.
 fn is_stop(input: &Input) -> bool {
-    matches!(input, Input::Told(Told::Noted(Noted::Step(Stopping::AtRest | Stopping::Moving, _))))
+    matches!(input, Input::Report(BoardReport::Noted(Noted::Step(Stopping::AtRest | Stopping::Moving, _))))
 }
 
 /// Returns the index of the input at which a replay can begin.
 fn begin_of(inputs: &[(u64, Input)]) -> Result<usize, String> {
-    let told =
-        |wanted: fn(&Told) -> bool| move |(_, input): &(u64, Input)| matches!(input, Input::Told(told) if wanted(told));
+    let reports = |wanted: fn(&BoardReport) -> bool| {
+        move |(_, input): &(u64, Input)| match input {
+            Input::Report(report) => wanted(report),
+            _ => false,
+        }
+    };
     // The recording contains the settings as they are at its end, so a replay must begin after the last change of a
     // setting.
-    let stored = inputs.iter().rposition(told(|told| matches!(told, Told::Noted(Noted::Stored(true)))));
-    if stored.is_none() && matches!(inputs.first(), Some((_, Input::Told(Told::Noted(Noted::PowerUp))))) {
+    let stored = inputs.iter().rposition(reports(|report| matches!(report, BoardReport::Noted(Noted::Stored(true)))));
+    if stored.is_none() && matches!(inputs.first(), Some((_, Input::Report(BoardReport::Noted(Noted::PowerUp))))) {
         return Ok(0);
     }
     let from = stored.map_or(0, |at| at + 1);
-    let state = inputs[from..].iter().position(told(|told| matches!(told, Told::Noted(Noted::Standing { .. }))));
+    let state =
+        inputs[from..].iter().position(reports(|report| matches!(report, BoardReport::Noted(Noted::Standing { .. }))));
     state.map(|at| from + at).ok_or_else(|| {
         let why = if stored.is_some() { "no state behind the last stored setting" } else { "no state at rest" };
         let last = inputs.iter().rev().find_map(|(_, input)| match input {
-            Input::Told(Told::Ended { text, .. }) => Some(format!("; its end: {text}")),
+            Input::Report(BoardReport::Ended { text, .. }) => Some(format!("; its end: {text}")),
             _ => None,
         });
         let lines = inputs.iter().filter(|(_, input)| matches!(input, Input::Host(_))).count();
@@ -193,7 +199,7 @@ fn begin_of(inputs: &[(u64, Input)]) -> Result<usize, String> {
 
 struct Playing<'a, H, P> {
     simulator: &'a mut Simulator,
-    hear: H,
+    on_output: H,
     pass: P,
     /// Simulator time at which the replay begins.
     begin: u64,
@@ -210,13 +216,14 @@ struct Playing<'a, H, P> {
 
 impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
     fn play(&mut self, inputs: &[(u64, Input)], left_out: usize, notes: &mut Vec<String>) -> Result<(), String> {
-        self.simulator.hear_always();
+        self.simulator.set_never_silent();
         self.start(inputs, left_out, notes)?;
         for (at, (time, input)) in inputs.iter().enumerate().skip(1) {
             // If another input, such as a realtime command, came before the end of a line, the board recorded the
             // bytes of the line so far with the time of that input. A `More` before these bytes means that they had
             // already arrived when the board read the previous line. In that case, send them now.
-            let waited = at > 0 && matches!(inputs[at - 1].1, Input::Told(Told::Noted(Noted::More))) && is_begin(input);
+            let waited =
+                at > 0 && matches!(inputs[at - 1].1, Input::Report(BoardReport::Noted(Noted::More))) && is_begin(input);
             let time = if waited { self.simulator.clock().now() } else { time + self.shift };
             let later = inputs.get(at + 1..).unwrap_or_default();
             match input {
@@ -226,12 +233,12 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
                     self.cuts += 1;
                     if *input == Input::Connect { self.simulator.connect() } else { self.simulator.disconnect() }
                 }
-                Input::Told(told) => self.told(time, told, later, notes)?,
+                Input::Report(report) => self.report(time, report, later, notes)?,
                 Input::Pin(_) | Input::At(_) | Input::Job => {
                     return Err("lines of a board and of a simulator are mixed".into());
                 }
             }
-            self.listen();
+            self.pass_output();
         }
         Ok(())
     }
@@ -241,7 +248,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
     fn start(&mut self, inputs: &[(u64, Input)], left_out: usize, notes: &mut Vec<String>) -> Result<(), String> {
         let Some((time, input)) = inputs.first() else { return Err("nothing is recorded".into()) };
         let mut counters = Vec::new();
-        if let Input::Told(Told::Noted(Noted::Standing { standing, blocks })) = input {
+        if let Input::Report(BoardReport::Noted(Noted::Standing { standing, blocks })) = input {
             if left_out > 0 {
                 notes.push(format!(
                     "begins at a state at rest; {left_out} lines of the recording before it are left out"
@@ -294,9 +301,9 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         Ok(())
     }
 
-    fn listen(&mut self) {
+    fn pass_output(&mut self) {
         while self.simulator.unfetched() > 0 {
-            (self.hear)(&self.simulator.take_output());
+            (self.on_output)(&self.simulator.take_output());
         }
     }
 
@@ -304,7 +311,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         let slice = self.hz() / 50;
         while self.simulator.clock().now() < until {
             self.simulator.advance_to(until.min(self.simulator.clock().now() + slice));
-            self.listen();
+            self.pass_output();
             (self.pass)(self.simulator.clock().now().saturating_sub(self.begin));
         }
     }
@@ -324,7 +331,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
                 return false;
             }
             self.simulator.advance_to(now + step.max(1));
-            self.listen();
+            self.pass_output();
         }
         true
     }
@@ -370,7 +377,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
             (b"~", _) => self.resume(time),
             _ => self.advance(time),
         }
-        let more = matches!(later.first(), Some((_, Input::Told(Told::Noted(Noted::More)))));
+        let more = matches!(later.first(), Some((_, Input::Report(BoardReport::Noted(Noted::More)))));
         self.simulator.send_followed(bytes, more);
     }
 
@@ -388,15 +395,21 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         }
     }
 
-    fn told(&mut self, time: u64, told: &Told, later: &[(u64, Input)], notes: &mut Vec<String>) -> Result<(), String> {
-        let entry = match told {
-            Told::Noted(entry) => entry,
-            Told::Ended { crash: false, text, .. } => {
+    fn report(
+        &mut self,
+        time: u64,
+        report: &BoardReport,
+        later: &[(u64, Input)],
+        notes: &mut Vec<String>,
+    ) -> Result<(), String> {
+        let entry = match report {
+            BoardReport::Noted(entry) => entry,
+            BoardReport::Ended { crash: false, text, .. } => {
                 self.advance(time);
                 notes.push(format!("ends as the recording: {text}"));
                 return Ok(());
             }
-            Told::Ended { text, place, line, .. } => return self.ended(time, text, place, *line, notes),
+            BoardReport::Ended { text, place, line, .. } => return self.ended(time, text, place, *line, notes),
         };
         match entry {
             Noted::Inputs { active, tripped } => self.inputs(time, *active, *tripped, later),
@@ -450,13 +463,13 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
                     // after this stop. Set the pin now, to the level in that later entry.
                     let mut pins = self.simulator.pins();
                     let inverted = self.simulator.wiring().map_or(0, |wiring| wiring.inputs.inverted);
-                    let told = later.iter().find_map(|(time, input)| match input {
-                        Input::Told(Told::Noted(Noted::Inputs { active, .. })) => {
+                    let probed = later.iter().find_map(|(time, input)| match input {
+                        Input::Report(BoardReport::Noted(Noted::Inputs { active, .. })) => {
                             Some((time + self.shift, Signals::of_word(active ^ inverted).probe))
                         }
                         _ => None,
                     });
-                    pins.probe = match told {
+                    pins.probe = match probed {
                         Some((at, level)) if at <= time + self.hz() / SLACK_PARTS => level,
                         // The next recorded change of an input is much later, so this contact has changed no recorded
                         // level: the pin keeps its level.
@@ -552,7 +565,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
 /// Returns the step counters at which the board was stopped, if a stop in motion is reported in the next three inputs.
 fn cut_off(later: &[(u64, Input)]) -> Option<&[i32]> {
     later.iter().take(3).find_map(|(_, input)| match input {
-        Input::Told(Told::Noted(Noted::Step(Stopping::Moving, counters))) => Some(counters.as_slice()),
+        Input::Report(BoardReport::Noted(Noted::Step(Stopping::Moving, counters))) => Some(counters.as_slice()),
         _ => None,
     })
 }

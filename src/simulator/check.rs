@@ -41,7 +41,7 @@ struct Outcome {
 }
 
 impl Outcome {
-    fn hear(&mut self, job: &mut JobText) {
+    fn collect(&mut self, job: &mut JobText) {
         for said in job.said() {
             match said {
                 Said::Error { line, code, text, reason: Some(reason) } => {
@@ -161,12 +161,12 @@ impl Outcome {
     }
 
     /// Adds advice to the error about a program that the controller stores until its subprograms have arrived, and that
-    /// does not fit into the memory: `lacking` bytes are missing.
-    fn measure_held(&mut self, lacking: usize, board: &str) {
+    /// does not fit into the memory: `excess` bytes are missing.
+    fn measure_held(&mut self, excess: usize, board: &str) {
         let is_of_memory = |error: &&mut LineError| error.code == Error::OutOfMemory.code();
         if let Some(error) = self.errors.iter_mut().rfind(is_of_memory) {
             error.advice = format!(
-                "{board} lacks {lacking} bytes for what it has to hold, from the first call on: a line takes its words and a byte. \
+                "{board} lacks {excess} bytes for what it has to hold, from the first call on: a line takes its words and a byte. \
                  Subprograms as o1001 sub .. o1001 endsub above the program hold less."
             );
         }
@@ -295,7 +295,7 @@ impl Check {
             simulator.take_output();
             let is_open = simulator.controller().open_since().is_some();
             if let Some(job) = simulator.job_mut() {
-                outcome.hear(job);
+                outcome.collect(job);
                 if !is_open {
                     job.forget_openers();
                 }
@@ -343,11 +343,11 @@ impl Check {
         self.simulator.take_output();
         let open_since = self.simulator.controller().open_since();
         let long_lines = self.simulator.meter().times().long_lines();
-        if let Some(lacking) = self.simulator.controller().lacking_bytes() {
-            self.outcome.measure_held(lacking, self.simulator.board().name);
+        if let Some(excess) = self.simulator.controller().excess_bytes() {
+            self.outcome.measure_held(excess, self.simulator.board().name);
         }
         if let Some(job) = self.simulator.job_mut() {
-            self.outcome.hear(job);
+            self.outcome.collect(job);
             self.outcome.look_for_open_block(open_since, job);
             for (line, seconds) in long_lines {
                 self.outcome
@@ -548,7 +548,7 @@ mod tests {
         let answers = "[MSG:x]\r\nerror:9\r\n".repeat(KEPT_ERRORS + 5);
         job.answered(answers.as_bytes());
         let mut outcome = Outcome::default();
-        outcome.hear(&mut job);
+        outcome.collect(&mut job);
         assert_eq!((outcome.errors.len(), outcome.more_errors), (KEPT_ERRORS, 5));
         assert_eq!(outcome.messages.len() as u64 + outcome.more_messages, KEPT_ERRORS as u64 + 5);
         for _ in 0..KEPT_MESSAGES + 3 {
@@ -560,8 +560,8 @@ mod tests {
     #[test]
     fn a_restart_ends_a_job() {
         let summary = checked("oxmill", "G21 G90\n%\n$REBOOT\nG1 X10 F600\nG1 X0\n");
-        let told: Vec<_> = summary.warnings.iter().map(|warning| (warning.line, warning.text.as_str())).collect();
-        assert_eq!(told, [(3, "the board restarts here, so the lines below do not run")]);
+        let warnings: Vec<_> = summary.warnings.iter().map(|warning| (warning.line, warning.text.as_str())).collect();
+        assert_eq!(warnings, [(3, "the board restarts here, so the lines below do not run")]);
         assert_eq!(summary.position_mm[0], 0.0);
     }
 
@@ -602,11 +602,11 @@ mod tests {
 
     #[test]
     fn a_missing_program_is_told_with_those_that_exist() {
-        let told = |present: &[&str]| missing("O7", ", also in line 8", present);
-        assert!(told(&["O1"]).ends_with("is called here, also in line 8, but the file has O1: write P1, or add O7"));
-        assert!(told(&["O1", "O2"]).contains("the file has O1 and O2:"));
+        let text = |present: &[&str]| missing("O7", ", also in line 8", present);
+        assert!(text(&["O1"]).ends_with("is called here, also in line 8, but the file has O1: write P1, or add O7"));
+        assert!(text(&["O1", "O2"]).contains("the file has O1 and O2:"));
         let many = ["O1", "O2", "O3", "O4", "O5", "O6", "O8"];
-        assert!(told(&many).contains("the file has O1, O2, O3, O4, O5, .. and O8:"), "{}", told(&many));
+        assert!(text(&many).contains("the file has O1, O2, O3, O4, O5, .. and O8:"), "{}", text(&many));
     }
 
     fn checked(dialect: &str, text: &'static str) -> Summary {
@@ -620,8 +620,8 @@ mod tests {
     #[test]
     fn lines_that_take_hours_are_named() {
         let summary = checked("oxmill", "%\nG21 F600\nG1 X1 F0.01\n(wow!)\nG1 X2 F600\nG4 P3601\nG4 P3599\nG4 P7200");
-        let told: Vec<_> = summary.warnings.iter().map(|warning| (warning.line, warning.text.as_str())).collect();
-        let [slow, (4, _), first, second] = told[..] else { panic!("{told:?}") };
+        let warnings: Vec<_> = summary.warnings.iter().map(|warning| (warning.line, warning.text.as_str())).collect();
+        let [slow, (4, _), first, second] = warnings[..] else { panic!("{warnings:?}") };
         assert_eq!(
             [slow, first, second],
             [(3, "takes 1 h 40 min 0 s"), (6, "takes 1 h 0 min 1 s"), (8, "takes 2 h 0 min 0 s")]

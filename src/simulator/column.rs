@@ -4,7 +4,7 @@
 /// Returns the column (from 1, in characters) in `line` of the word that the message `reason` names; `None` if the
 /// message names only a missing word, or if it is about another line.
 pub fn of_word(reason: &str, line: &str) -> Option<u64> {
-    let words = without_remarks(line);
+    let words = without_comments(line);
     let named = reason.split(": ").next().unwrap_or_default();
     let without_number = named.starts_with("no number behind ");
     named.split([' ', ',']).filter(|name| is_word(name)).find_map(|name| {
@@ -14,7 +14,7 @@ pub fn of_word(reason: &str, line: &str) -> Option<u64> {
 }
 
 /// Returns the characters of a line outside comments and blanks, in upper case, with their columns.
-fn without_remarks(line: &str) -> Vec<(u64, char)> {
+fn without_comments(line: &str) -> Vec<(u64, char)> {
     let mut depth = 0_usize;
     let mut words = Vec::new();
     for (column, character) in (1..).zip(line.split(';').next().unwrap_or_default().chars()) {

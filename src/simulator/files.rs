@@ -77,7 +77,7 @@ pub fn print(mut out: impl Write, bytes: &[u8]) -> io::Result<()> {
 
 /// Writes a line for the user to standard error; ignores a write error. Control characters are replaced, as file names
 /// may contain terminal escape sequences.
-pub fn remark(text: &str) {
+pub fn eprint_line(text: &str) {
     let _ = writeln!(io::stderr(), "{}", text.replace(|c: char| c.is_control() && c != '\n', "?"));
 }
 

@@ -103,7 +103,7 @@ pub struct HomeSwitches {
 }
 
 /// Tolerance for rounding, mm: less than any step.
-const A_HAIR_MM: f64 = 1.0e-7;
+const ROUNDING_TOLERANCE_MM: f64 = 1.0e-7;
 
 /// The hardware of a machine as its [`Description`] says, and the present state of its contacts.
 #[derive(Clone, Debug, Default)]
@@ -154,13 +154,13 @@ impl Fittings {
             });
         }
         let Description { steps_per_mm, kinematics, backlash_mm, racked_mm, .. } = description;
-        let told = steps_per_mm.len();
-        ensure!((LINEAR..=AXES).contains(&told), "steps_per_mm must have {LINEAR} to {AXES} numbers");
+        let count = steps_per_mm.len();
+        ensure!((LINEAR..=AXES).contains(&count), "steps_per_mm must have {LINEAR} to {AXES} numbers");
         ensure!(
-            contacts.iter().all(|contact| contact.axis < told),
+            contacts.iter().all(|contact| contact.axis < count),
             "steps_per_mm must have a number for each axis with a switch or probe"
         );
-        ensure!(backlash_mm.is_empty() || backlash_mm.len() == told, "backlash_mm must be as long as steps_per_mm");
+        ensure!(backlash_mm.is_empty() || backlash_mm.len() == count, "backlash_mm must be as long as steps_per_mm");
         let of = |list: &[f64], other: f64| std::array::from_fn(|axis| list.get(axis).copied().unwrap_or(other));
         let (steps_per_mm, backlash_mm): ([f64; AXES], [f64; AXES]) = (of(&steps_per_mm, 1.0), of(&backlash_mm, 0.0));
         ensure!(backlash_mm.iter().all(|b| b.is_finite() && *b >= 0.0), "backlash_mm must not be negative");
@@ -248,12 +248,13 @@ impl Fittings {
             } else {
                 places[contact.axis]
             };
-            // In spite of rounding, a contact located exactly at a step must close at that step: hence `A_HAIR_MM`.
+            // In spite of rounding, a contact located exactly at a step must close at that step: hence
+            // `ROUNDING_TOLERANCE_MM`.
             let beyond = match contact.side {
                 Side::Positive => place - contact.at_mm,
                 Side::Negative => contact.at_mm - place,
             };
-            let closed = beyond > -A_HAIR_MM;
+            let closed = beyond > -ROUNDING_TOLERANCE_MM;
             if closed != contact.closed {
                 contact.closed = closed;
                 contact.chatters_until = now_us + u64::from(contact.bounce_us);

@@ -82,7 +82,7 @@ pub struct HostLink {
     arbiter: HostArbiter,
     queues: ToControl,
     /// Number of bytes that the link has fetched (wrapping).
-    heard: u16,
+    activity: u16,
     connected: bool,
     disconnected: bool,
     /// A `!` within a comment can be text or a feed hold. If no byte follows it until this time, it is executed as a
@@ -90,7 +90,7 @@ pub struct HostLink {
     command_at: Option<Instant>,
     /// In a replay: whether the board had more bytes waiting after those sent so far.
     more: bool,
-    /// In a replay: whether the host never counts as silent (see [`HostLink::heard`]).
+    /// In a replay: whether the host never counts as silent (see [`HostLink::update_activity`]).
     never_silent: bool,
 }
 
@@ -102,7 +102,7 @@ impl Default for HostLink {
             unused_link: Link::new(UNUSED, 0),
             arbiter: HostArbiter::new(),
             queues: ToControl::default(),
-            heard: 0,
+            activity: 0,
             connected: false,
             disconnected: false,
             command_at: None,
@@ -123,8 +123,8 @@ impl HostLink {
         self.more = more;
     }
 
-    /// For a replay: from here on, the host never counts as silent (see [`HostLink::heard`]).
-    pub fn hear_always(&mut self) {
+    /// For a replay: from here on, the host never counts as silent (see [`HostLink::update_activity`]).
+    pub fn set_never_silent(&mut self) {
         self.never_silent = true;
     }
 
@@ -162,7 +162,7 @@ impl HostLink {
     /// returns whether anything was added to the queues.
     pub fn fetch<const N: usize>(&mut self, controller: &Controller<N>) -> Option<bool> {
         let byte = if self.link.room() > 0 { self.port.pop_front()? } else { return None };
-        self.heard = self.heard.wrapping_add(1);
+        self.activity = self.activity.wrapping_add(1);
         self.command_at = None;
         self.queues.free = self.queues.lines.is_empty() && controller.is_free();
         self.queues.reads_characters = controller.reads_characters();
@@ -238,14 +238,17 @@ impl HostLink {
     /// * in a replay, further bytes that waited on the board.
     pub fn received(&self) -> usize {
         let held = self.link.held();
-        self.queues.lines.len() + held + usize::from(held > 0 && self.arbiter.owes_cut()) + usize::from(self.more)
+        self.queues.lines.len()
+            + held
+            + usize::from(held > 0 && self.arbiter.is_host_change_due())
+            + usize::from(self.more)
     }
 
     /// Number of bytes that the link has fetched (wrapping). If the host must never count as silent, the number also
     /// increases with each call of this function.
-    pub fn heard(&mut self, never_silent: bool) -> u16 {
-        self.heard = self.heard.wrapping_add(u16::from(never_silent || self.never_silent));
-        self.heard
+    pub fn update_activity(&mut self, never_silent: bool) -> u16 {
+        self.activity = self.activity.wrapping_add(u16::from(never_silent || self.never_silent));
+        self.activity
     }
 
     /// Number of bytes sent and not yet read by the controller: in the queue, the link and the port.

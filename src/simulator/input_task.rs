@@ -22,7 +22,7 @@ pub struct InputTask {
     /// Per input: changes that the filter has rejected.
     noise: [u16; input::COUNT],
     /// The state of the inputs that was last reported to the controller.
-    told: Option<Sensed>,
+    reported: Option<Sensed>,
 }
 
 impl Default for InputTask {
@@ -34,7 +34,7 @@ impl Default for InputTask {
             sample_due: None,
             inputs: Inputs::new(),
             noise: [0; input::COUNT],
-            told: None,
+            reported: None,
         }
     }
 }
@@ -111,9 +111,9 @@ impl InputTask {
 
     /// Returns the inputs if they have changed since the last report to the controller, and marks them as reported.
     pub fn next_change(&mut self) -> Option<Sensed> {
-        let sensed = self.inputs.sensed().filter(|sensed| self.told != Some(*sensed))?;
-        self.inputs.told();
-        self.told = self.inputs.sensed();
+        let sensed = self.inputs.sensed().filter(|sensed| self.reported != Some(*sensed))?;
+        self.inputs.mark_sent();
+        self.reported = self.inputs.sensed();
         Some(sensed)
     }
 

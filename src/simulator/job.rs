@@ -13,7 +13,7 @@ use crate::path::Drawing;
 use crate::plot;
 use crate::power_up::{SettingRefused, apply_setting};
 use crate::recording::{Input, RecordedJob, Recorder, Recording};
-use crate::resume::{Begin, Wish};
+use crate::resume::{Begin, ResumeRequest};
 use crate::short_report::ShortReport;
 use crate::simulator::{Options, Simulator};
 use crate::store::Store;
@@ -266,7 +266,7 @@ pub fn replay(options: &Replay) -> Result<Ending> {
         files::print(io::stdout(), notes.as_bytes()).context("cannot write the summary")?;
     }
     if let Err(why) = &same {
-        files::remark(&format!("oxmill: {path}: {why}"));
+        files::eprint_line(&format!("oxmill: {path}: {why}"));
     }
     traced?;
     Ok(if same.is_ok() { Ending::of(&summary) } else { Ending::OtherSteps })
@@ -296,8 +296,8 @@ pub fn resume(options: &ResumeJob) -> Result<Ending> {
     };
     let plunge = options.plunge.map(|Millimetres(feed)| Decimal(feed));
     let clearance = options.clearance.map(|Millimetres(height)| Coordinate(height));
-    let wish = Wish { begin, clearance, plunge, spin_up: options.spin_up };
-    let resumed = crate::resume::resume(&simulator, &base_name(&options.job), &job, &wish);
+    let request = ResumeRequest { begin, clearance, plunge, spin_up: options.spin_up };
+    let resumed = crate::resume::resume(&simulator, &base_name(&options.job), &job, &request);
     let resumed = resumed.map_err(|why| anyhow!("{name} cannot go on there: {why}"))?;
     match file {
         Some(file) => file.begin().and_then(|mut file| file.write_all(&resumed.program)),
@@ -305,11 +305,11 @@ pub fn resume(options: &ResumeJob) -> Result<Ending> {
     }
     .context("cannot write the program")?;
     let (line, lines) = (resumed.line, resumed.lines);
-    files::remark(&format!(
+    files::eprint_line(&format!(
         "oxmill: for a machine that has been reset and homed: line {line} of {lines} and what follows, behind:"
     ));
     for line in &resumed.prologue {
-        files::remark(&format!("  {line}"));
+        files::eprint_line(&format!("  {line}"));
     }
     Ok(Ending::Good)
 }
@@ -426,7 +426,7 @@ fn carry_out_job(options: &Run, form: Form) -> Result<Ending> {
     let mut failures = failures.into_iter();
     let Some(first) = failures.next() else { return Ok(Ending::of(&summary)) };
     for other in failures {
-        files::remark(&format!("oxmill: {other:#}"));
+        files::eprint_line(&format!("oxmill: {other:#}"));
     }
     Err(first)
 }

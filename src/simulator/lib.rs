@@ -127,7 +127,7 @@ pub fn main() -> ExitCode {
         Ok(Ending::Faulty) => ExitCode::from(1),
         Ok(Ending::OtherSteps) => ExitCode::from(3),
         Err(error) => {
-            files::remark(&format!("oxmill: {error:#}"));
+            files::eprint_line(&format!("oxmill: {error:#}"));
             ExitCode::from(2)
         }
     }

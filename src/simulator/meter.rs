@@ -35,7 +35,7 @@ const DRAWN_TOLERANCE: f64 = 0.06;
 const ROUNDING: f64 = 0.5;
 /// Maximum position error, in steps, of the ends of a block that approximates a part of an arc. The controller gives
 /// these ends in sevenths of a step.
-const TOLD: f64 = 0.5 / AxisSteps::PARTS as f64;
+const ARC_ROUNDING: f64 = 0.5 / AxisSteps::PARTS as f64;
 /// In blocks shorter than this many steps, rounding makes the length too uncertain: several are measured together.
 const SHORT: f64 = 4.0;
 /// Rounding to steps also moves the ends of a block sideways, which makes the block longer. In blocks of at least this
@@ -322,8 +322,8 @@ impl Meter {
             ToStep::Block { steps_by_axis, directions } => {
                 let mut all = [AxisSteps::default(); AXES];
                 let rest = self.rest.take().unwrap_or_default();
-                for (own, told) in all.iter_mut().zip(steps_by_axis.iter().chain(&rest)) {
-                    *own = *told;
+                for (own, received) in all.iter_mut().zip(steps_by_axis.iter().chain(&rest)) {
+                    *own = *received;
                 }
                 self.next_block = Some(Coming { steps_by_axis: all, directions: *directions, entered: 0, mark });
             }
@@ -590,10 +590,10 @@ impl Meter {
         // `AxisSteps` gives the fractions of a step at both ends as positive in the motor's direction of motion, and in
         // the positive direction if the motor makes no step.
         let way = |motor: usize| if steps_by_axis[motor].steps() == 0 { 1.0 } else { sign(motor) };
-        let told = |parts: i32| f64::from(parts) / f64::from(AxisSteps::PARTS);
+        let in_steps = |parts: i32| f64::from(parts) / f64::from(AxisSteps::PARTS);
         let delta = self.place_of(std::array::from_fn(|motor| {
             let axis_steps = steps_by_axis[motor];
-            sign(motor) * f64::from(axis_steps.steps()) + way(motor) * told(axis_steps.end() - axis_steps.start())
+            sign(motor) * f64::from(axis_steps.steps()) + way(motor) * in_steps(axis_steps.end() - axis_steps.start())
         }));
         let length = delta.iter().map(|d| d * d).sum::<f64>().sqrt();
         let unit = delta.map(|d| if length > 0.0 { d / length } else { 0.0 });
@@ -607,15 +607,15 @@ impl Meter {
         let short = length < SHORT * step;
         // Rounding moves each end across the path by at most r (`across`), all values being equally likely. The mean
         // square of the difference of both ends is 2/3 r^2. Divided by twice the length, it is the added length.
-        let across =
-            step * if steps_by_axis.iter().all(|axis_steps| axis_steps.is_on_steps()) { ROUNDING } else { TOLD };
+        let across = step
+            * if steps_by_axis.iter().all(|axis_steps| axis_steps.is_on_steps()) { ROUNDING } else { ARC_ROUNDING };
         let excess = if length < LONG * step { (across * across / (3.0 * length)).min(length * 0.1) } else { 0.0 };
         let doubt = if short { length * 0.3 } else { excess };
         let units = f64::from(steps_by_axis.iter().map(|axis_steps| axis_steps.steps()).max().unwrap_or(0))
             * f64::from(UNITS_PER_STEP);
         let start = match entered {
             0 => self.place_of(std::array::from_fn(|motor| {
-                f64::from(position[motor]) + way(motor) * told(steps_by_axis[motor].start())
+                f64::from(position[motor]) + way(motor) * in_steps(steps_by_axis[motor].start())
             })),
             entered => {
                 let here = self.millimetres(position);

@@ -15,7 +15,7 @@ pub fn run(command: &BoardCommand) -> Result<Ending> {
         BoardCommand::List => list(),
         BoardCommand::Show { name } => show(name),
         BoardCommand::Check { table } => Ok(read(table)?.map_or(Ending::Faulty, |board| {
-            files::remark(&format!(
+            files::eprint_line(&format!(
                 "{}: no fault in {} pins for the image {}",
                 board.name,
                 board.pins.len(),
@@ -30,7 +30,7 @@ pub fn run(command: &BoardCommand) -> Result<Ending> {
                 image_file::write(&bytes, &board.table()).map_err(|why| anyhow!("{}: {why}", image.display()))?;
             let output = output.as_ref().unwrap_or(image);
             job::output(output, "image")?.write(&changed)?;
-            files::remark(&format!("{} has the pins of {} now", output.display(), board.name));
+            files::eprint_line(&format!("{} has the pins of {} now", output.display(), board.name));
             Ok(Ending::Good)
         }
     }
@@ -67,7 +67,7 @@ fn read(path: &Path) -> Result<Option<Board>> {
         Err(faults) => {
             for fault in faults {
                 let place = if fault.line > 0 { format!(":{}", fault.line) } else { String::new() };
-                files::remark(&format!("{}{place}: {}", path.display(), fault.text));
+                files::eprint_line(&format!("{}{place}: {}", path.display(), fault.text));
             }
             Ok(None)
         }

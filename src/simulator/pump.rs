@@ -35,7 +35,7 @@ impl Pump<AXES> for Simulator {
             rx_free: self.board.received_bytes.saturating_sub(queued) as u16,
             received: u16::try_from(received).unwrap_or(u16::MAX),
             // A loaded job has no host that could fall silent, so never count the host as silent.
-            heard: self.host.heard(has_job),
+            activity: self.host.update_activity(has_job),
         }
     }
 

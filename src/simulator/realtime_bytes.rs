@@ -2,8 +2,8 @@
 //! warning says what they would do, and in which dialects.
 
 use oxmill_controller::messages::Realtime;
+use oxmill_controller::protocol::comment::CommentTracker;
 use oxmill_controller::protocol::realtime::{command, command_of_grblhal};
-use oxmill_controller::protocol::remark::Remark;
 
 /// Returns what a command does to a job; `None` if it has no noticeable effect.
 fn effect(command: Realtime) -> Option<&'static str> {
@@ -61,27 +61,27 @@ pub fn warning(line: &[u8]) -> Option<String> {
         }
     }
     let places = ["in every dialect", "in dialect grbl", "in dialects oxmill, seed and grblhal", "in dialect grblhal"];
-    let told = acts.iter().zip(places).filter(|(acts, _)| !acts.is_empty());
-    let told: Vec<_> = told.map(|(acts, place)| format!("{} {place}", acts.join(", "))).collect();
-    (!told.is_empty()).then(|| format!("sent as it is, {}", told.join("; ")))
+    let listed = acts.iter().zip(places).filter(|(acts, _)| !acts.is_empty());
+    let listed: Vec<_> = listed.map(|(acts, place)| format!("{} {place}", acts.join(", "))).collect();
+    (!listed.is_empty()).then(|| format!("sent as it is, {}", listed.join("; ")))
 }
 
 /// Returns for each byte whether it is text of a comment. Such a byte can be a command in dialect grbl only.
 fn texts(line: &[u8]) -> Vec<bool> {
-    let mut remark = Remark::NONE;
+    let mut comment = CommentTracker::NONE;
     let mut is_text = vec![false; line.len()];
     let mut begun_at = 0;
     for (at, byte) in line.iter().enumerate() {
-        remark.break_off(*byte);
-        if !remark.has_begun_character() {
+        comment.break_off(*byte);
+        if !comment.has_begun_character() {
             begun_at = at;
         }
-        if !remark.takes(*byte, || true) {
+        if !comment.takes(*byte, || true) {
             // `!` and `~`, and the bytes that mean the same in dialect grblhal, are text in a comment if another byte
             // follows. One always does, at least the line end.
-            is_text[at] = matches!(byte, b'!' | b'~' | 0x81 | 0x82 | 0xA3) && remark.is_inside();
-            remark.follow(*byte, || true);
-        } else if !remark.has_begun_character() {
+            is_text[at] = matches!(byte, b'!' | b'~' | 0x81 | 0x82 | 0xA3) && comment.is_inside();
+            comment.follow(*byte, || true);
+        } else if !comment.has_begun_character() {
             is_text[begun_at..=at].fill(true);
         }
     }
@@ -116,26 +116,26 @@ mod tests {
 
     #[test]
     fn what_a_line_would_do_is_told_by_dialect() {
-        let told = |line: &str| warning(line.as_bytes());
-        assert_eq!(told("G1 X1 (plain, really?) ; µm ° ß ü é 切"), None);
-        assert_eq!(told("(wow! good!)").unwrap(), "sent as it is, `!` holds the machine in dialect grbl");
-        assert_eq!(told("(wow) !").unwrap(), "sent as it is, `!` holds the machine in every dialect");
+        let warned = |line: &str| warning(line.as_bytes());
+        assert_eq!(warned("G1 X1 (plain, really?) ; µm ° ß ü é 切"), None);
+        assert_eq!(warned("(wow! good!)").unwrap(), "sent as it is, `!` holds the machine in dialect grbl");
+        assert_eq!(warned("(wow) !").unwrap(), "sent as it is, `!` holds the machine in every dialect");
         assert_eq!(
-            told("(Äußere Kontur)").unwrap(),
+            warned("(Äußere Kontur)").unwrap(),
             "sent as it is, byte 0x84 of `Ä` opens the safety door in dialect grbl"
         );
         assert_eq!(
-            told("G1 X1 ; à (Ö ~").unwrap(),
+            warned("G1 X1 ; à (Ö ~").unwrap(),
             "sent as it is, byte 0xA0 of `à` switches flood coolant on or off, byte 0x96 of `Ö` sets rapids to 50 %, `~` goes on \
              where the machine is held in dialect grbl"
         );
         assert_eq!(
-            told("Ä(20\u{A0}mm \u{1F604})").unwrap(),
+            warned("Ä(20\u{A0}mm \u{1F604})").unwrap(),
             "sent as it is, byte 0x84 of `Ä` opens the safety door, byte 0xA0 of U+00A0 switches flood coolant on or off in \
              every dialect; byte 0x84 of `😄` opens the safety door in dialect grbl"
         );
         assert_eq!(
-            told("É \u{A1}").unwrap(),
+            warned("É \u{A1}").unwrap(),
             "sent as it is, byte 0x89 of `É` switches single block on or off, byte 0xA1 of `¡` switches mist coolant on or off in dialects oxmill, seed and grblhal"
         );
         // The bytes are Windows-1252 text and a control character.

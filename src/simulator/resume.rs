@@ -47,7 +47,7 @@ pub enum Begin {
 
 /// The user's options for resuming a job.
 #[derive(Clone, Copy, Debug)]
-pub struct Wish {
+pub struct ResumeRequest {
     /// Where to resume.
     pub begin: Begin,
     /// Z at which the tool travels to the position, in mm of program coordinates. Default: the highest Z of the job.
@@ -79,12 +79,12 @@ pub struct Resumed {
 /// # Errors
 /// A text for users: the line does not exist, a line before it is rejected, or a part of the state at the line is not
 /// known.
-pub fn resume(machine: &Simulator, name: &str, job: &[u8], wish: &Wish) -> Result<Resumed, String> {
-    if wish.plunge.is_some_and(|feed| feed < SLOWEST) {
+pub fn resume(machine: &Simulator, name: &str, job: &[u8], request: &ResumeRequest) -> Result<Resumed, String> {
+    if request.plunge.is_some_and(|feed| feed < SLOWEST) {
         return Err("the plunge feed is below 1 mm/min".into());
     }
     let lines = lines_of(job);
-    let at = place_of(&lines, wish.begin)?;
+    let at = place_of(&lines, request.begin)?;
     let (front, rest) = (&lines[..at], &lines[at..]);
     let read_input = |line: &&&[u8]| spoken(line).contains("5399");
     if front.iter().any(|line| has_word(line, b'M', &[66])) && lines.iter().any(|line| read_input(&line)) {
@@ -97,7 +97,7 @@ pub fn resume(machine: &Simulator, name: &str, job: &[u8], wish: &Wish) -> Resul
     }
     let interpreter = walk.simulator.controller().interpreter();
     let mode = mode_of(interpreter, rest, dialect_of(&walk.simulator))?;
-    let entry = walk.entry(&other, wish, mode.words.is_some())?;
+    let entry = walk.entry(&other, request, mode.words.is_some())?;
     let begin = prologue(interpreter, &entry)?;
     if let Some(line) = goes_on_from_curve(interpreter.modal().motion, rest, dialect_of(&walk.simulator)) {
         let line = at + line + 1;
@@ -111,9 +111,9 @@ pub fn resume(machine: &Simulator, name: &str, job: &[u8], wish: &Wish) -> Resul
     }
     walk.compare(&begin, &rest[..=mode.line], &lines[at..=at + mode.line])?;
     let has_mark = front.iter().any(|line| is_tape_mark(&spoken(line)));
-    let remark: String = name.chars().filter(|c| c.is_ascii_alphanumeric() || " ._-".contains(*c)).collect();
+    let comment: String = name.chars().filter(|c| c.is_ascii_alphanumeric() || " ._-".contains(*c)).collect();
     let mut program = Vec::new();
-    let head = [format!("({remark} from line {} on)", at + 1)];
+    let head = [format!("({comment} from line {} on)", at + 1)];
     let head = has_mark.then(|| "%".to_owned()).into_iter().chain(head);
     for line in head.chain(begin.iter().cloned()).map(String::into_bytes).chain(rest) {
         program.extend(line);
@@ -292,7 +292,7 @@ impl Walk {
 
     /// Returns how the tool moves to the position that the job has reached. Fails if the state at the line depends on
     /// where the job began.
-    fn entry(&self, other: &Walk, wish: &Wish, carries: bool) -> Result<Entry, String> {
+    fn entry(&self, other: &Walk, request: &ResumeRequest, carries: bool) -> Result<Entry, String> {
         let moved = self.moved.zip(&other.moved, |here, there| here || there);
         let (place, there) = (self.place(), other.place());
         for axis in Axis::of_machine::<AXES>().filter(|axis| moved.get(*axis) == Some(true)) {
@@ -319,7 +319,7 @@ impl Walk {
             return Err("an output waits there for the next motion (M62, M63)".into());
         }
         let moves_z = moved.get(Axis::Z) == Some(true);
-        let clearance = if moves_z { Some(wish.clearance.map_or_else(|| self.clearance(other), Ok)?) } else { None };
+        let clearance = if moves_z { Some(request.clearance.map_or_else(|| self.clearance(other), Ok)?) } else { None };
         let height = place.get(Axis::Z).unwrap_or_default();
         if clearance.is_some_and(|clearance| clearance < height) {
             return Err(format!("--clearance is below the place itself, Z{}", exact(height.0)));
@@ -329,8 +329,8 @@ impl Walk {
             moved,
             clearance,
             is_clear: self.is_clear && other.is_clear,
-            plunge: wish.plunge.or(self.plunge).or(other.plunge),
-            spin_up: wish.spin_up,
+            plunge: request.plunge.or(self.plunge).or(other.plunge),
+            spin_up: request.spin_up,
             is_laser: self.simulator.controller().settings().is_on(Key::Laser),
             carries,
             outputs: outputs_of(&self.simulator),

@@ -15,7 +15,7 @@ use crate::clients::{
     pass_bytes, writer,
 };
 use crate::command_line::{Serve, Speed};
-use crate::files::{Output, check_apart, remark};
+use crate::files::{Output, check_apart, eprint_line};
 use crate::job::{UNRECORDED, begin_recording, check_power, machine_roles, power_up_as_board};
 use crate::no_browser::NoBrowser;
 #[cfg(unix)]
@@ -55,7 +55,7 @@ pub fn serve(options: &Serve) -> Result<()> {
     if let Some(address) = &options.pins {
         let listener = listen(address)?;
         // If the link is standard input and output, standard output belongs to the client. So print to standard error.
-        remark(&format!("pins on {}", listener.local_addr()?));
+        eprint_line(&format!("pins on {}", listener.local_addr()?));
         let sender = sender.clone();
         thread::spawn(move || serve_pins(&listener, &sender));
     }

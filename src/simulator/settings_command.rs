@@ -24,7 +24,7 @@ pub fn import(options: &ImportSettings) -> Result<Ending> {
     let import = import_text(&text).map_err(|why| anyhow!("cannot import {name}: {why}"))?;
     match &options.output {
         Some(path) if import.taken.is_empty() => {
-            files::remark(&format!("oxmill: {} is not written: there is no setting for it", path.display()));
+            files::eprint_line(&format!("oxmill: {} is not written: there is no setting for it", path.display()));
         }
         Some(path) => output(path, "settings")?.write(import.assignments().as_bytes())?,
         None => {}

@@ -172,8 +172,8 @@ impl Simulator {
 
     /// For a replay: from here on, the host never counts as silent, because a recording does not contain the time of
     /// each byte.
-    pub fn hear_always(&mut self) {
-        self.host.hear_always();
+    pub fn set_never_silent(&mut self) {
+        self.host.set_never_silent();
     }
 
     /// Simulates the loss of bytes on their way from the host: the controller rejects the line that they belonged to.

@@ -150,7 +150,7 @@ impl StepTask {
 
     /// Fills the stepper from the queue, and starts the timer when the stepper has work.
     fn load(&mut self, clock: &Clock, world: &mut World) {
-        while self.stepper.wants()
+        while self.stepper.has_room()
             && let Some((message, mark)) = self.segments.pop_front()
         {
             match message {

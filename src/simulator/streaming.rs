@@ -129,7 +129,7 @@ impl Streaming {
         self.returning.extend(self.simulator.take_output().bytes());
         let carried = self::carried(self.baud, &mut self.credit_back, self.returning.len());
         for byte in self.returning.drain(..carried).collect::<Vec<u8>>() {
-            self.hear_answer(byte);
+            self.receive_answer(byte);
         }
         let answered = self.waiting.is_empty() && self.in_flight.is_empty();
         let stuck = !self.simulator.is_active() && self.outgoing.is_empty() && self.returning.is_empty();
@@ -146,7 +146,7 @@ impl Streaming {
         }
     }
 
-    fn hear_answer(&mut self, byte: u8) {
+    fn receive_answer(&mut self, byte: u8) {
         if byte != b'\n' {
             self.answer.push(byte);
             return;

@@ -2,7 +2,7 @@
 //! turns others away. Time-outs and keep-alive end the connections of clients that have vanished or do not read.
 
 use crate::clients::{Connection, ENDLESS, Happened, Incoming, LOOK, PIECE, Places};
-use crate::files::remark;
+use crate::files::eprint_line;
 use crate::no_browser::NoBrowser;
 use anyhow::{Context, Result};
 use socket2::{SockRef, TcpKeepalive};
@@ -55,7 +55,7 @@ pub(crate) fn listen(address: &str) -> Result<TcpListener> {
     let listener = TcpListener::bind(&address).with_context(|| format!("cannot listen on {address}"))?;
     let address = listener.local_addr()?;
     if !address.ip().is_loopback() {
-        remark(&format!("oxmill: {address} is open to other computers: whoever reaches it moves this machine"));
+        eprint_line(&format!("oxmill: {address} is open to other computers: whoever reaches it moves this machine"));
     }
     Ok(listener)
 }
@@ -65,18 +65,18 @@ pub(crate) fn turn_away(mut stream: &TcpStream, why: &[u8]) {
     let end = Instant::now() + CLOSING_TIME;
     let _ = stream.set_write_timeout(Some(CLOSING_TIME));
     let _ = stream.set_read_timeout(Some(CLOSING_TIME));
-    let told = stream.write_all(why).and_then(|()| stream.shutdown(Shutdown::Write));
+    let sent = stream.write_all(why).and_then(|()| stream.shutdown(Shutdown::Write));
     // Closing a socket with unread bytes in it would discard the message, so read them first.
     let mut thrown_away = [0; PIECE];
-    while told.is_ok() && Instant::now() < end && stream.read(&mut thrown_away).is_ok_and(|length| length > 0) {}
+    while sent.is_ok() && Instant::now() < end && stream.read(&mut thrown_away).is_ok_and(|length| length > 0) {}
 }
 
 /// Tells a client that all connections are in use, without waiting for it.
 pub(crate) fn refuse(mut stream: &TcpStream) {
-    let told = stream.set_nonblocking(true).and_then(|()| stream.write_all(CROWDED));
-    let told = told.and_then(|()| stream.shutdown(Shutdown::Write));
+    let sent = stream.set_nonblocking(true).and_then(|()| stream.write_all(CROWDED));
+    let sent = sent.and_then(|()| stream.shutdown(Shutdown::Write));
     // Closing a socket with unread bytes in it would discard the message, so read them first.
-    let _ = told.and_then(|()| stream.read(&mut [0; PIECE]));
+    let _ = sent.and_then(|()| stream.read(&mut [0; PIECE]));
 }
 
 /// Returns incoming connections. Retries after a pause if the system cannot accept one.

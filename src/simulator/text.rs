@@ -377,7 +377,7 @@ impl JobText {
             }
             return;
         }
-        if !is_remark(text) {
+        if !is_blank_or_comment(text) {
             self.has_words = true;
             if let Some(line) = self.between.take() {
                 self.given_marks.push(self.lines - 1 - self.tape_marks() + self.given_marks.len() as u64);
@@ -468,7 +468,8 @@ impl JobText {
             let is_behind = self.ended_at.is_some_and(|end| line > end.line);
             self.among_subprograms |= is_behind && code.is_none() && is_program_number(&text);
             self.among_subprograms &= text != "%";
-            let is_carried_out = code.is_none() && !is_remark(&text) && text != "%" && !self.among_subprograms;
+            let is_carried_out =
+                code.is_none() && !is_blank_or_comment(&text) && text != "%" && !self.among_subprograms;
             self.behind_end += u64::from(is_carried_out && is_behind);
             let reason = self.message.take().filter(|_| code.is_some_and(|code| !OF_STATE.contains(&code)));
             if let Some(code) = code.or(left_out.map(Error::code)) {
@@ -524,14 +525,14 @@ pub fn is_tape_mark(text: &str) -> bool {
     loop {
         rest = rest.trim_start();
         match rest.strip_prefix('(') {
-            Some(remark) => rest = remark.split_once(')').map_or("", |(_, behind)| behind),
+            Some(comment) => rest = comment.split_once(')').map_or("", |(_, behind)| behind),
             None => return rest.is_empty() || rest.starts_with(';'),
         }
     }
 }
 
 /// Returns whether a line is empty or begins with a comment.
-fn is_remark(text: &str) -> bool {
+fn is_blank_or_comment(text: &str) -> bool {
     let text = text.trim_start();
     text.is_empty() || text.starts_with(['(', ';'])
 }

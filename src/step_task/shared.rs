@@ -2,7 +2,7 @@
 //! grouped by the task that writes them. The table in docs/how-it-works.md gives the reason for each.
 
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU16, AtomicU32, Ordering};
-use oxmill_controller::Owed;
+use oxmill_controller::DeferredCommands;
 use oxmill_controller::messages::{Realtime, input};
 
 /// The signal that wakes `control`; any task can set it.
@@ -17,14 +17,14 @@ pub struct StepStatus {
     /// Nonzero if a message queued now must not wait for the next scheduled run of `step`: the task that queues the
     /// message must then pend the step vector. Each run of `step` writes 0 or 1. So if the watchdog has written
     /// [`STEP_ASKED`] and later finds that value unchanged, `step` has not run since.
-    pub wants: AtomicU8,
+    pub needs_message: AtomicU8,
 }
 
-/// Status of the step task. Only `step` writes it, except that the watchdog writes [`STEP_ASKED`] to `wants`.
+/// Status of the step task. Only `step` writes it, except that the watchdog writes [`STEP_ASKED`] to `needs_message`.
 pub static STEP: StepStatus =
-    StepStatus { segments_begun: AtomicU32::new(0), at_rest: AtomicBool::new(true), wants: AtomicU8::new(1) };
+    StepStatus { segments_begun: AtomicU32::new(0), at_rest: AtomicBool::new(true), needs_message: AtomicU8::new(1) };
 
-/// Value of [`StepStatus::wants`] that the watchdog (in `inputs`) writes to check whether `step` runs: each run
+/// Value of [`StepStatus::needs_message`] that the watchdog (in `inputs`) writes to check whether `step` runs: each run
 /// replaces it. It is nonzero, so a task that queues a message before that run still pends the step vector.
 pub const STEP_ASKED: u8 = 2;
 
@@ -40,24 +40,26 @@ pub struct SerialStatus {
     pub bytes_ignored: AtomicU32,
     /// Number of received commands and queued line bytes since power-up (wrapping). A command that waits for room in
     /// the queue counts again at each attempt to queue it.
-    pub heard: AtomicU32,
+    pub activity: AtomicU32,
     /// Number of times that a host opened a port and became or remained the active host, since power-up (wrapping).
     pub hosts_came: AtomicU8,
     /// Number of times that the active host disconnected, since power-up (wrapping).
     pub hosts_went: AtomicU16,
-    /// Commands for which the queue had no room and which must not be lost ([`Owed`]); `control` takes them.
-    owed: AtomicU32,
+    /// Commands for which the queue had no room and which must not be lost ([`DeferredCommands`]); `control` takes
+    /// them.
+    deferred: AtomicU32,
 }
 
-/// Status of the serial task. Only `serial` writes it, except that `control` clears the owed commands ([`take_owed`]).
+/// Status of the serial task. Only `serial` writes it, except that `control` clears the deferred commands
+/// ([`take_deferred`]).
 pub static SERIAL: SerialStatus = SerialStatus {
     bytes_queued: AtomicU32::new(0),
     bytes_received: AtomicU32::new(0),
     bytes_ignored: AtomicU32::new(0),
-    heard: AtomicU32::new(0),
+    activity: AtomicU32::new(0),
     hosts_came: AtomicU8::new(0),
     hosts_went: AtomicU16::new(0),
-    owed: AtomicU32::new(0),
+    deferred: AtomicU32::new(0),
 };
 
 /// Status that `inputs` publishes to the other tasks.
@@ -74,7 +76,7 @@ pub static INPUTS: InputStatus =
 
 /// Status that `control` publishes to the other tasks.
 pub struct ControlStatus {
-    /// Value of [`SerialStatus::heard`] up to which everything has been executed and answered.
+    /// Value of [`SerialStatus::activity`] up to which everything has been executed and answered.
     free_at: AtomicU32,
     /// Whether UTF-8 characters in G-code comments are text. `false` until the first round of `control`. While it is
     /// `false`, each byte of such a character is a command or ignored, as in Grbl.
@@ -118,27 +120,27 @@ pub fn ask_for_stop() {
 /// keep it and returns `false`. A stop (0x19) and a jog cancel are kept as resets, and each reset needs a stop of the
 /// step task. For a stop or jog cancel, this function requests that stop of the step task; for a reset, `serial` has
 /// already requested it. The caller must pend the step vector afterwards, as for [`ask_for_stop`].
-pub fn owe(command: Realtime) -> bool {
-    let Some(owed) = Owed(SERIAL.owed.load(Ordering::Relaxed)).with(command) else { return false };
+pub fn defer(command: Realtime) -> bool {
+    let Some(deferred) = DeferredCommands(SERIAL.deferred.load(Ordering::Relaxed)).with(command) else { return false };
     if command.opens_epoch() && command != Realtime::Reset {
         ask_for_stop();
     }
     // A separate load and store suffice here: `control`, which takes the commands, cannot run in between, as it does
     // not preempt `serial`.
-    SERIAL.owed.store(owed.0, Ordering::Relaxed);
+    SERIAL.deferred.store(deferred.0, Ordering::Relaxed);
     true
 }
 
-/// Returns whether the serial task has commands for which the queue had no room (owed commands). The serial task queues
-/// no further command until `control` has taken these, so that commands keep their order.
-pub fn owes() -> bool {
-    SERIAL.owed.load(Ordering::Relaxed) != 0
+/// Returns whether the serial task has commands for which the queue had no room (deferred commands). The serial task
+/// queues no further command until `control` has taken these, so that commands keep their order.
+pub fn has_deferred() -> bool {
+    SERIAL.deferred.load(Ordering::Relaxed) != 0
 }
 
-/// For `control`: takes the owed commands. Call only if [`owes`] has returned `true` and the queue of commands was
-/// emptied after that, because the owed commands arrived after all commands in the queue.
-pub fn take_owed() -> Owed {
-    Owed(SERIAL.owed.swap(0, Ordering::Relaxed))
+/// For `control`: takes the deferred commands. Call only if [`has_deferred`] has returned `true` and the queue of
+/// commands was emptied after that, because the deferred commands arrived after all commands in the queue.
+pub fn take_deferred() -> DeferredCommands {
+    DeferredCommands(SERIAL.deferred.swap(0, Ordering::Relaxed))
 }
 
 /// Returns how many stops have been requested since power-up (wrapping).
@@ -147,15 +149,15 @@ pub fn stops_asked() -> u16 {
     STOPS_ASKED.load(Ordering::Relaxed)
 }
 
-/// For `control`: publishes whether everything that [`SerialStatus::heard`] had counted at the value `heard` has been
-/// executed and answered.
-pub fn set_free(heard: u32, free: bool) {
-    CONTROL.free_at.store(if free { heard } else { heard.wrapping_sub(1) }, Ordering::Relaxed);
+/// For `control`: publishes whether everything that [`SerialStatus::activity`] had counted at the value `activity` has
+/// been executed and answered.
+pub fn set_free(activity: u32, free: bool) {
+    CONTROL.free_at.store(if free { activity } else { activity.wrapping_sub(1) }, Ordering::Relaxed);
 }
 
 /// For `serial`: returns whether everything received from any host has been executed and answered.
 pub fn is_free() -> bool {
-    CONTROL.free_at.load(Ordering::Relaxed) == SERIAL.heard.load(Ordering::Relaxed)
+    CONTROL.free_at.load(Ordering::Relaxed) == SERIAL.activity.load(Ordering::Relaxed)
 }
 
 /// Power to be output by the spindle's PWM.

@@ -16,7 +16,7 @@ use oxmill_simulator::homed::home;
 use oxmill_simulator::machine::linear;
 use oxmill_simulator::path::{Drawing, Point};
 use oxmill_simulator::power_up::{Dialect, apply_setting, board_named};
-use oxmill_simulator::resume::{self, Begin, SPIN_UP, Wish, number_of};
+use oxmill_simulator::resume::{self, Begin, ResumeRequest, SPIN_UP, number_of};
 use oxmill_simulator::streaming::Streaming;
 use oxmill_simulator::{Fittings, JobText, Options, Simulator, Store, advice, explain};
 use serde::Deserialize;
@@ -169,8 +169,8 @@ pub fn resume(order: &Order, job: &[u8]) -> Result<Value, String> {
     let plunge = number(wanted.plunge, "plunge feed")?;
     let clearance = number(wanted.clearance, "clearance")?.map(Coordinate);
     let begin = Begin::Line(wanted.line);
-    let wish = Wish { begin, clearance, plunge: plunge.map(Decimal), spin_up: wanted.spin_up };
-    let rest = resume::resume(&power_up(order)?, &order.name, job, &wish)?;
+    let request = ResumeRequest { begin, clearance, plunge: plunge.map(Decimal), spin_up: wanted.spin_up };
+    let rest = resume::resume(&power_up(order)?, &order.name, job, &request)?;
     let program = String::from_utf8_lossy(&rest.program);
     Ok(json!({ "program": program, "line": rest.line, "lines": rest.lines, "prologue": rest.prologue }))
 }

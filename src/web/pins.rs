@@ -48,10 +48,10 @@ pub fn write(order: &[u8]) -> Result<Vec<u8>, String> {
 }
 
 fn parse(text: &str) -> Result<Board, String> {
-    let told = |fault: oxmill_tables::Fault| {
+    let text_of = |fault: oxmill_tables::Fault| {
         if fault.line > 0 { format!("line {}: {}", fault.line, fault.text) } else { fault.text }
     };
-    Board::parse(text).map_err(|faults| faults.into_iter().map(told).collect::<Vec<_>>().join("\n"))
+    Board::parse(text).map_err(|faults| faults.into_iter().map(text_of).collect::<Vec<_>>().join("\n"))
 }
 
 #[cfg(test)]

@@ -66,7 +66,7 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
             step_idle: !moving && stepper.is_idle() && queue.is_empty(),
             rx_free: if bytes.peek().is_some() { 0 } else { LINES_DEPTH as u16 },
             received: u16::from(bytes.peek().is_some()),
-            heard: 0,
+            activity: 0,
         });
         while controller.wants_line()
             && let Some(byte) = bytes.next()
@@ -78,7 +78,7 @@ fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
             Some(Output::Reply(chunk) | Output::Answer(chunk)) => answers.extend_from_slice(chunk.as_bytes()),
             Some(_) => {}
             None => {
-                while stepper.wants()
+                while stepper.has_room()
                     && let Some(message) = queue.pop_front()
                 {
                     stepper.load(message);

@@ -344,7 +344,7 @@ impl Board {
     }
 
     fn load(&mut self) {
-        while self.stepper.wants()
+        while self.stepper.has_room()
             && let Some(message) = self.queue.pop_front()
         {
             self.stepper.load(message);
@@ -510,7 +510,7 @@ impl Pump<AXES> for Board {
             step_idle: self.due.is_none() && self.queue.is_empty() && self.stepper.is_idle(),
             rx_free: (LINES_DEPTH as u16).saturating_sub(received),
             received,
-            heard: 0,
+            activity: 0,
         }
     }
 
@@ -634,7 +634,7 @@ impl Pump<AXES> for Board {
                     let (key, value) = records.iter().nth(at.into())?;
                     Some(Record { key: *key, value: heapless::Vec::from_slice(value).ok()? })
                 };
-                recorder.read(first, ("fuzz", 1_000_000), record, |piece| controller.recorded(piece));
+                recorder.read(first, ("fuzz", 1_000_000), record, |item| controller.recorded(item));
             }
             Output::Pins(_) | Output::Worked => {}
         }

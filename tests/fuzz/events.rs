@@ -230,7 +230,7 @@ fn tell(board: &mut Board, lie: &Lie) {
 #[derive(Default)]
 struct Account {
     apart: Option<[i64; AXES]>,
-    miscounted: bool,
+    unchecked: bool,
 }
 
 impl Account {
@@ -245,12 +245,12 @@ impl Account {
         if renames {
             // From now on the position is not checked, because the action can change the position, the step length or
             // the backlash.
-            self.miscounted = true;
+            self.unchecked = true;
         }
     }
 
     fn check(&mut self, board: &Board) {
-        if !board.controller.is_idle() || !board.is_true || self.miscounted || board.late != 0 {
+        if !board.controller.is_idle() || !board.is_true || self.unchecked || board.late != 0 {
             return;
         }
         if !board.controller.is_trusted() {

@@ -7,7 +7,7 @@
 use super::work::at_most;
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{
-    AS_WRITTEN, Action, Dialect, Direction, Held, HeldLine, Interpreter, WITH_VALUES, split_remark,
+    AS_WRITTEN, Action, Dialect, Direction, Held, HeldLine, Interpreter, WITH_VALUES, split_comment,
 };
 use oxmill_controller::protocol::line_filter::{self, Line, LineRules, Pushed};
 
@@ -33,7 +33,7 @@ pub fn run(data: &[u8]) {
     let rules = || LineRules {
         length: if dialect == Dialect::Grbl { line_filter::GRBL_LENGTH } else { line_filter::LENGTH },
         merge_crlf: dialect != Dialect::Grbl,
-        nested_remarks: dialect != Dialect::Grbl,
+        nested_comments: dialect != Dialect::Grbl,
         expressions: dialect != Dialect::Grbl,
         block_delete: first & 0x40 != 0,
     };
@@ -46,11 +46,11 @@ pub fn run(data: &[u8]) {
             Pushed::TooLong => line.clear(),
             Pushed::Complete => {
                 let text = line.text().to_vec();
-                let remark = line.message().map_or_else(Vec::new, |(has_values, text)| {
+                let comment = line.message().map_or_else(Vec::new, |(has_values, text)| {
                     [&[if has_values { WITH_VALUES } else { AS_WRITTEN }], text].concat()
                 });
                 line.clear();
-                program.line(&text, &remark);
+                program.line(&text, &comment);
             }
         }
         if program.lines > MOST_LINES {
@@ -60,13 +60,13 @@ pub fn run(data: &[u8]) {
 }
 
 impl Program {
-    fn line(&mut self, text: &[u8], remark: &[u8]) {
+    fn line(&mut self, text: &[u8], comment: &[u8]) {
         self.lines += 1;
         if let Some((number, words)) = macro_line(text).filter(|_| self.dialect != Dialect::Grbl) {
             let _ = self.interpreter.set_macro_line(number, words);
             return;
         }
-        if text.is_empty() && remark.is_empty() || text.starts_with(b"$") && !text.starts_with(b"$J=") {
+        if text.is_empty() && comment.is_empty() || text.starts_with(b"$") && !text.starts_with(b"$J=") {
             return;
         }
         if let Some(jog) = text.strip_prefix(b"$J=") {
@@ -80,15 +80,15 @@ impl Program {
             }
             _ => at_most(MOST_WORK, || {
                 self.interpreter.look_behind_end(text, false)?;
-                self.interpreter.direct(text, remark, self.lines as u32)
+                self.interpreter.direct(text, comment, self.lines as u32)
             }),
         };
         match direction {
             Ok(Direction::Check) => {
                 if self.carry_out(text) {
-                    self.tell(remark);
+                    self.tell(comment);
                 } else if self.dialect != Dialect::Grbl
-                    && self.interpreter.direct_refused(text, remark, Error::NotSupported) == Ok(Direction::Run)
+                    && self.interpreter.direct_refused(text, comment, Error::NotSupported) == Ok(Direction::Run)
                 {
                     self.run_held();
                 }
@@ -105,11 +105,11 @@ impl Program {
             match at_most(MOST_WORK, || self.interpreter.next_held(&mut held)) {
                 Ok(Held::Line) => {
                     let line = held.clone();
-                    let (words, remark) = split_remark(&line);
+                    let (words, comment) = split_comment(&line);
                     if !words.is_empty() && !self.carry_out(words) {
                         return self.interpreter.abandon_held();
                     }
-                    self.tell(remark);
+                    self.tell(comment);
                 }
                 Ok(Held::Again) => {}
                 Ok(Held::End) | Err(_) => return,
@@ -118,8 +118,8 @@ impl Program {
         self.interpreter.abandon_held();
     }
 
-    fn tell(&self, remark: &[u8]) {
-        if let Some((&WITH_VALUES, written)) = remark.split_first() {
+    fn tell(&self, comment: &[u8]) {
+        if let Some((&WITH_VALUES, written)) = comment.split_first() {
             let mut text = heapless::Vec::<u8, 128>::new();
             self.interpreter.expand(written, &mut text);
         }

@@ -143,7 +143,7 @@ impl Run {
     }
 
     fn load(&mut self) {
-        if self.stepper.wants()
+        if self.stepper.has_room()
             && let Some(message) = self.queue.pop_front()
         {
             self.stepper.load(message);

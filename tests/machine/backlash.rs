@@ -96,8 +96,8 @@ fn a_plunge_drags_no_drill() {
 #[test]
 fn a_profile_is_not_interrupted() {
     let mut seconds = Vec::new();
-    for slack in ["", "$160=0.05\n$162=0.05\n"] {
-        let mut mill = mill(slack, "");
+    for backlash in ["", "$160=0.05\n$162=0.05\n"] {
+        let mut mill = mill(backlash, "");
         let chords: String = (1..600)
             .map(|k| f64::from(k) * 0.05)
             .map(|a| format!("X{:.3} Z{:.3}\n", 5.0 * a.cos(), 5.0 * a.sin()))
@@ -261,7 +261,7 @@ proptest! {
 }
 
 #[test]
-fn a_motor_that_takes_up_slack_is_not_too_fast() {
+fn a_motor_that_takes_up_backlash_is_not_too_fast() {
     // The axis reaches its rate of 20 mm/s within 0.04 mm of the reversal, when the backlash is not yet taken up. The
     // additional steps for the backlash must not make the motor faster than this rate.
     let mut mill = compensated("");
@@ -279,7 +279,7 @@ fn a_motor_that_takes_up_slack_is_not_too_fast() {
 /// In a relief (X is fast, and the slow Z reverses while X moves), no axis exceeds its limits while Z takes up its
 /// backlash.
 #[test]
-fn a_slow_axis_takes_up_its_slack_no_faster_than_its_own_corners() {
+fn a_slow_axis_takes_up_its_backlash_no_faster_than_its_own_corners() {
     let acceleration = [2000.0, 500.0, 20.0];
     for relief in ["X30 Z0.5 F6000\nX30 Z-0.5\nX30 Z0.5\nX30 Z-0.5\n", "G18 G2 X60 I30 K-30 F6000\nG3 X-60 I-30 K-30\n"]
     {
@@ -291,7 +291,7 @@ fn a_slow_axis_takes_up_its_slack_no_faster_than_its_own_corners() {
 }
 
 #[test]
-fn what_follows_the_last_of_the_slack_begins_at_rest() {
+fn what_follows_the_last_of_the_backlash_begins_at_rest() {
     // The second move reverses X but is too short to take up the backlash, so the rest of it is taken up after the
     // move, while the other axes stand still. With some of these delays the third move arrives while the rest of the
     // backlash is being taken up.
@@ -325,7 +325,7 @@ fn inverse_time_holds_for_the_whole_move() {
 }
 
 #[test]
-fn less_slack_moves_nothing() {
+fn less_backlash_moves_nothing() {
     let mut mill = compensated("");
     run(&mut mill, "G1 X5 F3000\n$160=0");
     let x = mill.machine().position()[0];
@@ -428,7 +428,7 @@ fn home_is_true_and_parking_comes_back() {
 /// On a CoreXY machine, a belt that takes up its backlash during Y's homing cycle also moves X: the reported X must be
 /// the position at which X is after that cycle.
 #[test]
-fn home_is_true_with_belts_that_have_slack() {
+fn home_is_true_with_belts_that_have_backlash() {
     const AT: [f64; AXES] = [4.0, 5.0, 3.0];
     let mut switches = String::from("kinematics = \"corexy\"\n");
     for (axis, at) in ["x", "y", "z"].into_iter().zip(AT) {

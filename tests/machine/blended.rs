@@ -297,7 +297,7 @@ fn whatever_the_job_it_stays_within_the_tolerance_and_is_no_slower() {
 /// Holds, resumes and overrides during a job with a tolerance (G64 P) change neither the path nor its end. With
 /// backlash compensation, the job ends at the same position with and without the tolerance.
 #[test]
-fn holds_overrides_and_slack_leave_the_path_as_it_is() {
+fn holds_overrides_and_backlash_leave_the_path_as_it_is() {
     let mut points = walk(&mut Random(11));
     points.iter_mut().for_each(|point| point[2] = 0.0);
     let limits = limits(250.0);
@@ -324,8 +324,8 @@ fn holds_overrides_and_slack_leave_the_path_as_it_is() {
     let places = places(&rig.trace, 250.0);
     let off = farthest(&places, &course.written).max(farthest(&along(&course.written), &places));
     assert!(off <= 0.05 + 1.5 / 250.0 * 2.0_f64.sqrt(), "{off} mm");
-    let slack = format!("{}$160=0.05\n$161=0.03\n", settings(&limits, 0.0));
-    assert_eq!(run(&slack, &blended).place, run(&slack, &text).place);
+    let backlash = format!("{}$160=0.05\n$161=0.03\n", settings(&limits, 0.0));
+    assert_eq!(run(&backlash, &blended).place, run(&backlash, &text).place);
 }
 
 /// After a reset during a job with G64 P the machine is where its steps have moved it, and the next job starts there:

@@ -105,7 +105,7 @@ fn corners_between_moves_shorter_than_a_digit() {
 /// A reversed move of X, during which the motor also takes up backlash, is carried out even though X has 0.1 and Z
 /// 40,000 steps/mm.
 #[test]
-fn slack_on_the_longest_moves() {
+fn backlash_on_the_longest_moves() {
     let settings = "$0=1\n$11=0\n$100=0.1\n$160=70\n$102=40000\n$110=60000\n$112=100\n$120=1000\n$122=100\n";
     let mut rig = Rig::with(settings);
     rig.send(b"G1 X4000 F600000\nG1 X-4000 Z5000\n");

@@ -287,7 +287,7 @@ fn jerk_is_bounded_on_the_way_to_the_parking_place() {
 
 /// While one axis takes up its backlash, the other continues along the path as smoothly as without backlash.
 #[test]
-fn jerk_is_bounded_while_slack_is_taken_up() {
+fn jerk_is_bounded_while_backlash_is_taken_up() {
     let mut mill = mill("backlash_mm = [0.05, 0.0, 0.0]", "$160=0.05\n");
     run(&mut mill, "G90 G1 X12 Y12 F4000\nX2 Y2\nX2.5 Y2.5\nX-7 Y-7\nX0 Y0");
     mill.trace_mut().restart();

@@ -47,7 +47,7 @@ fn power_up(group: &str) -> Simulator {
 
 /// Repeats what the recording host did for one record: sends bytes or sets a pin, and waits. Returns the machine's
 /// output.
-fn hold(mill: &mut Simulator, record: &Record) -> String {
+fn play_record(mill: &mut Simulator, record: &Record) -> String {
     let mut said = mill.take_output();
     let listen = |mill: &mut Simulator, said: &mut String, time| {
         mill.run_for(time);
@@ -123,7 +123,7 @@ fn replay(group: &str, text: &str, tally: &mut Tally) {
     let mut mill = power_up(group);
     let mut boot = mill.take_output();
     for record in read(text) {
-        let said = if record.kind == "boot" { std::mem::take(&mut boot) } else { hold(&mut mill, &record) };
+        let said = if record.kind == "boot" { std::mem::take(&mut boot) } else { play_record(&mut mill, &record) };
         tally.judge(group, &record, &said);
     }
 }

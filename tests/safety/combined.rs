@@ -32,7 +32,7 @@ const SWITCHES: &str = r#"
 const AT: [f64; 3] = [2.0, 3.0, 4.0];
 const TRAVEL: f64 = 60.0;
 const BELTS: &str = "kinematics = \"corexy\"\n";
-const SLACK: &str = "backlash_mm = [0.1, 0.06, 0.08, 0]\n";
+const BACKLASH: &str = "backlash_mm = [0.1, 0.06, 0.08, 0]\n";
 const TAKEN_UP: &str = "$160=0.1 $161=0.06 $162=0.08";
 const TURNS: &str = "$930=4 $103=250 $113=9000 $123=900 $133=0";
 const PARKS: &str = "$41=1 $56=0.3 $57=900 $58=-3 $59=2000";
@@ -42,15 +42,15 @@ const SECOND: &str = "[[switch]]\naxis = \"x\"\nat_mm = 2\nside = \"positive\"\n
 /// Machines: two parts of the TOML text before [`SWITCHES`], the TOML text after it, and the settings.
 const MACHINES: [([&str; 2], &str, [&str; 3]); 10] = [
     (["", ""], "", ["", "", ""]),
-    ([SLACK, ""], "", [TAKEN_UP, "$43=2", ""]),
+    ([BACKLASH, ""], "", [TAKEN_UP, "$43=2", ""]),
     ([BELTS, ""], "", ["$904=1", PARKS, "$42=0"]),
     (["", ""], "", [TURNS, PARKS, "$901=1 $919=1 $912=1"]),
     ([RACKED, ""], SECOND, ["$905=1 $907=1", "", ""]),
-    ([RACKED, SLACK], SECOND, ["$905=1 $907=1", TAKEN_UP, ""]),
-    ([BELTS, SLACK], "", ["$904=1", TAKEN_UP, "$220=9000 $221=8000 $222=7000 $45=1 $46=2"]),
-    ([SLACK, ""], "", [TURNS, TAKEN_UP, "$223=9000 $220=5000"]),
+    ([RACKED, BACKLASH], SECOND, ["$905=1 $907=1", TAKEN_UP, ""]),
+    ([BELTS, BACKLASH], "", ["$904=1", TAKEN_UP, "$220=9000 $221=8000 $222=7000 $45=1 $46=2"]),
+    ([BACKLASH, ""], "", [TURNS, TAKEN_UP, "$223=9000 $220=5000"]),
     ([BELTS, ""], "", ["$904=1", "$32=1", "$44=3 $45=4"]),
-    ([SLACK, ""], "", [TAKEN_UP, PARKS, "$923=0.05 $924=2"]),
+    ([BACKLASH, ""], "", [TAKEN_UP, PARKS, "$923=0.05 $924=2"]),
 ];
 /// Number of actions per session.
 const ACTIONS: u64 = 60;
@@ -61,7 +61,7 @@ struct Mill {
     bench: Bench,
     turns: bool,
     belts: bool,
-    slack: bool,
+    has_backlash: bool,
     /// State and number of step events at the last check, and whether nothing has been sent since.
     before: (String, u64, bool),
     /// Everything sent and received, for diagnosis.
@@ -123,8 +123,8 @@ impl Mill {
         let mut bench = Bench::new(&format!("{before}{more}{SWITCHES}{behind}"), &format!("{SETTINGS} {settings}"));
         bench.carry_out("$H");
         let (turns, belts) = (settings.contains("$930=4"), settings.contains("$904=1"));
-        let slack = settings.contains("$160");
-        let mut mill = Mill { bench, turns, belts, slack, before: (String::new(), 0, false), log: settings };
+        let has_backlash = settings.contains("$160");
+        let mut mill = Mill { bench, turns, belts, has_backlash, before: (String::new(), 0, false), log: settings };
         mill.assert_place();
         mill.bench.carry_out("G10 L2 P1 X-30 Y-30 Z-15");
         mill
@@ -153,7 +153,7 @@ impl Mill {
     /// motor moves the tool by half a step along two axes.
     fn assert_place(&mut self) {
         let ((reported, status), tool) = (self.reported(), self.tool());
-        let off = if self.slack { 0.1701 } else { [0.0021, 0.0101][usize::from(self.belts)] };
+        let off = if self.has_backlash { 0.1701 } else { [0.0021, 0.0101][usize::from(self.belts)] };
         for axis in 0..3 {
             assert!((reported[axis] - tool[axis]).abs() < off, "{status}, tool {tool:?} {}", self.log);
         }
@@ -162,7 +162,7 @@ impl Mill {
     /// Checks that the tool is within its travel. With belts, a motor that takes up its backlash moves the tool along
     /// both axes, so along the other axis the tool can be outside by up to half of the backlash.
     fn assert_in_travel(&mut self) {
-        let drag = if self.belts && self.slack { 0.08 } else { 0.0 } + 0.003;
+        let drag = if self.belts && self.has_backlash { 0.08 } else { 0.0 } + 0.003;
         let (reported, status) = self.reported();
         let inside = reported.iter().all(|place| (-TRAVEL - drag..=drag).contains(place));
         assert!(inside, "{status} {}", self.log);

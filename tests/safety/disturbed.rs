@@ -23,7 +23,7 @@ const SETTINGS: &str = "$0=1 $22=1 $24=600 $25=3000 $26=1 $110=6000 $111=5000 $1
 const BELTS: &str = "$904=1";
 const TURNS: &str = "$930=4";
 /// Backlash of a drive (`$160` to `$162`), with the same distance in the simulated machine, mm: 5, 8 and 10 steps.
-const SLACK: [(&str, f64); AXES] = [("$160=0.02", 0.02), ("$161=0.032", 0.032), ("$162=0.04", 0.04)];
+const BACKLASH: [(&str, f64); AXES] = [("$160=0.02", 0.02), ("$161=0.032", 0.032), ("$162=0.04", 0.04)];
 /// Settings of each machine, and whether it parks its tool: the moves to and from the parking position are not on the
 /// path.
 const MACHINES: [(&str, bool); 11] = [
@@ -159,8 +159,8 @@ fn lines(random: &mut Random, turns: bool) -> Vec<String> {
 }
 
 /// Returns the backlash of each drive of a machine with these settings, mm.
-fn slack(settings: &str) -> [f64; AXES] {
-    SLACK.map(|(setting, mm)| if settings.contains(setting) { mm } else { 0.0 })
+fn backlash_of(settings: &str) -> [f64; AXES] {
+    BACKLASH.map(|(setting, mm)| if settings.contains(setting) { mm } else { 0.0 })
 }
 
 /// Returns the tool position according to the parts that the motors drive, in steps.
@@ -187,8 +187,8 @@ struct Mill {
 impl Mill {
     fn new(settings: &'static str) -> Mill {
         let kinematics = if settings.contains(BELTS) { "kinematics = \"corexy\"" } else { "" };
-        let slack = slack(settings);
-        let backlash = if slack == [0.0; AXES] { String::new() } else { format!("backlash_mm = {slack:?}") };
+        let mm = backlash_of(settings);
+        let backlash = if mm == [0.0; AXES] { String::new() } else { format!("backlash_mm = {mm:?}") };
         let machine = format!("{kinematics}\n{backlash}\n{MACHINE}");
         let mut bench = Bench::new(&machine, &format!("{SETTINGS} {settings}"));
         bench.carry_out("$H");
@@ -353,7 +353,7 @@ fn assert_same_place(mill: &Mill, alone: &Mill, seed: u64) {
     let (motors, motors_alone) = (mill.bench.place(), alone.bench.place());
     for axis in 0..AXES {
         let apart = f64::from((motors[axis] - motors_alone[axis]).abs());
-        let same = (place[axis] - expected[axis]).abs() < 0.01 && apart < slack(mill.settings)[axis] * STEPS + 0.01;
+        let same = (place[axis] - expected[axis]).abs() < 0.01 && apart < backlash_of(mill.settings)[axis] * STEPS + 0.01;
         assert!(same, "{seed}: tool {place:?}, alone {expected:?}; motors {motors:?}, {motors_alone:?}: {}", mill.log);
     }
 }

@@ -27,7 +27,7 @@ struct Conversation {
     /// Position of the stop byte.
     at: usize,
     /// Whether that position is in a comment.
-    is_in_remark: bool,
+    is_in_comment: bool,
     /// Whether the stop byte splits a character. If so, the remaining bytes of the character may act as commands.
     breaks: bool,
 }
@@ -38,17 +38,17 @@ impl Conversation {
         let lines = 1 + random.below(5) as usize;
         for _ in 0..lines {
             let words = random.of(&WORDS);
-            let mut remark = String::new();
+            let mut comment = String::new();
             for _ in 0..random.below(8) {
-                remark += random.of(&TEXT);
+                comment += random.of(&TEXT);
             }
             text += &match random.below(6) {
-                0 => format!("({remark}){words}"),
-                4 => format!("{words} ({remark} ({remark}) {remark})"),
-                5 => format!("({remark} ({remark}({remark})) {remark}){words}"),
-                1 => format!("{words} ({remark}"),
-                2 => format!("{words};{remark}"),
-                _ => format!("{words} ({remark}) ; ({remark})"),
+                0 => format!("({comment}){words}"),
+                4 => format!("{words} ({comment} ({comment}) {comment})"),
+                5 => format!("({comment} ({comment}({comment})) {comment}){words}"),
+                1 => format!("{words} ({comment}"),
+                2 => format!("{words};{comment}"),
+                _ => format!("{words} ({comment}) ; ({comment})"),
             };
             text += random.of(&["\n", "\r\n"]);
         }
@@ -62,12 +62,12 @@ impl Conversation {
         let breaks = stop.is_some() && !text.is_char_boundary(at);
         let line = text.as_bytes()[..at].rsplit(|byte| *byte == b'\n').next().unwrap_or_default();
         let count = |wanted: u8| line.iter().filter(|byte| **byte == wanted).count();
-        let is_in_remark = (count(b';') > 0 || count(b'(') > count(b')')) && line.last() != Some(&b'\r');
+        let is_in_comment = (count(b';') > 0 || count(b'(') > count(b')')) && line.last() != Some(&b'\r');
         let mut bytes = text.into_bytes();
         if let Some(stop) = stop {
             bytes.insert(at, stop);
         }
-        Self { bytes, lines, stop, at, is_in_remark, breaks }
+        Self { bytes, lines, stop, at, is_in_comment, breaks }
     }
 
     /// Plays the conversation on a machine that is in the middle of a long move.
@@ -93,7 +93,7 @@ impl Conversation {
                 bench.wait(15.0);
                 assert!(f64::from(bench.place()[0]) < 10.0 * STEPS, "{what}: {status}");
             }
-            Some(b'!') if self.is_in_remark && sending != Sending::Stops => {
+            Some(b'!') if self.is_in_comment && sending != Sending::Stops => {
                 // The rest of a character split by the stop byte may be a command.
                 if !self.breaks {
                     is("<Run");

@@ -61,7 +61,7 @@ pub fn all() -> Result<(), Failure> {
         return Err(format!("{failed} conversations failed"));
     }
     // Some stack must be left for paths that no conversation has taken.
-    hold_on(deepest.used <= deepest.size / 4 * 3, || "more than three quarters of the stack are used".into())
+    ensure(deepest.used <= deepest.size / 4 * 3, || "more than three quarters of the stack are used".into())
 }
 
 /// Maximum stack use so far, and size of the stack, bytes.
@@ -145,24 +145,24 @@ fn failure(lines: &mut Lines, way: &[u8], message: &str, record: &[&str]) -> Res
     lines.wait_until_beyond(1.0)?;
     lines.stand.write_all(way).map_err(|error| error.to_string())?;
     let welcome = lines.expect("to unlock]\r\n")?;
-    hold_on(welcome.contains("Grbl 1.1h") && welcome.contains(message), || format!("after the failure: {welcome}"))?;
+    ensure(welcome.contains("Grbl 1.1h") && welcome.contains(message), || format!("after the failure: {welcome}"))?;
     // A host that has not noticed the failure continues its job: this line must be rejected.
     lines.send(b"G1X-5\n")?;
     lines.expect("error:9\r\n")?;
     let report = lines.report()?;
-    hold_on(report.contains("steps=0,0,0"), || format!("it moves after a failure: {report}"))?;
+    ensure(report.contains("steps=0,0,0"), || format!("it moves after a failure: {report}"))?;
     lines.send(b"$RC\n")?;
     let told = lines.expect("ok\r\n")?;
-    hold_on(record.iter().all(|part| told.contains(part)), || format!("the record: {told}"))?;
+    ensure(record.iter().all(|part| told.contains(part)), || format!("the record: {told}"))?;
     // After `$RC` the failure is not reported again, and the machine works.
     lines.send(b"\x18")?;
     let welcome = lines.expect("to unlock]\r\n")?;
-    hold_on(!welcome.contains("failure"), || format!("told again: {welcome}"))?;
+    ensure(!welcome.contains("failure"), || format!("told again: {welcome}"))?;
     lines.send(b"$X\nG21G91G1X1F600\n")?;
     lines.expect("ok\r\nok\r\n")?;
     wait_until_idle(&mut lines.host)?;
     let report = lines.report()?;
-    hold_on(report.contains("steps=250,0,0"), || report)
+    ensure(report.contains("steps=250,0,0"), || report)
 }
 
 /// Returns the machine's recording, as a terminal would log it.
@@ -181,7 +181,7 @@ fn played(name: &str, log: &str) -> Result<String, Failure> {
     replay.args(["run", "--quiet", "--locked", "--package", "oxmill", "--", "replay"]).arg(&file);
     let output = replay.output().map_err(|error| error.to_string())?;
     // Exit status 1: the replay has an alarm, which the board also had.
-    hold_on(matches!(output.status.code(), Some(0 | 1)), || {
+    ensure(matches!(output.status.code(), Some(0 | 1)), || {
         format!("the replay parts: {}", String::from_utf8_lossy(&output.stderr))
     })?;
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
@@ -194,7 +194,7 @@ fn recorded_failure(lines: &mut Lines) -> Result<(), Failure> {
     lines.wait_until_beyond(14.0)?;
     lines.stand.write_all(b"P").map_err(|error| error.to_string())?;
     let welcome = lines.expect("to unlock]\r\n")?;
-    hold_on(welcome.contains("line 50") && welcome.contains("$REC what came in"), || welcome.clone())?;
+    ensure(welcome.contains("line 50") && welcome.contains("$REC what came in"), || welcome.clone())?;
     // The recording must not change if a host has not noticed the failure and continues, or if a host queries and jogs.
     lines.send(b"X5\n$RC\n$X\n")?;
     let unlocked = |text: &str| text.contains("Caution: Unlocked") && text.ends_with("ok\r\n");
@@ -206,15 +206,15 @@ fn recorded_failure(lines: &mut Lines) -> Result<(), Failure> {
     let place = told.split_once("[LAST:").and_then(|(_, rest)| rest.split_once("|Ln:50]"));
     let (place, _) = place.ok_or_else(|| format!("the record: {told}"))?;
     let end = format!("panic N50 {}", place.replace(',', " "));
-    hold_on(log.contains(&format!("ended {end}]")), || format!("no {end} in {log}"))?;
+    ensure(log.contains(&format!("ended {end}]")), || format!("no {end} in {log}"))?;
     let said = played("panic_in_mid_job.log", &log)?;
-    hold_on(said.contains(&format!("arrives at the place and line of the failure ({end})")), || said)?;
+    ensure(said.contains(&format!("arrives at the place and line of the failure ({end})")), || said)?;
     // The next program overwrites the recording of the failure.
     lines.send(b"N1G0Y1\n")?;
     lines.expect("ok\r\n")?;
     wait_until_idle(&mut lines.host)?;
     let log = listing(lines)?;
-    hold_on(!log.contains("panic") && log.contains(" state ") && log.contains("N1G0Y1"), || log.clone())?;
+    ensure(!log.contains("panic") && log.contains(" state ") && log.contains("N1G0Y1"), || log.clone())?;
     played("after_panic.log", &log).map(|_| ())
 }
 
@@ -233,7 +233,7 @@ fn recorded_stops(lines: &mut Lines) -> Result<(), Failure> {
     lines.expect("ok\r\nok")?;
     wait_until_idle(&mut lines.host)?;
     let log = listing(lines)?;
-    hold_on(log.contains(" cut-off "), || log.clone())?;
+    ensure(log.contains(" cut-off "), || log.clone())?;
     played("stops.log", &log).map(|_| ())
 }
 
@@ -293,7 +293,7 @@ fn every_kind(lines: &mut Lines) -> Result<(), Failure> {
         let answers = read_until(&mut lines.host, LIMIT, |text| {
             text.lines().any(|l| l == "ok" || l.starts_with("error:")) && text.ends_with("\r\n")
         })?;
-        hold_on(answers.contains(answer) && !answers.contains("ALARM"), || format!("{line}: {answers}"))?;
+        ensure(answers.contains(answer) && !answers.contains("ALARM"), || format!("{line}: {answers}"))?;
     }
     Ok(())
 }
@@ -312,7 +312,7 @@ fn wait_until_idle_or_checking(lines: &mut Lines) -> Result<(), Failure> {
     Err("the machine did not come to rest".into())
 }
 
-fn hold_on(condition: bool, why: impl FnOnce() -> String) -> Result<(), Failure> {
+fn ensure(condition: bool, why: impl FnOnce() -> String) -> Result<(), Failure> {
     if condition { Ok(()) } else { Err(why()) }
 }
 
@@ -322,7 +322,7 @@ fn flood(lines: &mut Lines) -> Result<(), Failure> {
     text.extend(b"(comment)\n".repeat(250));
     lines.send(&text)?;
     let answers = read_until(&mut lines.host, LIMIT, |text| text.matches("ok\r\n").count() >= 251)?;
-    hold_on(!answers.contains("error") && !answers.contains("lost"), || format!("answers: {answers}"))
+    ensure(!answers.contains("error") && !answers.contains("lost"), || format!("answers: {answers}"))
 }
 
 /// Writes more settings records than both sectors hold together, so that the log moves from one sector to the other and
@@ -335,19 +335,19 @@ fn settings(lines: &mut Lines) -> Result<(), Failure> {
     }
     lines.send(&text)?;
     let answers = read_until(&mut lines.host, LIMIT, |text| text.matches("ok\r\n").count() >= 4 + RECORDS)?;
-    hold_on(!answers.contains("error") && !answers.contains("MSG"), || format!("answers: {answers}"))?;
+    ensure(!answers.contains("error") && !answers.contains("MSG"), || format!("answers: {answers}"))?;
     lines.stand.write_all(b"R").map_err(|error| error.to_string())?;
     let welcome = lines.expect(">G17:ok\r\n")?;
-    hold_on(welcome.contains("Grbl"), || format!("after the reset: {welcome}"))?;
+    ensure(welcome.contains("Grbl"), || format!("after the reset: {welcome}"))?;
     lines.send(b"$$\n")?;
     let listing = lines.expect("ok\r\n")?;
-    hold_on(listing.contains("$100=123.500\r\n$101=3099.000\r\n"), || listing)?;
+    ensure(listing.contains("$100=123.500\r\n$101=3099.000\r\n"), || listing)?;
     lines.send(b"$#\n")?;
     let parameters = lines.expect("ok\r\n")?;
-    hold_on(parameters.contains("[G55:1.500,-2.000,0.000]"), || parameters)?;
+    ensure(parameters.contains("[G55:1.500,-2.000,0.000]"), || parameters)?;
     lines.send(b"$I\n")?;
     let info = lines.expect("ok\r\n")?;
-    hold_on(info.contains("MILL7"), || info)
+    ensure(info.contains("MILL7"), || info)
 }
 
 fn reboots(lines: &mut Lines) -> Result<(), Failure> {
@@ -356,10 +356,10 @@ fn reboots(lines: &mut Lines) -> Result<(), Failure> {
     lines.expect("Grbl 1.1h")?;
     lines.send(b"$RC\n")?;
     let cause = lines.expect("ok\r\n")?;
-    hold_on(cause.contains("[RESET:software]"), || cause)?;
+    ensure(cause.contains("[RESET:software]"), || cause)?;
     lines.send(b"$$\n$#\n")?;
     let listings = lines.expect("[PRB:")?;
-    hold_on(listings.contains("$100=123.500\r\n") && listings.contains("[G92:0.000,0.000,0.000]"), || listings)
+    ensure(listings.contains("$100=123.500\r\n") && listings.contains("[G92:0.000,0.000,0.000]"), || listings)
 }
 
 fn hold_and_resume(lines: &mut Lines) -> Result<(), Failure> {
@@ -369,12 +369,12 @@ fn hold_and_resume(lines: &mut Lines) -> Result<(), Failure> {
     lines.send(b"!")?;
     lines.wait_for("<Hold:0|")?;
     let (first, second) = (lines.report()?, lines.report()?);
-    hold_on(first == second, || format!("steps in a hold: {first} {second}"))?;
+    ensure(first == second, || format!("steps in a hold: {first} {second}"))?;
     lines.send(b"~")?;
     let status = wait_until_idle(&mut lines.host)?;
     let report = lines.report()?;
-    hold_on(status.contains("MPos:8.000,2.000,0.000"), || status)?;
-    hold_on(report.contains("steps=2000,500,0"), || report)
+    ensure(status.contains("MPos:8.000,2.000,0.000"), || status)?;
+    ensure(report.contains("steps=2000,500,0"), || report)
 }
 
 /// Any byte restarts the host timeout, even a byte without a meaning.
@@ -394,10 +394,10 @@ fn silence(lines: &mut Lines) -> Result<(), Failure> {
         is_over.store(true, Ordering::Relaxed);
         answer
     })?;
-    hold_on(answer == "ok\r\n", || answer)?;
+    ensure(answer == "ok\r\n", || answer)?;
     lines.send(b"G4P10\n")?;
     let answer = lines.expect("\n")?;
-    hold_on(answer == "[MSG:The host is silent]\r\n", || answer)?;
+    ensure(answer == "[MSG:The host is silent]\r\n", || answer)?;
     lines.wait_for("<Hold:0|")?;
     lines.send(b"\x18")?;
     lines.expect("Grbl")?;
@@ -409,22 +409,22 @@ fn reset_in_motion(lines: &mut Lines) -> Result<(), Failure> {
     lines.wait_until_beyond(2.0)?;
     lines.send(b"\x18")?;
     let answers = lines.expect("to unlock]")?;
-    hold_on(answers.contains("ALARM:3"), || format!("answers: {answers}"))?;
+    ensure(answers.contains("ALARM:3"), || format!("answers: {answers}"))?;
     let (first, status, second) = (lines.report()?, lines.wait_for("<Alarm|")?, lines.report()?);
-    hold_on(first == second, || format!("steps after a reset: {first} {second}"))?;
+    ensure(first == second, || format!("steps after a reset: {first} {second}"))?;
     // The reported position must match the pulses that were output: 250 steps/mm.
     let steps: f64 = second
         .split("steps=")
         .nth(1)
         .and_then(|rest| rest.split(',').next()?.parse().ok())
         .ok_or_else(|| format!("the test stand reports {second}"))?;
-    hold_on(status.contains(&format!("MPos:{:.3},", steps / 250.0)), || format!("{status} {second}"))?;
+    ensure(status.contains(&format!("MPos:{:.3},", steps / 250.0)), || format!("{status} {second}"))?;
     lines.send(b"$X\nG1X-1F600\n")?;
     lines.expect("ok\r\nok")?;
     wait_until_idle(&mut lines.host)?;
     let report = lines.report()?;
     // The reset has restored G90, so the machine must reach the absolute target, wherever it started.
-    hold_on(report.contains("steps=-250,0,0"), || format!("{second} {report}"))
+    ensure(report.contains("steps=-250,0,0"), || format!("{second} {report}"))
 }
 
 fn reset_between_lines(lines: &mut Lines) -> Result<(), Failure> {
@@ -438,5 +438,5 @@ fn reset_between_lines(lines: &mut Lines) -> Result<(), Failure> {
     })?;
     wait_until_idle(&mut lines.host)?;
     let report = lines.report()?;
-    hold_on(report.contains("steps=500,0,0"), || report)
+    ensure(report.contains("steps=500,0,0"), || report)
 }

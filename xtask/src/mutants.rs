@@ -87,8 +87,8 @@ const MUTANTS: &[Mutant] = &[
         name: "settled-by-rounding",
         edits: &[Edit {
             file: "src/controller/motion/block.rs",
-            find: "SURELY * reach2 >= self.max_entry2",
-            replace: "SURELY.max(1.0) * reach2 >= self.max_entry2",
+            find: "CAP_MARGIN * reach2 >= self.max_entry2",
+            replace: "CAP_MARGIN.max(1.0) * reach2 >= self.max_entry2",
         }],
     },
     Mutant {
@@ -111,8 +111,8 @@ const MUTANTS: &[Mutant] = &[
         name: "no-junction-rule",
         edits: &[Edit {
             file: CURVATURE,
-            find: "        rule.junction2(across, sine, turn2)\n    }",
-            replace: "        1.0e9 * rule.junction2(across, sine, turn2)\n    }",
+            find: "        rule.junction2(across, half_cosine, turn2)\n    }",
+            replace: "        1.0e9 * rule.junction2(across, half_cosine, turn2)\n    }",
         }],
     },
     Mutant {
@@ -366,7 +366,7 @@ fn motion(tree: &Path) -> Result<bool, Failure> {
                 "oxmill-controller",
                 "--lib",
                 "--",
-                "motion::tests::put_off",
+                "motion::tests::deferred_pass",
                 "motion::tests::joins",
                 "motion::tests::stops",
                 "motion::tests::ramps",

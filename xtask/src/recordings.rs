@@ -84,7 +84,7 @@ fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Res
         // If the list of differences says that this firmware does not answer here, do not wait for an answer.
         let listed = differences::DIFFERENCES.iter().find(|d| d.group == group && d.n == record.n);
         let silent = listed.is_some_and(|d| d.answers.is_some_and(|answers| answers.is_empty()));
-        hold(&mut script, record, silent)?;
+        add_record(&mut script, record, silent)?;
         script.end_record();
     }
     let folder = root().join("target/recordings");
@@ -108,7 +108,7 @@ fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Res
 
 /// Adds to the script what the host did for this record when the recording was made: what it sent, and for what it then
 /// waited.
-fn hold(script: &mut Script, record: &Record, silent: bool) -> Result<(), Failure> {
+fn add_record(script: &mut Script, record: &Record, silent: bool) -> Result<(), Failure> {
     match record.kind.as_str() {
         "boot" => {}
         "line" => {

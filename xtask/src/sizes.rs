@@ -1,6 +1,5 @@
 //! Compares each image with the expected flash and RAM sizes in `boards/sizes.txt`, so that growth is noticed at once
-//! and not only when the flash is full. An image that several boards share has one row there; `board` in this file is
-//! the name of an image.
+//! and not only when the flash is full. An image that several boards share has one row there.
 
 use crate::{Failure, root};
 use std::fs;
@@ -12,33 +11,33 @@ const MODE: &str = "OXMILL_SIZES";
 
 /// Compares the flash and RAM bytes of an image with the expected ones, or records them, depending on [`MODE`].
 /// Returns a message for the user if there is one.
-pub fn judge(board: &str, flash: u32, ram: u32) -> Result<Option<String>, Failure> {
+pub fn judge(image: &str, flash: u32, ram: u32) -> Result<Option<String>, Failure> {
     let path = root().join("boards/sizes.txt");
     let text = fs::read_to_string(&path).map_err(|error| format!("{}: {error}", path.display()))?;
     let mode = std::env::var_os(MODE).map(|mode| mode.to_string_lossy().into_owned());
     match mode.as_deref() {
         Some("accept") => {
-            fs::write(&path, accepted(&text, board, flash, ram)).map_err(|e| format!("{}: {e}", path.display()))?;
+            fs::write(&path, accepted(&text, image, flash, ram)).map_err(|e| format!("{}: {e}", path.display()))?;
             Ok(Some("accepted as the expected size".into()))
         }
-        Some("check") => compare(&text, board, flash, ram).map_or(Ok(None), Err),
-        None => Ok(compare(&text, board, flash, ram)),
+        Some("check") => compare(&text, image, flash, ram).map_or(Ok(None), Err),
+        None => Ok(compare(&text, image, flash, ram)),
         Some(other) => Err(format!("{MODE} is `check` or `accept`, not `{other}`")),
     }
 }
 
 /// Returns the flash and RAM bytes that `text`, the contents of `boards/sizes.txt`, has for an image; `None` if it has
 /// no row for the image.
-fn expected(text: &str, board: &str) -> Option<(u32, u32)> {
-    let mut words = text.lines().find(|line| line.split_whitespace().next() == Some(board))?.split_whitespace().skip(1);
+fn expected(text: &str, image: &str) -> Option<(u32, u32)> {
+    let mut words = text.lines().find(|line| line.split_whitespace().next() == Some(image))?.split_whitespace().skip(1);
     Some((words.next()?.parse().ok()?, words.next()?.parse().ok()?))
 }
 
 /// Returns a message if flash or RAM have grown by more than [`TOLERANCE`], or if the file has no row for the image.
-fn compare(text: &str, board: &str, flash: u32, ram: u32) -> Option<String> {
-    let accept = format!("if that is right: {MODE}=accept cargo fw {board}");
-    let Some((flash_before, ram_before)) = expected(text, board) else {
-        return Some(format!("boards/sizes.txt has no {board}; {accept}"));
+fn compare(text: &str, image: &str, flash: u32, ram: u32) -> Option<String> {
+    let accept = format!("if that is right: {MODE}=accept cargo fw {image}");
+    let Some((flash_before, ram_before)) = expected(text, image) else {
+        return Some(format!("boards/sizes.txt has no {image}; {accept}"));
     };
     let grown = |what: &str, before: u32, now: u32| {
         let most = u64::from(before) * (100 + TOLERANCE) / 100;
@@ -46,14 +45,14 @@ fn compare(text: &str, board: &str, flash: u32, ram: u32) -> Option<String> {
     };
     let grown: Vec<String> =
         [grown("flash", flash_before, flash), grown("RAM", ram_before, ram)].into_iter().flatten().collect();
-    (!grown.is_empty()).then(|| format!("{board}: {}, by more than {TOLERANCE} %; {accept}", grown.join(", ")))
+    (!grown.is_empty()).then(|| format!("{image}: {}, by more than {TOLERANCE} %; {accept}", grown.join(", ")))
 }
 
 /// Returns the text of the file with the new sizes of an image.
-fn accepted(text: &str, board: &str, flash: u32, ram: u32) -> String {
-    let row = format!("{board:<16} {flash:>7} {ram:>6}");
+fn accepted(text: &str, image: &str, flash: u32, ram: u32) -> String {
+    let row = format!("{image:<16} {flash:>7} {ram:>6}");
     let mut rows: Vec<String> = text.lines().map(str::to_owned).collect();
-    match rows.iter_mut().find(|line| line.split_whitespace().next() == Some(board)) {
+    match rows.iter_mut().find(|line| line.split_whitespace().next() == Some(image)) {
         Some(old) => *old = row,
         None => rows.push(row),
     }
@@ -88,8 +87,8 @@ mod tests {
     #[test]
     fn every_board_has_a_row() {
         let text = fs::read_to_string(root().join("boards/sizes.txt")).unwrap();
-        for board in crate::boards::IMAGES {
-            assert!(expected(&text, board).is_some(), "{board}");
+        for image in crate::boards::IMAGES {
+            assert!(expected(&text, image).is_some(), "{image}");
         }
     }
 }

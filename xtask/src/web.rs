@@ -99,7 +99,7 @@ mod tests {
     }
 
     /// Returns the lowest major version in the last part of a range: 18 for `>=18`, 10 for `6.* || >= 10.*`.
-    fn newest_of(range: &str) -> u32 {
+    fn lowest_major(range: &str) -> u32 {
         let last = range.rsplit("||").next().unwrap_or_default();
         let last = last.trim_start_matches(|c: char| !c.is_ascii_digit());
         last.split(|c: char| !c.is_ascii_digit()).next().and_then(|digits| digits.parse().ok()).unwrap_or(0)
@@ -109,10 +109,10 @@ mod tests {
     /// that the page's tools need.
     #[test]
     fn the_page_asks_for_the_node_that_its_tools_need() {
-        assert_eq!(["*", ">=18", "6.* || >= 10.*", ">= 10.17.0", "^20.1"].map(newest_of), [0, 18, 10, 10, 20]);
+        assert_eq!(["*", ">=18", "6.* || >= 10.*", ">= 10.17.0", "^20.1"].map(lowest_major), [0, 18, 10, 10, 20]);
         let lock = parsed("package-lock.json");
         let tools = lock["packages"].as_object().unwrap().iter().filter(|(path, _)| !path.is_empty());
-        let needed = tools.filter_map(|(_, tool)| tool["engines"]["node"].as_str()).map(newest_of).max().unwrap();
+        let needed = tools.filter_map(|(_, tool)| tool["engines"]["node"].as_str()).map(lowest_major).max().unwrap();
         assert_eq!(parsed("package.json")["engines"]["node"], format!(">={needed}"));
         assert_eq!(lock["packages"][""]["engines"], parsed("package.json")["engines"]);
     }

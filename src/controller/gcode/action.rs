@@ -95,7 +95,7 @@ pub enum Notice {
     /// M29, which has no effect.
     RigidTapping,
     /// A comment contains parentheses.
-    NestedRemark,
+    NestedComment,
     /// G54.1 P3, the system of the tool setter.
     SystemOfSetter,
     /// G12 or G13, whose I has another meaning on Haas.
@@ -113,7 +113,7 @@ impl Notice {
             _ if !FULL_IMAGE => "",
             Notice::LookAhead => "Switches of the look-ahead (G5.1 Q, G8 P, G187) do nothing: G64 P sets a tolerance",
             Notice::RigidTapping => "M29 does nothing: there is no rigid tapping",
-            Notice::NestedRemark => "Parentheses within a remark are part of it; Grbl ends it at the first one",
+            Notice::NestedComment => "Parentheses within a remark are part of it; Grbl ends it at the first one",
             Notice::CircleOfMach => {
                 "I of G12 and G13 is the radius of the tool's path, as on Mach; on Haas it is the wall's"
             }

@@ -18,6 +18,7 @@ mod action;
 mod arc;
 mod check;
 mod code;
+mod comment;
 #[cfg(feature = "full")]
 mod computed;
 #[cfg(not(feature = "full"))]
@@ -40,7 +41,6 @@ mod refusal;
 #[cfg(not(feature = "reasons"))]
 #[path = "refusal/none.rs"]
 mod refusal;
-mod remark;
 mod rotation;
 mod saved;
 mod scaling;
@@ -50,6 +50,7 @@ mod values;
 mod word;
 
 pub use action::{Action, ArcMove, Feed, Flow, InputWait, MotionCommand, Notice, NurbsMove, ProgramPins, SplineMove};
+pub use comment::{AS_WRITTEN, WITH_VALUES, split_comment};
 pub use computed::HeldLine;
 #[cfg(feature = "alloc")]
 pub use computed::LEAST_HELD;
@@ -63,7 +64,6 @@ pub use modal::{
     PathTolerance, Plane, PlaneAxes, ProbeMode, SplineKind, Units,
 };
 pub use offsets::{Offsets, StoredOffset};
-pub use remark::{AS_WRITTEN, WITH_VALUES, split_remark};
 pub use rotation::{Angle, Rotation};
 pub use scaling::Scaling;
 pub use state::{Interpreter, ProgramPlace};

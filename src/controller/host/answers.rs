@@ -51,11 +51,11 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Sends the message of a line that is executed. `remark`: a mark, then the message. With the mark [`WITH_VALUES`],
-    /// parameters in the message are replaced by their values. Sends nothing in an alarm, or if the line would exceed
-    /// the travel. When the message is sent, moves queued before the line can still be running.
-    pub(crate) fn tell_remark(&mut self, remark: &[u8]) {
-        if let Some((mark, written)) = remark.split_first() {
+    /// Sends the message of a line that is executed. `comment`: a mark, then the message. With the mark
+    /// [`WITH_VALUES`], parameters in the message are replaced by their values. Sends nothing in an alarm, or if the
+    /// line would exceed the travel. When the message is sent, moves queued before the line can still be running.
+    pub(crate) fn send_comment(&mut self, comment: &[u8]) {
+        if let Some((mark, written)) = comment.split_first() {
             self.tell_message(*mark, written);
         }
     }
@@ -79,7 +79,7 @@ impl<const N: usize> Controller<N> {
     /// Sends a notice, a message about a word of the program. Each notice is sent once for each program.
     #[inline(never)]
     pub(crate) fn tell_notice(&mut self, notice: Notice) {
-        if self.line.is_new(notice) {
+        if self.line.take_unsent(notice) {
             self.say(|out| reply_texts::message(out, notice.text()));
         }
     }
@@ -150,8 +150,8 @@ impl<const N: usize> Controller<N> {
 
     /// Switches line checksums off after a reset or a stop, because a line in transit can have been cut, and reports
     /// that to the host.
-    pub(crate) fn lapse_check(&mut self) {
-        if self.m.lines.lapse_check() {
+    pub(crate) fn abort_check(&mut self) {
+        if self.m.lines.abort_check() {
             self.tell_unchecked();
         }
     }

@@ -93,7 +93,7 @@ impl<const N: usize> Controller<N> {
                 self.restore_defaults(what);
             }
             System::ResetCause => {
-                let restart = self.m.replies.tell_restart().clone();
+                let restart = self.m.replies.read_restart().clone();
                 self.say(|out| reply_texts::restart(out, &restart));
                 self.say_ok();
             }

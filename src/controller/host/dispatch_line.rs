@@ -19,7 +19,7 @@ use crate::work::task::{Answer, Caller, Task};
 
 /// A mark and the message of a line. The mark is [`WITH_VALUES`] if parameters in the message are replaced by their
 /// values, otherwise [`AS_WRITTEN`].
-type Remark = heapless::Vec<u8, { line_filter::MESSAGE_LENGTH + 1 }>;
+type Comment = heapless::Vec<u8, { line_filter::MESSAGE_LENGTH + 1 }>;
 
 impl<const N: usize> Controller<N> {
     pub(crate) fn release_held(&mut self) {
@@ -65,7 +65,7 @@ impl<const N: usize> Controller<N> {
     /// are off.
     fn line_ended(&mut self) {
         self.answer_status();
-        let is_of_program = self.m.lines.has_no_remark()
+        let is_of_program = self.m.lines.has_no_comment()
             && !matches!(self.m.lines.text().first(), None | Some(b'%' | b'$'))
             && !self.state.is_alarm()
             && !matches!(self.state, State::Jog { .. })
@@ -171,21 +171,21 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     fn complete(&mut self) {
         // Filled in place: a returned value would be copied with its whole capacity.
-        let (mut text, mut remark) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Remark::new());
+        let (mut text, mut comment) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Comment::new());
         let _ = text.extend_from_slice(self.m.lines.text());
-        self.read_remark(&mut remark);
+        self.read_comment(&mut comment);
         if FULL_IMAGE && !self.m.lines.deleted().is_empty() {
             let rested = self.m.has_rested();
             self.m.interpreter.skipped_line(self.m.lines.deleted(), rested);
         }
-        if FULL_IMAGE && self.m.lines.has_nested_remark() && self.dialect() == Dialect::Oxmill {
-            self.tell_notice(Notice::NestedRemark);
+        if FULL_IMAGE && self.m.lines.has_nested_comment() && self.dialect() == Dialect::Oxmill {
+            self.tell_notice(Notice::NestedComment);
         }
         if self.must_wait(&text) {
             self.task = Task::JogWaits;
         } else {
             self.m.lines.clear();
-            self.dispatch(&text, &remark);
+            self.dispatch(&text, &comment);
         }
     }
 
@@ -200,14 +200,14 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Reads the mark and the message of the line into `remark` (see [`Remark`]). Without a message, and in Grbl's
-    /// dialect, `remark` stays empty.
-    fn read_remark(&self, remark: &mut Remark) {
+    /// Reads the mark and the message of the line into `comment` (see [`Comment`]). Without a message, and in Grbl's
+    /// dialect, `comment` stays empty.
+    fn read_comment(&self, comment: &mut Comment) {
         if let Some((has_values, text)) = self.m.lines.message()
             && self.dialect() != Dialect::Grbl
         {
-            let _ = remark.push(if has_values { WITH_VALUES } else { AS_WRITTEN });
-            let _ = remark.extend_from_slice(text);
+            let _ = comment.push(if has_values { WITH_VALUES } else { AS_WRITTEN });
+            let _ = comment.extend_from_slice(text);
         }
     }
 
@@ -229,29 +229,29 @@ impl<const N: usize> Controller<N> {
         {
             return false;
         }
-        let (mut text, mut remark) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Remark::new());
+        let (mut text, mut comment) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Comment::new());
         let _ = text.extend_from_slice(self.m.lines.text());
-        self.read_remark(&mut remark);
+        self.read_comment(&mut comment);
         self.m.lines.clear();
         self.task = Task::None;
-        self.dispatch(&text, &remark);
+        self.dispatch(&text, &comment);
         true
     }
 
-    fn dispatch(&mut self, line: &[u8], remark: &[u8]) {
+    fn dispatch(&mut self, line: &[u8], comment: &[u8]) {
         let rested = self.m.has_rested();
         let result = match line.first() {
-            None if remark.is_empty() || self.state.is_alarm() => {
+            None if comment.is_empty() || self.state.is_alarm() => {
                 self.say_ok();
                 Ok(())
             }
             // A tape mark, which Grbl's dialect does not have.
-            Some(b'%') if self.dialect() != Dialect::Grbl => self.tape_mark(line, remark),
+            Some(b'%') if self.dialect() != Dialect::Grbl => self.tape_mark(line, comment),
             // Refused, because the message would be sent now, and not when the stored line is executed.
-            Some(b'$') if !remark.is_empty() && keeps_line(line) => Err(Error::InvalidStatement),
-            Some(b'$') => self.system(line).map(|()| self.tell_remark(remark)),
+            Some(b'$') if !comment.is_empty() && keeps_line(line) => Err(Error::InvalidStatement),
+            Some(b'$') => self.system(line).map(|()| self.send_comment(comment)),
             Some(_) if self.state.is_alarm() || matches!(self.state, State::Jog { .. }) => Err(Error::Locked),
-            _ => self.program_line(line, remark),
+            _ => self.program_line(line, comment),
         };
         if REASONS && let Err(error) = result {
             self.explain(line, error);
@@ -307,19 +307,19 @@ impl<const N: usize> Controller<N> {
 
     /// Handles a line with `%`, the tape mark between two programs. An open subroutine, loop or condition is an error.
     /// Further words on the line would be lost and are an error, too.
-    fn tape_mark(&mut self, line: &[u8], remark: &[u8]) -> Result<(), Error> {
+    fn tape_mark(&mut self, line: &[u8], comment: &[u8]) -> Result<(), Error> {
         if line.len() > 1 {
             return Err(Error::ExpectedLetter);
         }
         self.tell_awaited();
         self.m.interpreter.tape_mark()?;
-        self.tell_remark(remark);
+        self.send_comment(comment);
         self.say_ok();
         Ok(())
     }
 
     /// Handles a line of the host's program: first its O words, which Grbl's dialect does not have.
-    fn program_line(&mut self, line: &[u8], remark: &[u8]) -> Result<(), Error> {
+    fn program_line(&mut self, line: &[u8], comment: &[u8]) -> Result<(), Error> {
         let direction = match self.dialect() {
             Dialect::Grbl => Direction::Check,
             _ => {
@@ -328,20 +328,20 @@ impl<const N: usize> Controller<N> {
                     self.tell_awaited();
                 }
                 self.m.interpreter.look_behind_end(line, rested)?;
-                self.m.interpreter.direct(line, remark, self.m.lines.lines_read())?
+                self.m.interpreter.direct(line, comment, self.m.lines.lines_read())?
             }
         };
         if direction == Direction::Check && !line.is_empty() {
             match self.gcode(line, Answer::Host) {
-                Ok(()) => self.tell_remark(remark),
+                Ok(()) => self.send_comment(comment),
                 Err(error) if self.dialect() == Dialect::Grbl => return Err(error),
                 Err(error) => {
-                    let direction = self.m.interpreter.direct_refused(line, remark, error)?;
+                    let direction = self.m.interpreter.direct_refused(line, comment, error)?;
                     self.directed(direction, &[]);
                 }
             }
         } else {
-            self.directed(direction, remark);
+            self.directed(direction, comment);
         }
         Ok(())
     }
@@ -349,15 +349,15 @@ impl<const N: usize> Controller<N> {
     /// Finishes a line that has no G-code to execute now. The line has only a message, belongs to a condition, was
     /// skipped or recorded, or starts a subroutine or loop.
     #[inline(never)]
-    fn directed(&mut self, direction: Direction, remark: &[u8]) {
+    fn directed(&mut self, direction: Direction, comment: &[u8]) {
         match direction {
             Direction::Check | Direction::Done => {
-                self.tell_remark(remark);
+                self.send_comment(comment);
                 self.say_ok();
             }
             Direction::LeftOut => self.say_ok(),
             Direction::Call => {
-                self.tell_remark(remark);
+                self.send_comment(comment);
                 self.task = Task::Held(Caller::Host);
             }
             Direction::Run => self.task = Task::Held(Caller::Host),
@@ -372,7 +372,7 @@ fn keeps_line(line: &[u8]) -> bool {
 
 /// Returns the text of a line; `None` if a nested comment has not ended, because the text is then unknown.
 fn known_text(text: &[u8]) -> Option<&[u8]> {
-    Some(text).filter(|text| *text != [line_filter::OPEN_REMARK])
+    Some(text).filter(|text| *text != [line_filter::OPEN_COMMENT])
 }
 
 /// Returns how the line filter treats lines in the present dialect.
@@ -381,14 +381,14 @@ fn line_rules<const N: usize>(settings: &Settings<N>) -> line_filter::LineRules 
         Dialect::Grbl => line_filter::LineRules {
             length: line_filter::GRBL_LENGTH,
             merge_crlf: false,
-            nested_remarks: false,
+            nested_comments: false,
             expressions: false,
             block_delete: false,
         },
         Dialect::Oxmill | Dialect::Seed => line_filter::LineRules {
             length: line_filter::LENGTH,
             merge_crlf: true,
-            nested_remarks: true,
+            nested_comments: true,
             expressions: true,
             block_delete: settings.is_on(Key::BlockDelete),
         },

@@ -37,7 +37,7 @@ impl<const N: usize> Controller<N> {
             tool: self.m.interpreter.spindle_tool(),
             homed: is_homing_on.then_some((reference.is_trusted(), reference.homed_axes().0)),
             scaled: self.m.interpreter.scaling().is_some(),
-            tells_scaling: false,
+            shows_scaling: false,
             has_reference: self.m.interpreter.tool_reference().is_some(),
             waits_for_tool: self.waits_for_tool(),
             spindle,

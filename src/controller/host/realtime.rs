@@ -18,7 +18,7 @@ impl<const N: usize> Controller<N> {
         match command {
             Realtime::Reset => {
                 self.m.lines.reset();
-                self.lapse_check();
+                self.abort_check();
                 self.m.stops.begin(StopReason::Reset);
                 self.finish_stop();
                 self.release_held();
@@ -26,12 +26,12 @@ impl<const N: usize> Controller<N> {
             // Grbl ignores 0x19. In Grbl's dialect the byte only advances the epoch, because the serial task has
             // advanced the epoch of later line bytes (see `LineByte`).
             Realtime::Stop if self.dialect() == Dialect::Grbl => {
-                self.m.lines.open_epoch();
+                self.m.lines.advance_epoch();
                 self.release_held();
             }
             Realtime::Stop => {
                 self.m.lines.reset();
-                self.lapse_check();
+                self.abort_check();
                 self.stop_softly(false);
                 self.release_held();
             }
@@ -138,7 +138,7 @@ impl<const N: usize> Controller<N> {
             _ => Key::HostSilence,
         };
         if !self.m.settings.is_on(longest) {
-            self.m.lines.heartbeat_mut().rest();
+            self.m.lines.heartbeat_mut().allow_silence();
         } else {
             self.look_for_silence(self.m.settings.seconds(longest));
         }
@@ -154,9 +154,9 @@ impl<const N: usize> Controller<N> {
             _ => false,
         };
         if !is_at_work {
-            self.m.lines.heartbeat_mut().rest();
+            self.m.lines.heartbeat_mut().allow_silence();
         } else if self.m.lines.heartbeat_mut().is_silent(self.m.now, longest) {
-            self.m.lines.heartbeat_mut().rest();
+            self.m.lines.heartbeat_mut().allow_silence();
             self.say(|out| reply_texts::message(out, "The host is silent"));
             match self.state {
                 State::Jog { .. } => self.end_jog_of_no_host(true),

@@ -74,11 +74,11 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Sends an item of the `$REC` listing, which the pump has read from the recorder.
-    pub fn recorded(&mut self, piece: &Recorded) {
+    pub fn recorded(&mut self, item: &Recorded) {
         let Task::Listing(Listing::Recording(Ask::Asked), line) = self.task else { return };
         let hz = self.m.motion.settings().step_clock_hz;
-        self.say(|out| recording::piece(out, hz, piece));
-        if *piece == Recorded::End {
+        self.say(|out| recording::item(out, hz, item));
+        if *item == Recorded::End {
             self.task = Task::None;
             self.say_ok();
         } else {

@@ -34,7 +34,7 @@ pub(crate) struct SettingsLock {
     /// The setting that locked motion at the last call of `name_after_change`.
     named: Option<u16>,
     /// The setting has been named before the error of a refused line, so later refused lines do not name it again.
-    refused: bool,
+    named_at_line: bool,
 }
 
 impl SettingsLock {
@@ -51,7 +51,7 @@ impl SettingsLock {
             has_loader,
             ..
         } = *profile;
-        let (revision, setting, named, refused) = (None, None, None, false);
+        let (revision, setting, named, named_at_line) = (None, None, None, false);
         Self {
             board: name,
             oscillator_mhz,
@@ -65,7 +65,7 @@ impl SettingsLock {
             revision,
             setting,
             named,
-            refused,
+            named_at_line,
         }
     }
 
@@ -117,7 +117,7 @@ impl SettingsLock {
     /// Returns the setting that locks motion, if any.
     pub(crate) fn setting<const N: usize>(&mut self, settings: &Settings<N>) -> Option<u16> {
         let (rates, has_second_motor, has_at_speed) = (self.rates, self.has_second_motor, self.has_at_speed);
-        self.look(settings.revision(), || {
+        self.examine(settings.revision(), || {
             let unheard = !has_at_speed && settings.is_on(Key::AtSpeed);
             if unheard { Some(const { Key::AtSpeed.number() }) } else { settings.unrunnable(rates, has_second_motor) }
         })
@@ -125,11 +125,11 @@ impl SettingsLock {
 
     /// Returns the setting that locks motion. Calls `unrunnable` to determine this setting only if `revision` has
     /// changed since the previous call, that is, after a change of any setting.
-    fn look(&mut self, revision: u32, unrunnable: impl FnOnce() -> Option<u16>) -> Option<u16> {
+    fn examine(&mut self, revision: u32, unrunnable: impl FnOnce() -> Option<u16>) -> Option<u16> {
         if self.revision != Some(revision) {
             let setting = unrunnable();
             self.revision = Some(revision);
-            self.refused &= self.setting == setting;
+            self.named_at_line &= self.setting == setting;
             self.setting = setting;
         }
         self.setting
@@ -146,13 +146,13 @@ impl SettingsLock {
     /// Returns the setting to be named to the host before the error of a refused line, if any. The setting that locks
     /// motion is named only at the first refused line since it locked motion, or since a host was greeted.
     pub(crate) fn name_at_line(&mut self) -> Option<u16> {
-        let refused = core::mem::replace(&mut self.refused, true);
-        self.setting.filter(|_| !refused)
+        let named_before = core::mem::replace(&mut self.named_at_line, true);
+        self.setting.filter(|_| !named_before)
     }
 
     /// Lets the next refused line name the setting again: a new host was greeted and may have missed the message.
     pub(crate) fn host_greeted(&mut self) {
-        self.refused = false;
+        self.named_at_line = false;
     }
 }
 
@@ -180,7 +180,7 @@ mod tests {
             has_loader,
         });
         for (revision, setting) in settings.iter().enumerate() {
-            assert_eq!(lock.look(revision as u32, || *setting), *setting);
+            assert_eq!(lock.examine(revision as u32, || *setting), *setting);
         }
         lock
     }
@@ -188,9 +188,9 @@ mod tests {
     #[test]
     fn a_set_is_looked_at_once_for_each_revision() {
         let mut lock = after(&[Some(100)]);
-        assert_eq!(lock.look(0, || panic!("known already")), Some(100));
-        assert_eq!(lock.look(1, || None), None);
-        assert_eq!(lock.look(1, || panic!("known already")), None);
+        assert_eq!(lock.examine(0, || panic!("known already")), Some(100));
+        assert_eq!(lock.examine(1, || None), None);
+        assert_eq!(lock.examine(1, || panic!("known already")), None);
         assert_eq!((lock.name_after_change(100), lock.name_at_line()), (None, None));
     }
 
@@ -200,11 +200,11 @@ mod tests {
         assert_eq!(lock.name_after_change(100), Some(100));
         assert_eq!(lock.name_after_change(101), None, "still the same");
         assert_eq!(lock.name_after_change(100), Some(100), "set again");
-        lock.look(1, || Some(112));
+        lock.examine(1, || Some(112));
         assert_eq!(lock.name_after_change(100), Some(112), "the next at fault");
-        lock.look(2, || None);
+        lock.examine(2, || None);
         assert_eq!(lock.name_after_change(112), None);
-        lock.look(3, || Some(112));
+        lock.examine(3, || Some(112));
         assert_eq!(lock.name_after_change(0), Some(112), "locked again, by another setting's change");
     }
 
@@ -212,9 +212,9 @@ mod tests {
     fn the_first_refused_line_has_the_reason() {
         let mut lock = after(&[Some(100)]);
         assert_eq!((lock.name_at_line(), lock.name_at_line()), (Some(100), None));
-        lock.look(1, || Some(100));
+        lock.examine(1, || Some(100));
         assert_eq!(lock.name_at_line(), None, "another setting has changed, the reason is the same");
-        lock.look(2, || Some(112));
+        lock.examine(2, || Some(112));
         assert_eq!((lock.name_at_line(), lock.name_at_line()), (Some(112), None));
         lock.host_greeted();
         assert_eq!((lock.name_at_line(), lock.name_at_line()), (Some(112), None));

@@ -31,7 +31,7 @@ pub struct InputLevels {
     wiring: InputWiring,
     /// Pending request to the inputs task: `Some(false)` views the pins (`$PINS`), `Some(true)` clears their noise
     /// counts.
-    look: Option<bool>,
+    request: Option<bool>,
     /// Last view of the pins; cleared by the next request for a view.
     view: Option<PinView>,
     /// The control inputs and limit switches that became active most recently (`$LEV`).
@@ -58,7 +58,7 @@ impl InputLevels {
         tripped: Signals::NONE,
         trips: 0,
         wiring: InputWiring::PULL_UPS,
-        look: None,
+        request: None,
         view: None,
         last_event: Signals::NONE,
     };
@@ -150,12 +150,12 @@ impl InputLevels {
         if !clear_noise {
             self.view = None;
         }
-        self.look = Some(clear_noise);
+        self.request = Some(clear_noise);
     }
 
     /// Returns the pending request and clears it; `Some(true)`: clear the noise counts.
-    pub fn take_look(&mut self) -> Option<bool> {
-        self.look.take()
+    pub fn take_request(&mut self) -> Option<bool> {
+        self.request.take()
     }
 
     /// Stores the requested view of the pins.
@@ -336,7 +336,7 @@ mod tests {
         let mut inputs = InputLevels::UNKNOWN;
         inputs.viewed(PinView::default());
         inputs.ask_view(true);
-        assert_eq!((inputs.take_look(), inputs.take_look()), (Some(true), None));
+        assert_eq!((inputs.take_request(), inputs.take_request()), (Some(true), None));
         assert!(inputs.view().is_some(), "clearing the noise has no answer");
         inputs.ask_view(false);
         assert!(inputs.view().is_none(), "the old one is not listed");

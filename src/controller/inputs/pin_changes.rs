@@ -13,14 +13,14 @@ use crate::states::stops::reaction::Reaction;
 impl<const N: usize> Controller<N> {
     pub(crate) fn signals_changed(&mut self, sensed: &Sensed) {
         let InputChange { stops, came } = self.m.inputs.take(sensed, &self.m.settings);
-        self.m.stops.count(stops);
+        self.m.stops.add_expected(stops);
         let mut stopped = Stopped { already: stops != 0, answered: false };
         self.emergency(&came, &mut stopped);
         if came.reset {
             // The button acts like 0x18. But 0x18 starts an epoch of line bytes (see `LineByte`), and the button does
             // not. So the bytes received so far are counted, and that many are dropped.
             self.m.lines.drop_received(self.m.step_supply.observed().received);
-            self.lapse_check();
+            self.abort_check();
             self.stop_for(StopReason::Reset, &mut stopped);
         }
         let limits = came.limits & levels::hard_limits(&self.m.settings);

@@ -189,7 +189,7 @@ impl Accessories {
 
     /// Call when the machine has come to rest. Returns whether this stops the spindle, as requested by
     /// [`Accessories::stop_at_rest`].
-    pub fn rests(&mut self) -> bool {
+    pub fn apply_stop_at_rest(&mut self) -> bool {
         let stops = core::mem::take(&mut self.stops_at_rest);
         self.suspended |= stops;
         stops
@@ -206,14 +206,14 @@ impl Accessories {
     }
 
     /// Returns whether a cut has to wait for the spindle's at-speed input (`$915`).
-    pub fn must_tell_speed<const N: usize>(&self, settings: &Settings<N>) -> bool {
+    pub fn waits_for_speed<const N: usize>(&self, settings: &Settings<N>) -> bool {
         settings.whole(Key::AtSpeed) != 0 && !settings.is_on(Key::Laser) && self.is_on()
     }
 
     /// Returns whether the spindle is up to speed. Always true if no cut has to wait for the at-speed input. `input`:
     /// level of this input.
     pub fn is_at_speed<const N: usize>(&self, input: bool, settings: &Settings<N>) -> bool {
-        !self.must_tell_speed(settings) || input == (settings.whole(Key::AtSpeed) == 1)
+        !self.waits_for_speed(settings) || input == (settings.whole(Key::AtSpeed) == 1)
     }
 
     /// Returns whether the spindle is up to speed. `until`: when its spin-up time ends.
@@ -237,7 +237,7 @@ impl Accessories {
     /// Returns whether the spindle's speed is monitored during a job (`$915`, `$929`). If not, clears what the monitor
     /// has recorded.
     pub fn watches_speed<const N: usize>(&mut self, settings: &Settings<N>) -> bool {
-        let watches = self.must_tell_speed(settings) && settings.is_on(Key::SpeedLoss) && !self.suspended;
+        let watches = self.waits_for_speed(settings) && settings.is_on(Key::SpeedLoss) && !self.suspended;
         if !watches {
             self.forget_speed();
         }
@@ -405,11 +405,11 @@ mod tests {
         on.stop_at_rest();
         on.stop_at_rest();
         assert_eq!(on.spindle_output(), SpindleDirection::Clockwise);
-        assert!(on.rests() && !on.rests());
+        assert!(on.apply_stop_at_rest() && !on.apply_stop_at_rest());
         assert_eq!(on.spindle_output(), SpindleDirection::Off);
         assert!(on.restore());
         on.stop_at_rest();
-        assert!(!on.restore() && !on.rests(), "called off");
+        assert!(!on.restore() && !on.apply_stop_at_rest(), "called off");
     }
 
     #[test]

@@ -45,7 +45,7 @@ impl Reference {
 
     /// Marks `axes` as homed. The position is trusted once the axes of all `cycles` (masks of axes) are homed. Axes
     /// that were homed one at a time count together. An axis that is in no cycle counts as homed.
-    pub fn homed(&mut self, axes: AxisMask, mut cycles: impl Iterator<Item = u8>) {
+    pub fn mark_homed(&mut self, axes: AxisMask, mut cycles: impl Iterator<Item = u8>) {
         self.homed = AxisMask(self.homed.0 | axes.0);
         self.trusted |= !axes.is_empty() && cycles.all(|cycle| cycle & !self.homed.0 == 0);
     }
@@ -63,7 +63,7 @@ mod tests {
         assert!(reference.is_trusted());
         reference.lose();
         assert!(!reference.is_trusted());
-        reference.homed(AxisMask(0b111), CYCLES.into_iter());
+        reference.mark_homed(AxisMask(0b111), CYCLES.into_iter());
         assert!(reference.is_trusted());
     }
 
@@ -72,14 +72,14 @@ mod tests {
         let mut reference = Reference::ASSUMED;
         reference.lose();
         for axis in [0b100, 0b001] {
-            reference.homed(AxisMask(axis), CYCLES.into_iter());
+            reference.mark_homed(AxisMask(axis), CYCLES.into_iter());
             assert!(!reference.is_trusted());
         }
-        reference.homed(AxisMask(0b010), CYCLES.into_iter());
+        reference.mark_homed(AxisMask(0b010), CYCLES.into_iter());
         assert!(reference.is_trusted());
         // Axes homed before another loss of the reference no longer count.
         reference.lose();
-        reference.homed(AxisMask(0b010), CYCLES.into_iter());
+        reference.mark_homed(AxisMask(0b010), CYCLES.into_iter());
         assert!(!reference.is_trusted());
     }
 
@@ -87,7 +87,7 @@ mod tests {
     fn homing_without_an_axis_proves_nothing() {
         let mut reference = Reference::ASSUMED;
         reference.lose();
-        reference.homed(AxisMask::NONE, [0, 0, 0].into_iter());
+        reference.mark_homed(AxisMask::NONE, [0, 0, 0].into_iter());
         assert!(!reference.is_trusted());
     }
 }

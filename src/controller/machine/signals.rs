@@ -26,7 +26,7 @@ pub struct Inputs {
     sensed: Sensed,
     active: u32,
     /// `sensed` may have changed since it was last sent to `control`.
-    untold: bool,
+    changed: bool,
 }
 
 impl Default for Inputs {
@@ -45,7 +45,7 @@ impl Inputs {
             armed: 0,
             sensed: Sensed { signals: Signals::NONE, trips: 0, tripped: 0 },
             active: 0,
-            untold: true,
+            changed: true,
         }
     }
 
@@ -71,7 +71,7 @@ impl Inputs {
             return false;
         }
         self.active = active;
-        self.untold = true;
+        self.changed = true;
         self.sensed.signals = Signals::of_word(active);
         let tripped = changed & active & self.armed;
         if tripped != 0 {
@@ -91,16 +91,16 @@ impl Inputs {
         (self.settling == 0).then_some(self.sensed)
     }
 
-    /// Returns whether [`Inputs::sensed`] may have changed since the last [`Inputs::told`]. Called for each sample;
-    /// usually false.
-    pub fn is_untold(&self) -> bool {
-        self.untold
+    /// Returns whether [`Inputs::sensed`] may have changed since the last [`Inputs::mark_sent`]. Called for each
+    /// sample; usually false.
+    pub fn has_changed(&self) -> bool {
+        self.changed
     }
 
     /// Marks [`Inputs::sensed`] as sent to `control`, and clears its `tripped`.
-    pub fn told(&mut self) {
+    pub fn mark_sent(&mut self) {
         self.sensed.tripped = 0;
-        self.untold = false;
+        self.changed = false;
     }
 }
 
@@ -122,7 +122,7 @@ mod tests {
         let mut held = |low| (0..SETTLING).filter(|_| inputs.sample(low)).count();
         assert_eq!([0b010, 0b011, 0b011, 0].map(&mut held), [0, 1, 0, 0]);
         assert_eq!(inputs.sensed(), Some(Sensed { signals: Signals::NONE, trips: 1, tripped: 0b001 }));
-        inputs.told();
+        inputs.mark_sent();
         assert_eq!(inputs.sensed(), Some(Sensed { signals: Signals::NONE, trips: 1, tripped: 0 }));
     }
 

@@ -43,7 +43,13 @@ impl StepSupply {
         well_filled: false,
         running: false,
         input_ended: false,
-        observed: Observed { segments_begun: 0, step_idle: true, rx_free: LINES_DEPTH as u16, received: 0, heard: 0 },
+        observed: Observed {
+            segments_begun: 0,
+            step_idle: true,
+            rx_free: LINES_DEPTH as u16,
+            received: 0,
+            activity: 0,
+        },
     };
 
     /// Stores the counters of the step task and of the received bytes.

@@ -45,7 +45,7 @@ pub struct Observed {
     /// Line bytes received and not yet read, including those for which the queue has no room.
     pub received: u16,
     /// Bytes received since power-up (wrapping), without commands. A change is a sign of life from the host.
-    pub heard: u16,
+    pub activity: u16,
 }
 
 /// Which of the queues to other tasks have room for an output of the controller.

@@ -51,9 +51,9 @@ impl Realtime {
 }
 
 /// Marks a change of hosts, in place of a byte of a line: the unfinished line is void, because its host has
-/// disconnected or is no longer the active host, whose lines are read (`protocol::floor`). No host can send this byte
-/// in a line, because 0x18 is a command. The mark's `epoch` is the count (wrapping) of hosts that have disconnected so
-/// far, as in [`Event::Disconnected`](super::Event::Disconnected).
+/// disconnected or is no longer the active host, whose lines are read (`protocol::active_host`). No host can send this
+/// byte in a line, because 0x18 is a command. The mark's `epoch` is the count (wrapping) of hosts that have
+/// disconnected so far, as in [`Event::Disconnected`](super::Event::Disconnected).
 pub const HOST_CHANGED: u8 = 0x18;
 
 /// A byte of a line and its epoch: the count (wrapping) of resets, stops and jog cancels that were passed to `control`

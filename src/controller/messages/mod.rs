@@ -28,8 +28,8 @@ pub use store::{Record, STORE_DAMAGED, Store};
 
 /// Depth of serial -> control, realtime commands. `control` empties it in each turn of its loop. It holds the commands
 /// of 5 ms at 115,200 baud, even if the host sends nothing but commands. Full: the link waits if it can. On a plain
-/// UART, resets, holds and the door are kept as marks (`protocol::owed::Owed`), and other commands are reported as
-/// lost.
+/// UART, resets, holds and the door are kept as marks (`protocol::deferred::DeferredCommands`), and other commands are
+/// reported as lost.
 pub const REALTIME_DEPTH: usize = 64;
 /// Number of line bytes that fit between serial and control, as reported by `Bf:`. Full: reception is paused if the
 /// link has back-pressure (USB, QEMU; see `protocol::link`). On a plain UART the byte is dropped, and the next byte is

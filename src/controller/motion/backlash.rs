@@ -1,13 +1,13 @@
-//! Backlash compensation. After a reversal, a motor must turn through the backlash of its drive (`slack`, in steps)
+//! Backlash compensation. After a reversal, a motor must turn through the backlash of its drive (in steps)
 //! before the tool follows. This module tracks the *lead* of each motor: the number of steps by which the motor is
 //! ahead of the tool. To the moves after a reversal it adds the steps that turn the motor through the backlash: the
 //! motor *takes up* the backlash.
 //!
 //! ```text
-//!   - ◀───▶ +    The motor M moves in a gap of the tool's drive. The gap is as wide as the slack.
+//!   - ◀───▶ +    The motor M moves in a gap of the tool's drive. The gap is as wide as the backlash.
 //!
 //!   [M      ]    M moves to negative and pushes at the lower end of the gap: motor = tool
-//!   [      M]    M moves to positive and pushes at the upper end of the gap: motor = tool + slack
+//!   [      M]    M moves to positive and pushes at the upper end of the gap: motor = tool + backlash
 //! ```
 //! The extra steps change the direction of the motors' path. They are spread over a part of the tool's path that is
 //! long enough for the corner rule ([`super::junction`]) to allow this change of direction at full speed. In this file,
@@ -33,13 +33,13 @@ const GREATEST_SHARE: f32 = 1.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Backlash<const N: usize> {
     /// Backlash in steps; 0 = none.
-    slack: [i32; N],
+    steps: [i32; N],
     /// Whether any motor has backlash.
     is_on: bool,
-    /// Steps by which each motor leads the tool at the end of the queue, 0 to `slack`.
+    /// Steps by which each motor leads the tool at the end of the queue, 0 to `steps`.
     lead: [i32; N],
-    /// Lead that each motor must reach by extra steps: 0 or `slack`, depending on the direction in which it turned
-    /// last, unless [`Backlash::want`] has set it.
+    /// Lead that each motor must reach by extra steps: 0 or `steps`, depending on the direction in which it turned
+    /// last, unless [`Backlash::set_wanted`] has set it.
     wanted: [i32; N],
 }
 
@@ -63,19 +63,19 @@ impl<const N: usize> Motors<N> {
 }
 
 impl<const N: usize> Backlash<N> {
-    pub(super) const NONE: Self = Self { slack: [0; N], is_on: false, lead: [0; N], wanted: [0; N] };
+    pub(super) const NONE: Self = Self { steps: [0; N], is_on: false, lead: [0; N], wanted: [0; N] };
 
     /// Sets the backlash of each motor, and limits each lead to it.
-    pub(super) fn configure(&mut self, slack: [i32; N]) {
-        self.slack = slack;
-        self.is_on = slack.iter().any(|slack| *slack != 0);
+    pub(super) fn configure(&mut self, steps: [i32; N]) {
+        self.steps = steps;
+        self.is_on = steps.iter().any(|steps| *steps != 0);
         self.rest(self.lead);
     }
 
     /// Returns `lead` with the steps of each motor limited to the range from 0 to its backlash.
     pub(super) fn lead_within(&self, mut lead: Lead<N>) -> Lead<N> {
-        for (lead, slack) in lead.iter_mut().zip(self.slack) {
-            *lead = (*lead).clamp(0, slack);
+        for (lead, backlash) in lead.iter_mut().zip(self.steps) {
+            *lead = (*lead).clamp(0, backlash);
         }
         lead
     }
@@ -93,7 +93,7 @@ impl<const N: usize> Backlash<N> {
 
     /// Sets the lead that each motor must reach by extra steps. The next move that turns a motor replaces its
     /// wanted lead.
-    pub(super) fn want(&mut self, lead: Lead<N>) {
+    pub(super) fn set_wanted(&mut self, lead: Lead<N>) {
         self.wanted = lead;
     }
 
@@ -106,9 +106,9 @@ impl<const N: usize> Backlash<N> {
     /// Sets the wanted lead of each motor from the direction in which a move of the tool turns it. `moved`: signed
     /// steps of that move. A motor that does not turn keeps its wanted lead.
     pub(super) fn turn(&mut self, moved: &[i32; N]) {
-        for ((wanted, moved), slack) in self.wanted.iter_mut().zip(moved).zip(self.slack) {
+        for ((wanted, moved), backlash) in self.wanted.iter_mut().zip(moved).zip(self.steps) {
             match *moved {
-                1.. => *wanted = slack,
+                1.. => *wanted = backlash,
                 ..=-1 => *wanted = 0,
                 0 => {}
             }
@@ -146,10 +146,10 @@ impl<const N: usize> Backlash<N> {
     /// steps bring the tool to its position.
     pub(super) fn finish(&mut self, short: &[i32; N]) -> [i32; N] {
         let mut taken = [0; N];
-        let wanted = self.wanted.into_iter().zip(self.slack).zip(short);
-        for ((taken, lead), ((wanted, slack), short)) in taken.iter_mut().zip(self.lead.iter_mut()).zip(wanted) {
+        let wanted = self.wanted.into_iter().zip(self.steps).zip(short);
+        for ((taken, lead), ((wanted, backlash), short)) in taken.iter_mut().zip(self.lead.iter_mut()).zip(wanted) {
             let aim = match *short {
-                1.. => slack,
+                1.. => backlash,
                 ..=-1 => 0,
                 0 => wanted,
             };
@@ -162,8 +162,8 @@ impl<const N: usize> Backlash<N> {
     /// Returns the lead after the motors have turned by `turned` signed steps, each in one direction.
     pub(super) fn follow(&self, lead: &Lead<N>, turned: &[i32; N]) -> Lead<N> {
         let mut after = *lead;
-        for ((lead, turned), slack) in after.iter_mut().zip(turned).zip(self.slack) {
-            *lead = lead.saturating_add(*turned).clamp(0, slack);
+        for ((lead, turned), backlash) in after.iter_mut().zip(turned).zip(self.steps) {
+            *lead = lead.saturating_add(*turned).clamp(0, backlash);
         }
         after
     }
@@ -191,7 +191,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn slack_is_taken_up_after_a_reversal() {
+    fn backlash_is_taken_up_after_a_reversal() {
         let mut backlash = Backlash::<2>::NONE;
         backlash.configure([5, 3]);
         backlash.turn(&[1, -9]);
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tool_follows_when_the_slack_is_used_up() {
+    fn a_tool_follows_when_the_backlash_is_used_up() {
         let mut backlash = Backlash::<1>::NONE;
         backlash.configure([5]);
         assert_eq!(backlash.follow(&[0], &[3]), [3]);

@@ -186,7 +186,7 @@ struct Fillet {
 impl Corner {
     fn between<const N: usize>(into: &[f32; N], out: &[f32; N], noise: f32, rule: &TurnRule<N>) -> Option<Self> {
         let all2 = turn2(into, out);
-        let (certain2, sine) = certain(all2, noise)?;
+        let (certain2, certain_cosine) = certain(all2, noise)?;
         if all2 > SHARPEST2 || (GENTLE2..LARGE2).contains(&all2) {
             return None;
         }
@@ -197,7 +197,7 @@ impl Corner {
             turn,
             cosine,
             per_angle: radius_of(all2, cosine),
-            jump: square_root(rule.junction2(across, sine, certain2)),
+            jump: square_root(rule.junction2(across, certain_cosine, certain2)),
             across,
             bend: rule.in_plane(into, out, all2, rule.moving(into, out)) * rule.curve_share,
         })

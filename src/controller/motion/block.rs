@@ -88,11 +88,11 @@ pub(super) struct CurveLoad {
 
 /// Minimum share of the acceleration that remains for braking in a bend, so that the machine can always brake. Because
 /// of this minimum, the accelerations along and across the path together can exceed the limit by up to 3 %.
-const LEAST_SHARE: f32 = 0.25;
+const LEAST_BRAKING: f32 = 0.25;
 
 /// Factor that covers rounding errors of a speed²: in a bend, rounding can lower an entry speed² by one bit although
 /// the exit speed² rises. That can happen in this block and in each later one.
-const SURELY: f32 = 0.999;
+const CAP_MARGIN: f32 = 0.999;
 
 /// Share of the maximum entry speed² at which [`Block::bounds`] computes how much acceleration a bend leaves for a
 /// jerk-limited ramp.
@@ -160,7 +160,7 @@ impl CurveLoad {
     /// Returns how much of the acceleration `along` (the maximum in the path's direction) is left at a speed². Two
     /// formulas keep the accelerations along and across the path together within each axis' limit (a and r as in
     /// [`CurveLoad`]):
-    /// * a·√(1 - r²), because the two accelerations are perpendicular; the root counts as at least [`LEAST_SHARE`];
+    /// * a·√(1 - r²), because the two accelerations are perpendicular; the root counts as at least [`LEAST_BRAKING`];
     /// * along·(1 - r), because the shares r and 1 - r of an axis' limit add up to 1.
     ///
     /// Returns the larger result, at most `along`.
@@ -179,7 +179,7 @@ impl CurveLoad {
     #[inline(always)]
     pub(super) fn left_of(self, along: f32, speed2: f32) -> f32 {
         let share = lesser(speed2 / self.speed2(), 1.0);
-        let circle = greater(square_root(1.0 - share * share), LEAST_SHARE);
+        let circle = greater(square_root(1.0 - share * share), LEAST_BRAKING);
         lesser(greater(along * (1.0 - share), of_upper(self.acceleration) * circle), along)
     }
 }
@@ -279,7 +279,7 @@ impl<const N: usize> Block<N> {
     /// the current [`Block::braking_entry2`].
     #[inline]
     pub(super) fn is_surely_capped(&self, reach2: f32) -> bool {
-        SURELY * reach2 >= self.max_entry2
+        CAP_MARGIN * reach2 >= self.max_entry2
     }
 
     /// Returns whether a higher exit speed can lower the possible entry speed. In a bend, the exit speed determines how
@@ -288,7 +288,7 @@ impl<const N: usize> Block<N> {
     #[inline]
     pub(super) fn is_steep(&self) -> bool {
         let acceleration = greater(self.acceleration, self.curve.acceleration());
-        !self.curve.is_none() && 2.0 / LEAST_SHARE * acceleration * self.length > self.curve.speed2()
+        !self.curve.is_none() && 2.0 / LEAST_BRAKING * acceleration * self.length > self.curve.speed2()
     }
 
     /// Returns the bounds on changes of speed in the block.

@@ -35,7 +35,7 @@ impl ProbeLatch {
 
     /// Returns whether the probe has the watched state for the first time. If so, ends watching.
     #[inline(always)]
-    pub(super) fn sees(&mut self, active: bool) -> bool {
+    pub(super) fn detect(&mut self, active: bool) -> bool {
         let touched = self.is_watching && self.watched == active;
         if touched {
             self.is_watching = false;

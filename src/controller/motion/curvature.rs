@@ -31,7 +31,7 @@
 use super::axis_limits::GREATEST_ACCELERATION;
 use super::block::{Block, CurveLoad};
 use super::junction::{
-    REVERSAL, SQUARE_CORNER, SURELY, TurnRule, UNLIMITED2, certain, is_noise, radius_of, rise2, turn2,
+    BEND_MARGIN, REVERSAL, SQUARE_CORNER, TurnRule, UNLIMITED2, certain, is_noise, radius_of, rise2, turn2,
 };
 use super::path_end::way_mm;
 use super::trapezoid::{greater, lesser, square_root};
@@ -88,12 +88,12 @@ const VAGUE: f32 = 72.0;
 const EVEN2: f32 = 9.0;
 /// Maximum q² (0.25 rad) of a turn between two spans from which a radius of curvature is computed. The radius of a
 /// larger turn would only be a mean over a long distance.
-const GENTLE2: f32 = 0.0625;
+const LARGEST_FOR_RADIUS2: f32 = 0.0625;
 /// Maximum q² (0.1 rad) of a turn for which [`Span::note_turn`] checks in advance whether the turn allows the
 /// attainable speed. [`HISTORY`] such turns in a row have a q of at most 0.1 · [`HISTORY`] in total.
 const LITTLE_TURN2: f32 = 0.01;
 /// Lower bound of s = cos(t/2) for a turn t that consists of [`HISTORY`] turns of at most 0.1 rad ([`LITTLE_TURN2`]).
-const LITTLE_TURNS_SINE: f32 = 0.95;
+const LITTLE_TURNS_COSINE: f32 = 0.95;
 /// A block counts as steep if its acceleration exceeds [`TurnRule::most`] by more than this factor
 /// ([`Chain::since_steep`]). The margin of [`rise2`] is larger than this factor, so it covers blocks just below it.
 const STEEP: f32 = 1.005;
@@ -145,7 +145,7 @@ pub(super) struct Span<const N: usize> {
     /// Speed² that this turn certainly allows, both by itself and as a part of a longer turn; 0: not known.
     sure2: f32,
     /// The bend that this turn indicates; `NONE`: the turn is too gentle to matter, or too large for a radius
-    /// ([`GENTLE2`]).
+    /// ([`LARGEST_FOR_RADIUS2`]).
     curve: CurveLoad,
 }
 
@@ -210,12 +210,12 @@ impl<const N: usize> Span<N> {
 
     #[inline(never)]
     fn corner_of_turn(&self, before: &Self, all2: f32, rule: &TurnRule<N>) -> f32 {
-        let Some((turn2, sine)) = certain(all2, before.noise + self.noise) else { return UNLIMITED2 };
+        let Some((turn2, half_cosine)) = certain(all2, before.noise + self.noise) else { return UNLIMITED2 };
         if turn2 > REVERSAL {
             return 0.0;
         }
         let across = rule.across(&before.direction, &self.direction, square_root(all2));
-        rule.junction2(across, sine, turn2)
+        rule.junction2(across, half_cosine, turn2)
     }
 
     /// Returns the speed limit for the turn from an earlier span `old` to this one; `None` if the limit is not below
@@ -235,12 +235,12 @@ impl<const N: usize> Span<N> {
             return None;
         }
         let moving = rule.moving(&old.direction, &self.direction);
-        let (turn2, sine) = certain(all2, noise)?;
-        let radius = length * radius_of(turn2, sine);
-        let junction2 = |across| if turn2 > REVERSAL { 0.0 } else { rule.junction2(across, sine, turn2) };
+        let (turn2, half_cosine) = certain(all2, noise)?;
+        let radius = length * radius_of(turn2, half_cosine);
+        let junction2 = |across| if turn2 > REVERSAL { 0.0 } else { rule.junction2(across, half_cosine, turn2) };
         // In both forms of the rule (see the module documentation), the speed² is at least a·L/t + J², here with the
         // lowest acceleration limit of the moving axes.
-        if LEAVES_OUT && SURELY * (moving.least * rule.curve_share * radius + junction2(moving.least)) > fast2 {
+        if LEAVES_OUT && BEND_MARGIN * (moving.least * rule.curve_share * radius + junction2(moving.least)) > fast2 {
             return None;
         }
         let bend2 = rule.in_plane(&old.direction, &self.direction, all2, moving) * rule.curve_share * radius;
@@ -279,7 +279,7 @@ impl<const N: usize> Span<N> {
         let attainable2 = greater(old.attainable2, self.attainable2);
         if LEAVES_OUT
             && all2 <= LITTLE_TURN2
-            && rule.is_surely_faster(rule.least, self.share_of_length(old), all2, LITTLE_TURNS_SINE, attainable2)
+            && rule.is_surely_faster(rule.least, self.share_of_length(old), all2, LITTLE_TURNS_COSINE, attainable2)
         {
             self.sure2 = attainable2;
         }
@@ -291,9 +291,9 @@ impl<const N: usize> Span<N> {
         if LEAVES_OUT && rule.is_surely_faster(rule.least, length, all2, 1.0 - 0.25 * all2, NOTICEABLE * fast2) {
             return;
         }
-        let Some((turn2, sine)) = certain(all2, old.noise + self.noise) else { return };
-        if turn2 < GENTLE2 {
-            let radius = length * radius_of(turn2, sine);
+        let Some((turn2, half_cosine)) = certain(all2, old.noise + self.noise) else { return };
+        if turn2 < LARGEST_FOR_RADIUS2 {
+            let radius = length * radius_of(turn2, half_cosine);
             let moving = rule.moving(&old.direction, &self.direction);
             let acceleration = rule.in_plane(&old.direction, &self.direction, all2, moving);
             let curve2 = acceleration * rule.curve_share * radius;

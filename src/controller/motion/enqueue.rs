@@ -204,7 +204,7 @@ impl<const N: usize> MoveQueue<N> {
     /// Makes a block of a move, which must have fewer than [`MAX_STEPS`] steps; there must be room. `curve_speed2`:
     /// maximum speed² on the curve of a chord.
     fn append(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, curve_speed2: f32, chord: bool) {
-        let promised2 =
+        let least_entry2 =
             if self.looks_ahead() { self.join(m, target_steps, curve_speed2 >= UNLIMITED2 && !chord) } else { 0.0 };
         let ends = self.true_ends(&m.target, target_steps, chord);
         let mut path = self.path_to(&m.target);
@@ -254,7 +254,7 @@ impl<const N: usize> MoveQueue<N> {
             digit: self.chain.last_digit(m.digit),
         };
         let span = Span::of(&piece);
-        block.corner2 = greater(self.entry_corner2(&piece, &span, &path, sizes.coarsest_mm), promised2);
+        block.corner2 = greater(self.entry_corner2(&piece, &span, &path, sizes.coarsest_mm), least_entry2);
         self.end.direction = unit;
         if curve_speed2 < NOTICEABLE * piece.fast2 {
             block.curve = CurveLoad::new(curve_speed2, self.limits.least_acceleration(&shares));
@@ -427,7 +427,7 @@ impl<const N: usize> MoveQueue<N> {
             Speed::Feed(feed) => feed,
             Speed::Duration(seconds) => distance / seconds,
         };
-        let rooms = self.rooms_for_slack(distance, acceleration, lesser(feed, limit));
+        let rooms = self.rooms_for_backlash(distance, acceleration, lesser(feed, limit));
         let mut needed = 0.0;
         for (steps, room) in after.outstanding().iter().zip(rooms) {
             needed = greater(needed, steps.unsigned_abs() as f32 / room * distance);
@@ -446,7 +446,7 @@ impl<const N: usize> MoveQueue<N> {
 
     /// Returns how many steps of backlash compensation each motor can make in addition to a move: as many as the corner
     /// rule ([`backlash::share`]) allows for the axes that this motor moves.
-    fn rooms_for_slack(&self, length: f32, acceleration: f32, speed: f32) -> [f32; N] {
+    fn rooms_for_backlash(&self, length: f32, acceleration: f32, speed: f32) -> [f32; N] {
         let mut rooms = self.kinematics.least_mm;
         for (motor, room) in rooms.iter_mut().enumerate() {
             let mut one = [0; N];
@@ -473,7 +473,7 @@ impl<const N: usize> MoveQueue<N> {
         if !self.backlash.is_outstanding() {
             return None;
         }
-        let rooms = self.rooms_for_slack(length, acceleration, speed);
+        let rooms = self.rooms_for_backlash(length, acceleration, speed);
         let mut most = rooms.map(|room| (room as i32).clamp(1, MOST_BACKLASH));
         for (most, moved) in most.iter_mut().zip(moved) {
             *most = (*most).min(MAX_STEPS as i32 - 1 - moved.abs()).max(0);

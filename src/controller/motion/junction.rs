@@ -2,8 +2,8 @@
 //! within the axes' accelerations. [`super::curvature`] derives the rule and applies it to the whole path.
 //!
 //! Notation: for a turn by the angle t, q = 2·sin(t/2) (length of the difference of the unit vectors) and s = cos(t/2).
-//! In names, `turn2` is q² and `sine` is s, because s is also the sine of half the angle between the two pieces of the
-//! path (π - t, the angle in Grbl's formula).
+//! In names, `turn2` is q² and `half_cosine` is s. In Grbl's formula, s is the sine of half the angle π - t between the
+//! two pieces of the path.
 
 use super::trapezoid::{greater, lesser, square_root};
 
@@ -23,7 +23,7 @@ const NO_TANGENT: f32 = 3.9;
 /// Factor by which a bend's computed speed² is reduced, so that rounding cannot make it too high. If unit vectors are
 /// off by their last bit, the normal and the tangent of a turn of q² = [`STRAIGHT`] are perpendicular only within
 /// 0.0007.
-pub(super) const SURELY: f32 = 0.99;
+pub(super) const BEND_MARGIN: f32 = 0.99;
 
 /// Settings of the machine for the rule for turns.
 #[derive(Clone, Copy, Debug)]
@@ -72,17 +72,17 @@ pub(super) fn certain(turn2: f32, noise: f32) -> Option<(f32, f32)> {
     if is_noise(turn2, noise) {
         return None;
     }
-    let sine = square_root(greater(1.0 - 0.25 * turn2, 0.0));
+    let half_cosine = square_root(greater(1.0 - 0.25 * turn2, 0.0));
     if noise * noise <= CERTAIN * CERTAIN * turn2 {
-        return Some((turn2, sine));
+        return Some((turn2, half_cosine));
     }
     // q and s of the turn less the angle `noise`, by the formulas for the sine and cosine of a difference.
-    let half = 0.5 * noise * (1.0 - noise * noise * (1.0 / 24.0));
-    let cosine = 1.0 - 0.125 * noise * noise;
+    let noise_sine = 0.5 * noise * (1.0 - noise * noise * (1.0 / 24.0));
+    let noise_cosine = 1.0 - 0.125 * noise * noise;
     let turn = square_root(turn2);
-    let less = turn * cosine - 2.0 * sine * half;
+    let less = turn * noise_cosine - 2.0 * half_cosine * noise_sine;
     let less2 = less * less;
-    (less > 0.0 && less2 >= STRAIGHT).then_some((less2, sine * cosine + 0.5 * turn * half))
+    (less > 0.0 && less2 >= STRAIGHT).then_some((less2, half_cosine * noise_cosine + 0.5 * turn * noise_sine))
 }
 
 impl<const N: usize> TurnRule<N> {
@@ -156,11 +156,11 @@ impl<const N: usize> TurnRule<N> {
     }
 
     /// Returns whether a bend that makes this turn within `length`, mm, certainly allows more than the speed² `fast2`.
-    /// Compares squares, without division or square root. `least`: lower bound of [`TurnRule::in_plane`]; `sine`: lower
-    /// bound of s.
+    /// Compares squares, without division or square root. `least`: lower bound of [`TurnRule::in_plane`];
+    /// `half_cosine`: lower bound of s.
     #[inline]
-    pub(super) fn is_surely_faster(&self, least: f32, length: f32, turn2: f32, sine: f32, fast2: f32) -> bool {
-        let bend = SURELY * least * self.curve_share * length * (2.0 + sine);
+    pub(super) fn is_surely_faster(&self, least: f32, length: f32, turn2: f32, half_cosine: f32, fast2: f32) -> bool {
+        let bend = BEND_MARGIN * least * self.curve_share * length * (2.0 + half_cosine);
         bend * bend > 9.0 * turn2 * fast2 * fast2
     }
 
@@ -168,8 +168,8 @@ impl<const N: usize> TurnRule<N> {
     /// / (1 - s), with the acceleration a ([`TurnRule::across`], mm/s²) and the junction deviation d (mm). For gentle
     /// turns 1 - s would be a small difference, so it is computed as q² / (4·(1 + s)), with q² = 4·(1 - s²).
     #[inline]
-    pub(super) fn junction2(&self, across: f32, sine: f32, turn2: f32) -> f32 {
-        across * self.deviation * sine * (1.0 + sine) / (0.25 * turn2)
+    pub(super) fn junction2(&self, across: f32, half_cosine: f32, turn2: f32) -> f32 {
+        across * self.deviation * half_cosine * (1.0 + half_cosine) / (0.25 * turn2)
     }
 
     /// Returns a speed² that a square corner between any two axes allows, computed with the lowest acceleration of all
@@ -189,8 +189,8 @@ pub(super) fn rise2(acceleration: f32, length: f32) -> f32 {
 /// Returns the radius of a bend per unit of its length: 1/t. The angle t = 3·q / (2 + s) is correct within 0.2 % up to
 /// a right angle and within 5 % up to half a turn (Shafer's approximation of the arc tangent).
 #[inline]
-pub(super) fn radius_of(turn2: f32, sine: f32) -> f32 {
-    (2.0 + sine) / (3.0 * square_root(turn2))
+pub(super) fn radius_of(turn2: f32, half_cosine: f32) -> f32 {
+    (2.0 + half_cosine) / (3.0 * square_root(turn2))
 }
 
 #[cfg(test)]
@@ -205,12 +205,12 @@ mod tests {
     fn a_square_corner_has_the_speed_of_its_deviation() {
         let (before, after) = ([1.0, 0.0], [0.0, 1.0]);
         let all2 = turn2(&before, &after);
-        let (certain2, sine) = certain(all2, 0.0).unwrap();
-        assert!((certain2 - 2.0).abs() < 1e-6 && (sine - 0.5_f32.sqrt()).abs() < 1e-6);
+        let (certain2, half_cosine) = certain(all2, 0.0).unwrap();
+        assert!((certain2 - 2.0).abs() < 1e-6 && (half_cosine - 0.5_f32.sqrt()).abs() < 1e-6);
         // Each axis gets 0.71 of the change of direction.
         let across = rule().across(&before, &after, all2.sqrt());
         assert!((across - 100.0 * 2.0_f32.sqrt()).abs() < 1e-3, "{across}");
-        let speed2 = rule().junction2(100.0, sine, certain2);
+        let speed2 = rule().junction2(100.0, half_cosine, certain2);
         assert!((speed2 / rule().square_corner2() - 1.0).abs() < 1e-5, "{speed2}");
     }
 
@@ -218,9 +218,12 @@ mod tests {
     fn what_rounding_explains_is_no_turn() {
         assert_eq!(certain(1.0e-6, 0.0), None);
         assert_eq!(certain(0.01, 0.1), None);
-        let (less2, sine) = certain(0.01, 0.05).unwrap();
+        let (less2, half_cosine) = certain(0.01, 0.05).unwrap();
         // An angle of 0.1 rad, less 0.05 rad of noise.
-        assert!((less2.sqrt() - 0.05).abs() < 1e-4 && (sine - 0.025_f32.cos()).abs() < 1e-4, "{less2} {sine}");
+        assert!(
+            (less2.sqrt() - 0.05).abs() < 1e-4 && (half_cosine - 0.025_f32.cos()).abs() < 1e-4,
+            "{less2} {half_cosine}"
+        );
     }
 
     #[test]

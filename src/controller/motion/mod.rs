@@ -339,7 +339,7 @@ impl<const N: usize> Motion<N> {
     /// Makes the motors lead the tool by `lead` steps (backlash compensation) when all queued moves are complete. If no
     /// block is queued, starts to turn the motors at once.
     pub fn end_with_lead(&mut self, lead: [i32; N]) {
-        self.queue.backlash.want(lead);
+        self.queue.backlash.set_wanted(lead);
         if self.queue.planner.len() == 0 {
             self.queue.finish_taking_up(&self.prepared(), self.source.running.line_number);
             self.start();
@@ -347,7 +347,7 @@ impl<const N: usize> Motion<N> {
     }
 
     /// Takes over the position from another motion that has moved the machine. Call only at rest. Clears the queue.
-    pub fn stand_where(&mut self, other: &Self) {
+    pub fn take_over_position(&mut self, other: &Self) {
         let motors = other.prepared();
         self.origin = other.origin;
         self.source.in_flight.forget(motors.tool(), motors.lead);

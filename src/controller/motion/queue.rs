@@ -100,8 +100,8 @@ impl<const N: usize> MoveQueue<N> {
         self.join.configure(&self.kinematics);
         self.limits = AxisLimits::new(settings);
         self.planner.jerk_limited = self.limits.is_jerk_limited();
-        let slack = settings.backlash.zip(&settings.steps_per_mm, |mm, scale| (mm * scale.to_f32() + 0.5) as i32);
-        self.backlash.configure(slack.0.map(|steps| steps.clamp(0, MOST_BACKLASH)));
+        let backlash = settings.backlash.zip(&settings.steps_per_mm, |mm, scale| (mm * scale.to_f32() + 0.5) as i32);
+        self.backlash.configure(backlash.0.map(|steps| steps.clamp(0, MOST_BACKLASH)));
     }
 
     /// Clears the queue; the next move begins at `motors`. Returns `motors` with the lead limited to the backlash.

@@ -60,11 +60,11 @@ impl<const N: usize> MoveQueue<N> {
             return 0.0;
         }
         if self.join.open
-            && let Some(promised) = self.continues(m, target_steps)
+            && let Some(least_entry2) = self.continues(m, target_steps)
         {
             self.join.moves += 1;
             self.take_back();
-            return promised;
+            return least_entry2;
         }
         self.end_join();
         self.join.remember(m, self.end);
@@ -157,18 +157,18 @@ impl<const N: usize> MoveQueue<N> {
         let last = self.planner.last()?;
         let shares = shares(&way, length);
         let (acceleration, _) = self.limits.along_shares(&shares);
-        let promised = last.acceleration * last.length;
-        if acceleration * length < promised {
+        let braking = last.acceleration * last.length;
+        if acceleration * length < braking {
             return None;
         }
         let eased = last.jerk * last.length * last.length;
         if self.planner.jerk_limited && self.limits.jerk_along(&shares, acceleration) * length * length < eased {
             return None;
         }
-        let promised = lesser(last.max_entry2, 2.0 * promised);
+        let least_entry2 = lesser(last.max_entry2, 2.0 * braking);
         self.join.path = path;
         self.join.pass(&motors);
-        Some(promised)
+        Some(least_entry2)
     }
 
     /// Removes the last block and restores the end of the queue before it.

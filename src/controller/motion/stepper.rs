@@ -89,7 +89,7 @@ pub struct Stepper<const N: usize> {
     steps_by_axis: [AxisSteps; N],
     /// Whether the steps of A, B and C have been received for the block that is being announced; without them these
     /// axes do not move.
-    is_rest_told: bool,
+    has_rotary_steps: bool,
     /// Whether messages are discarded until the matching [`ToStep::Resume`].
     gate_shut: bool,
     stops: u16,
@@ -143,7 +143,7 @@ impl<const N: usize> Stepper<N> {
             next_piece: Piece::REST,
             courses: [Course::NOWHERE; 2],
             steps_by_axis: [AxisSteps::on_steps(0); N],
-            is_rest_told: false,
+            has_rotary_steps: false,
             gate_shut: false,
             stops: 0,
             braking: 0.0,
@@ -155,11 +155,11 @@ impl<const N: usize> Stepper<N> {
     /// Returns whether there is room for one more message. The step task loads messages while this holds, then calls
     /// [`Stepper::tick`]. The first segment of a block takes two or more messages, any other segment one.
     #[inline]
-    pub fn wants(&self) -> bool {
+    pub fn has_room(&self) -> bool {
         !self.is_next || self.latch.is_unnoted
     }
 
-    /// Loads a message. Call only while [`Stepper::wants`] returns `true`.
+    /// Loads a message. Call only while [`Stepper::has_room`] returns `true`.
     #[inline]
     pub fn load(&mut self, message: ToStep) {
         if self.latch.is_unnoted {
@@ -177,17 +177,17 @@ impl<const N: usize> Stepper<N> {
                 for (own, new) in self.steps_by_axis.iter_mut().zip(steps_by_axis) {
                     *own = new;
                 }
-                for own in self.steps_by_axis.iter_mut().skip(LINEAR).filter(|_| !self.is_rest_told) {
+                for own in self.steps_by_axis.iter_mut().skip(LINEAR).filter(|_| !self.has_rotary_steps) {
                     *own = AxisSteps::on_steps(0);
                 }
-                self.is_rest_told = false;
+                self.has_rotary_steps = false;
                 self.load_block(directions);
             }
             ToStep::BlockRest { steps_by_axis } => {
                 for (own, new) in self.steps_by_axis.iter_mut().skip(LINEAR).zip(steps_by_axis) {
                     *own = new;
                 }
-                self.is_rest_told = true;
+                self.has_rotary_steps = true;
             }
             ToStep::Reenter { units } => {
                 if let Some(next) = self.course_mut(true) {
@@ -528,7 +528,7 @@ impl<const N: usize> Stepper<N> {
     /// report.
     #[inline]
     pub fn probe(&mut self, active: bool) -> bool {
-        self.latch.sees(active)
+        self.latch.detect(active)
     }
 
     /// Saves the state at the contact, discards the queue, shuts the gate, and starts to brake. The tick that detects
@@ -579,7 +579,7 @@ impl<const N: usize> Stepper<N> {
         }
         self.latch.is_watching = false;
         self.brakes = false;
-        self.is_rest_told = false;
+        self.has_rotary_steps = false;
         let base = self.position().0;
         if let Some(course) = self.course_mut(false) {
             *course = Course::rest_at(base);

@@ -8,9 +8,9 @@ use crate::units::{Duration, Instant};
 pub struct Heartbeat {
     /// Count of received bytes at the last [`Heartbeat::observe`] (wrapping).
     bytes: u16,
-    /// The host has sent something since `heard_at` was set.
-    heard: bool,
-    heard_at: Instant,
+    /// The host has sent something since `alive_at` was set.
+    alive: bool,
+    alive_at: Instant,
     /// When the host counts as silent; `None` while silence is allowed.
     silent_at: Option<Instant>,
     /// The host disconnected while a job was about to be resumed.
@@ -24,8 +24,8 @@ impl Heartbeat {
     /// The host has not sent anything.
     pub const NONE: Heartbeat = Heartbeat {
         bytes: 0,
-        heard: false,
-        heard_at: Instant::from_ticks(0),
+        alive: false,
+        alive_at: Instant::from_ticks(0),
         silent_at: None,
         gone: false,
         left_jog: false,
@@ -35,30 +35,30 @@ impl Heartbeat {
     /// sign of life.
     #[inline]
     pub fn observe(&mut self, bytes: u16) {
-        self.heard |= bytes != self.bytes;
+        self.alive |= bytes != self.bytes;
         self.bytes = bytes;
     }
 
     /// Records that the host is not silent: it has sent a realtime command, or the queue is so full that its bytes may
     /// be waiting elsewhere.
     #[inline]
-    pub fn hear(&mut self) {
-        self.heard = true;
+    pub fn record_activity(&mut self) {
+        self.alive = true;
     }
 
     /// Allows silence until the next call of [`Heartbeat::is_silent`]. That call starts to measure the silence anew.
     #[inline]
-    pub fn rest(&mut self) {
+    pub fn allow_silence(&mut self) {
         self.silent_at = None;
-        self.heard = true;
+        self.alive = true;
     }
 
     /// Returns whether the host has been silent for `longest` or more.
     pub fn is_silent(&mut self, now: Instant, longest: Duration) -> bool {
-        if core::mem::take(&mut self.heard) {
-            self.heard_at = now;
+        if core::mem::take(&mut self.alive) {
+            self.alive_at = now;
         }
-        let silent_at = self.heard_at + longest;
+        let silent_at = self.alive_at + longest;
         self.silent_at = Some(silent_at);
         now >= silent_at
     }
@@ -107,13 +107,13 @@ mod tests {
         assert!(!heartbeat.is_silent(at(599), longest));
         assert_eq!(heartbeat.silent_at(), Some(at(600)));
         assert!(heartbeat.is_silent(at(600), longest));
-        heartbeat.hear();
+        heartbeat.record_activity();
         assert!(!heartbeat.is_silent(at(700), longest));
         // A smaller count is also a sign of life, because the count wraps.
         heartbeat.observe(6);
         assert!(!heartbeat.is_silent(at(800), longest));
         assert_eq!(heartbeat.silent_at(), Some(at(1300)));
-        heartbeat.rest();
+        heartbeat.allow_silence();
         assert_eq!(heartbeat.silent_at(), None);
         assert!(!heartbeat.is_silent(at(9000), longest));
         assert_eq!(heartbeat.silent_at(), Some(at(9500)));

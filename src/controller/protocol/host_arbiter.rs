@@ -3,18 +3,18 @@
 //! before the first line byte of another host.
 
 use crate::messages::{HOST_CHANGED, LineByte, Realtime};
-use crate::protocol::floor::Floor;
+use crate::protocol::active_host::ActiveHost;
 use crate::protocol::queues::Queues;
 
 /// Decides which of the hosts on several links is the active one, and counts the epochs of the bytes of all hosts.
 #[derive(Clone, Debug, Default)]
 pub struct HostArbiter {
-    floor: Floor,
+    active: ActiveHost,
     /// The epoch of the next line byte: see [`LineByte`]. A command counts when it is queued, not when it is received:
     /// while a command waits for room, a command of the other host may be queued before it.
     epoch: u16,
     /// The unfinished line in the queue is void: a [`HOST_CHANGED`] must precede the next line byte.
-    cut: bool,
+    host_change_due: bool,
     /// Number of times that the active host has disconnected, since power-up (wrapping).
     gone: u16,
 }
@@ -22,12 +22,12 @@ pub struct HostArbiter {
 impl HostArbiter {
     /// No host has sent anything.
     pub const fn new() -> Self {
-        Self { floor: Floor::new(), epoch: 0, cut: false, gone: 0 }
+        Self { active: ActiveHost::new(), epoch: 0, host_change_due: false, gone: 0 }
     }
 
     /// Returns the link that gets the replies.
-    pub fn holder(&self) -> usize {
-        self.floor.holder()
+    pub fn active_link(&self) -> usize {
+        self.active.link()
     }
 
     /// Returns how many times the active host has disconnected, since power-up (wrapping), for `Event::Disconnected`.
@@ -37,8 +37,8 @@ impl HostArbiter {
 
     /// Returns whether a [`HOST_CHANGED`] must be queued before the next line byte. If line bytes wait for room, the
     /// number of received bytes must include it.
-    pub fn owes_cut(&self) -> bool {
-        self.cut
+    pub fn is_host_change_due(&self) -> bool {
+        self.host_change_due
     }
 
     /// Queues a command. A queued reset, stop or jog cancel advances the epoch of later line bytes. The command need
@@ -61,21 +61,21 @@ impl HostArbiter {
     /// [`HOST_CHANGED`] must be queued before them.
     #[inline]
     pub(super) fn reads(&self, link: usize) -> bool {
-        !self.cut && self.floor.is_held_by(link)
+        !self.host_change_due && self.active.is_held_by(link)
     }
 
     /// Requires a [`HOST_CHANGED`] before the next line byte.
     #[inline]
-    pub(super) fn owe_cut(&mut self) {
-        self.cut = true;
+    pub(super) fn require_host_change(&mut self) {
+        self.host_change_due = true;
     }
 
     /// Queues a line byte, after a [`HOST_CHANGED`] if one is required. Returns whether there was room.
     pub(super) fn line(&mut self, byte: LineByte, queues: &mut impl Queues) -> bool {
-        if self.cut && !queues.line(LineByte { byte: HOST_CHANGED, epoch: self.gone, damaged: false }) {
+        if self.host_change_due && !queues.line(LineByte { byte: HOST_CHANGED, epoch: self.gone, damaged: false }) {
             return false;
         }
-        self.cut = false;
+        self.host_change_due = false;
         queues.line(byte)
     }
 
@@ -84,32 +84,32 @@ impl HostArbiter {
     #[inline]
     pub(super) fn claim(&mut self, link: usize, queues: &impl Queues, void: impl FnOnce()) -> bool {
         // In the common case this host is already the active one.
-        if self.floor.is_held_by(link) {
+        if self.active.is_held_by(link) {
             return true;
         }
         let free = queues.is_free();
-        self.turn_to(|floor| floor.claim(link, free, true), void)
+        self.turn_to(|active| active.claim(link, free, true), void)
     }
 
     /// Lets `ask` request the role of the active host, and returns its result. If the active host changes, `void` voids
     /// the unfinished line of the previous one.
-    pub(super) fn turn_to(&mut self, ask: impl FnOnce(&mut Floor) -> bool, void: impl FnOnce()) -> bool {
-        let before = self.floor.holder();
-        let granted = ask(&mut self.floor);
-        if self.floor.holder() != before {
+    pub(super) fn turn_to(&mut self, ask: impl FnOnce(&mut ActiveHost) -> bool, void: impl FnOnce()) -> bool {
+        let before = self.active.link();
+        let granted = ask(&mut self.active);
+        if self.active.link() != before {
             void();
-            self.cut = true;
+            self.host_change_due = true;
         }
         granted
     }
 
     /// Records that the host of `link` has disconnected. Returns whether it was the active host.
     pub(super) fn leave(&mut self, link: usize) -> bool {
-        let held_floor = self.holder() == link;
-        self.cut |= held_floor;
-        self.gone = self.gone.wrapping_add(u16::from(held_floor));
-        self.floor.leave(link);
-        held_floor
+        let was_active = self.active_link() == link;
+        self.host_change_due |= was_active;
+        self.gone = self.gone.wrapping_add(u16::from(was_active));
+        self.active.leave(link);
+        was_active
     }
 }
 

@@ -220,8 +220,8 @@ impl LineIntake {
 
     /// Switches line checksums off because of a reset or a stop: everything up to the next line end is refused. Returns
     /// whether checksums were on.
-    pub fn lapse_check(&mut self) -> bool {
-        self.check.lapse()
+    pub fn abort_check(&mut self) -> bool {
+        self.check.abort()
     }
 
     /// Returns whether line checksums are on (`$LC=ON`).
@@ -290,14 +290,14 @@ impl LineIntake {
     }
 
     /// Returns whether a comment of the line contained parentheses.
-    pub fn has_nested_remark(&self) -> bool {
-        self.line.has_nested_remark()
+    pub fn has_nested_comment(&self) -> bool {
+        self.line.has_nested_comment()
     }
 
     /// Returns whether the line has no comment that could contain a message.
     #[inline]
-    pub fn has_no_remark(&self) -> bool {
-        self.line.has_no_remark()
+    pub fn has_no_comment(&self) -> bool {
+        self.line.has_no_comment()
     }
 
     /// Returns the message in the line's comment, if any, and whether it shows values of parameters.
@@ -323,9 +323,9 @@ impl LineIntake {
     }
 
     /// Updates the byte counts. `received`: line bytes received and not yet taken, without those that the link dropped
-    /// because their host disconnected. `heard`: all bytes received except commands (wrapping).
-    pub fn observe(&mut self, received: u16, heard: u16) {
-        self.heartbeat.observe(heard);
+    /// because their host disconnected. `activity`: all bytes received except commands (wrapping).
+    pub fn observe(&mut self, received: u16, activity: u16) {
+        self.heartbeat.observe(activity);
         if self.drop_bytes | self.jog_bytes != 0 {
             self.drop_bytes = self.drop_bytes.min(received);
             self.jog_bytes = self.jog_bytes.min(received);
@@ -358,7 +358,7 @@ impl LineIntake {
 
     /// Handles a stop (0x19) in Grbl's dialect, which ignores it. Advances the epoch, because the serial task has
     /// advanced the epoch of the line bytes after the stop, but drops nothing.
-    pub fn open_epoch(&mut self) {
+    pub fn advance_epoch(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
         self.keep_epochs_near();
     }
@@ -418,7 +418,7 @@ mod tests {
     use crate::protocol::line_filter::LENGTH;
 
     fn rules() -> LineRules {
-        LineRules { length: LENGTH, merge_crlf: true, nested_remarks: false, expressions: true, block_delete: false }
+        LineRules { length: LENGTH, merge_crlf: true, nested_comments: false, expressions: true, block_delete: false }
     }
 
     fn byte(byte: u8, epoch: u16) -> LineByte {
@@ -576,7 +576,7 @@ mod tests {
         let mut intake = LineIntake::new();
         for epoch in 1..=100_000_u32 {
             if epoch % 3 == 0 {
-                intake.open_epoch()
+                intake.advance_epoch()
             } else {
                 intake.cancel_jogs()
             }
@@ -622,7 +622,7 @@ mod tests {
                 (intake.text().to_vec(), message, jog, intake.lines_read(), intake.holds())
             };
             assert_eq!(seen(&self.brief), seen(&self.whole));
-            if self.brief.has_no_remark() {
+            if self.brief.has_no_comment() {
                 assert_eq!(self.whole.message(), None);
             }
             let ends = brief.pushed != Pushed::More;
@@ -704,13 +704,13 @@ mod tests {
                 }
             }
             match below(80) {
-                0 => both.each(LineIntake::open_epoch),
+                0 => both.each(LineIntake::advance_epoch),
                 1 => both.each(LineIntake::cancel_jogs),
                 2 => both.each(LineIntake::reset),
                 number @ 3..6 => both.each(|intake| intake.end_received_jogs(3 * (number as u16 - 3))),
                 number @ 6..9 => both.each(|intake| intake.drop_received(3 * (number as u16 - 6))),
                 9 => both.each(|intake| intake.observe(2, 0)),
-                10..14 => both.each(|intake| _ = intake.lapse_check()),
+                10..14 => both.each(|intake| _ = intake.abort_check()),
                 14 if !both.brief.holds() => _ = both.give(byte(HOST_CHANGED, epoch)),
                 _ => {}
             }

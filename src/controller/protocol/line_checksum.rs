@@ -131,7 +131,7 @@ pub struct LineChecksum {
     wanted: Option<u32>,
     session: Session,
     /// A reset or stop has switched checksums off: everything up to the next line end is refused.
-    lapsed: bool,
+    aborted: bool,
     /// Error of a line that passed the checksum but was refused for its content. All later lines get this error, too.
     failed: Option<Error>,
     /// Number of bytes of the current line received so far, including its header.
@@ -149,7 +149,7 @@ impl LineChecksum {
     pub const OFF: Self = Self {
         wanted: None,
         session: Session::NONE,
-        lapsed: false,
+        aborted: false,
         failed: None,
         place: 0,
         is_whole: true,
@@ -171,9 +171,9 @@ impl LineChecksum {
 
     /// Switches checksums off because of a reset or a stop. Everything up to the next line end is refused, because a
     /// damaged byte of a line may have become the reset or stop. Returns whether checksums were on.
-    pub fn lapse(&mut self) -> bool {
+    pub fn abort(&mut self) -> bool {
         let was_on = self.is_on();
-        *self = Self { lapsed: was_on || self.lapsed, ..Self::OFF };
+        *self = Self { aborted: was_on || self.aborted, ..Self::OFF };
         was_on
     }
 
@@ -186,7 +186,7 @@ impl LineChecksum {
     /// Returns whether `finish` has to check the line: checksums are on, or a reset or stop has just switched them off.
     #[inline]
     pub fn looks_at_end(&self) -> bool {
-        self.is_on() || self.lapsed
+        self.is_on() || self.aborted
     }
 
     /// Returns whether bytes of a line have arrived, including those of its header.
@@ -196,8 +196,8 @@ impl LineChecksum {
 
     /// Discards the bytes of the current line.
     pub fn clear(&mut self) {
-        let Self { wanted, session, lapsed, failed, .. } = *self;
-        *self = Self { wanted, session, lapsed, failed, ..Self::OFF };
+        let Self { wanted, session, aborted, failed, .. } = *self;
+        *self = Self { wanted, session, aborted, failed, ..Self::OFF };
     }
 
     /// Records that bytes of the line were lost.
@@ -282,7 +282,7 @@ impl LineChecksum {
     #[inline(never)]
     fn finish_checked(&mut self, text: &[u8]) -> Verdict {
         let Some(wanted) = self.wanted else {
-            return if core::mem::take(&mut self.lapsed) { Verdict::Damaged } else { Verdict::Valid };
+            return if core::mem::take(&mut self.aborted) { Verdict::Damaged } else { Verdict::Valid };
         };
         let line = self.clone();
         self.clear();
@@ -418,7 +418,7 @@ mod tests {
             let rules = || LineRules {
                 length: LONGEST,
                 merge_crlf: true,
-                nested_remarks: false,
+                nested_comments: false,
                 expressions: true,
                 block_delete: false,
             };
@@ -430,7 +430,7 @@ mod tests {
                         match command {
                             Realtime::Reset | Realtime::Stop => {
                                 self.intake.reset();
-                                self.intake.lapse_check();
+                                self.intake.abort_check();
                             }
                             Realtime::JogCancel => self.intake.cancel_jogs(),
                             _ => {}
@@ -729,7 +729,7 @@ mod tests {
         let whole = line(7, "G0Z-5");
         host.send(&whole[..14]);
         host.intake.drop_received(0);
-        host.intake.lapse_check();
+        host.intake.abort_check();
         host.intake.clear();
         host.send(&whole[14..]).send(b"\nG4P1\n");
         assert_eq!((&host.taken[..], &host.answers[..]), (&["G4P1".into()][..], &[Damaged, Valid][..]));

@@ -5,7 +5,7 @@
 use crate::image::FULL_IMAGE;
 
 /// Replaces the whole text of a line in which a nested comment has not ended, because the text is unknown.
-pub const OPEN_REMARK: u8 = b')';
+pub const OPEN_COMMENT: u8 = b')';
 /// Maximum length of a line in Grbl's dialect, in bytes, without blanks and comments.
 pub const GRBL_LENGTH: usize = 79;
 /// Maximum length of a line in Oxmill's dialects, in bytes, without blanks and comments.
@@ -40,7 +40,7 @@ pub struct LineRules {
     /// Whether CR LF is one line end (in Grbl it is two).
     pub merge_crlf: bool,
     /// Whether a comment may contain pairs of parentheses (in Grbl the first `)` ends it).
-    pub nested_remarks: bool,
+    pub nested_comments: bool,
     /// Whether a slash after a bracket or `#` is kept; it is a division or an error. If it were dropped, `[1/2]` would
     /// become `[12]`.
     pub expressions: bool,
@@ -58,7 +58,7 @@ pub struct Line {
     len: usize,
     comment: Comment,
     /// The latest comment in parentheses, as far as it fits.
-    remark: heapless::Vec<u8, MESSAGE_LENGTH>,
+    comment_text: heapless::Vec<u8, MESSAGE_LENGTH>,
     overflow: bool,
     /// Number of bytes that did not fit; takes no memory in builds that do not report it.
     excess: [u16; COUNTS_EXCESS as usize],
@@ -115,7 +115,7 @@ impl Line {
             text: [0; LENGTH],
             len: 0,
             comment: Comment::None,
-            remark: heapless::Vec::new(),
+            comment_text: heapless::Vec::new(),
             overflow: false,
             excess: [0; COUNTS_EXCESS as usize],
             nested: false,
@@ -144,8 +144,8 @@ impl Line {
     /// Returns the message in the line's comment for the operator, if any, and whether it shows values of parameters:
     /// `(MSG, ...)` does not, `(PRINT, ...)` and `(DEBUG, ...)` do.
     pub fn message(&self) -> Option<(bool, &[u8])> {
-        let comma = self.remark.iter().position(|byte| *byte == b',')?;
-        let (word, text) = self.remark.split_at_checked(comma)?;
+        let comma = self.comment_text.iter().position(|byte| *byte == b',')?;
+        let (word, text) = self.comment_text.split_at_checked(comma)?;
         let words = [(b"MSG".as_slice(), false), (b"PRINT", true), (b"DEBUG", true)];
         let (_, has_values) = words.iter().find(|(says, _)| word.trim_ascii().eq_ignore_ascii_case(says))?;
         Some((*has_values, text.get(1..)?.trim_ascii()))
@@ -160,7 +160,7 @@ impl Line {
     /// Discards the line: the next byte begins a new one.
     pub fn clear(&mut self) {
         self.len = 0;
-        self.remark.clear();
+        self.comment_text.clear();
         self.comment = Comment::None;
         self.overflow = false;
         self.nested = false;
@@ -188,14 +188,14 @@ impl Line {
     }
 
     /// Returns whether a comment of the line contained parentheses.
-    pub fn has_nested_remark(&self) -> bool {
+    pub fn has_nested_comment(&self) -> bool {
         self.nested
     }
 
     /// Returns whether the line has no comment that could contain a message.
     #[inline]
-    pub fn has_no_remark(&self) -> bool {
-        self.remark.is_empty()
+    pub fn has_no_comment(&self) -> bool {
+        self.comment_text.is_empty()
     }
 
     /// Marks the line as damaged by lost bytes: it will not be executed. Returns whether this is the first loss in the
@@ -260,14 +260,14 @@ impl Line {
             b'\n' if second_of_crlf => return Pushed::More,
             b'\n' | b'\r' => {
                 if matches!(self.comment, Comment::Nested(_)) {
-                    self.refuse_remark();
+                    self.refuse_comment();
                 }
                 return if self.overflow { Pushed::TooLong } else { Pushed::Complete };
             }
-            _ if self.comment != Comment::None => self.remark(byte, rules()),
+            _ if self.comment != Comment::None => self.push_comment(byte, rules()),
             b'(' => {
                 self.comment = Comment::Parentheses(0);
-                self.remark.clear();
+                self.comment_text.clear();
             }
             b';' => self.comment = Comment::Semicolon,
             0..=b' ' => {}
@@ -322,16 +322,16 @@ impl Line {
     /// Invalidates a line whose nested comment has not ended. Where the comment should end is unknown, and so is the
     /// text to be executed. The text is replaced by one that is an error in every dialect.
     #[inline(never)]
-    fn refuse_remark(&mut self) {
+    fn refuse_comment(&mut self) {
         if let Some(place) = self.text.first_mut() {
-            *place = OPEN_REMARK;
+            *place = OPEN_COMMENT;
             self.len = 1;
         }
     }
 
     /// Takes a byte within a comment or within a line that is skipped. A comment with more than 255 open parentheses
     /// ends too soon.
-    fn remark(&mut self, byte: u8, rules: LineRules) {
+    fn push_comment(&mut self, byte: u8, rules: LineRules) {
         if FULL_IMAGE && let Comment::Deleted(kept) = &mut self.comment {
             if byte > b' '
                 && *kept < DELETED_LENGTH
@@ -345,10 +345,10 @@ impl Line {
         let ends = byte == b')' && matches!(self.comment, Comment::Parentheses(0) | Comment::Nested(0));
         if !ends && self.comment != Comment::Semicolon {
             // Excess bytes are dropped.
-            let _ = self.remark.push(byte);
+            let _ = self.comment_text.push(byte);
         }
         self.comment = match (self.comment, byte) {
-            (Comment::Parentheses(depth), b'(') if rules.nested_remarks => {
+            (Comment::Parentheses(depth), b'(') if rules.nested_comments => {
                 Comment::Parentheses(depth.saturating_add(1))
             }
             (Comment::Nested(depth), b'(') => Comment::Nested(depth.saturating_add(1)),
@@ -367,15 +367,15 @@ mod tests {
     use super::*;
 
     const OXMILL: LineRules =
-        LineRules { length: LENGTH, merge_crlf: true, nested_remarks: false, expressions: true, block_delete: false };
+        LineRules { length: LENGTH, merge_crlf: true, nested_comments: false, expressions: true, block_delete: false };
     const GRBL: LineRules = LineRules {
         length: GRBL_LENGTH,
         merge_crlf: false,
-        nested_remarks: false,
+        nested_comments: false,
         expressions: false,
         block_delete: false,
     };
-    const SEED: LineRules = LineRules { nested_remarks: true, ..OXMILL };
+    const SEED: LineRules = LineRules { nested_comments: true, ..OXMILL };
 
     fn lines(bytes: &[u8], rules: LineRules) -> Vec<String> {
         let mut line = Line::new();
@@ -400,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn a_remark_within_a_remark_has_to_end() {
+    fn a_comment_within_a_comment_has_to_end() {
         let text = b"(a (b) G1\n(a) G0\n(a (b) (c) G1\n(a (b)) G2\nG1 (a (b)\r(a G1\n(a (b) ; c) G3\n(a (b) G1\r\nG4\n";
         assert_eq!(lines(text, SEED), [")", "G0", ")", "G2", ")", "", "G3", ")", "G4"]);
         assert_eq!(lines(b"(a (b) G1\n(a (b)) G2\n", OXMILL), ["G1", ")G2"]);
@@ -409,7 +409,7 @@ mod tests {
             line.push(*byte, || SEED);
         }
         assert_eq!(line.message(), Some((false, b"flat (end) mill".as_slice())));
-        assert!(line.has_nested_remark());
+        assert!(line.has_nested_comment());
     }
 
     #[test]

@@ -18,7 +18,7 @@
 //! the active one by then.
 //!
 //! In a comment, the bytes of a UTF-8 character are text, even if one of them equals a command: see
-//! [`remark`](super::remark). The link recognises a character only when its last byte arrives. Until then, its other
+//! [`comment`](super::comment). The link recognises a character only when its last byte arrives. Until then, its other
 //! bytes wait here. If they turn out to form no character, they act as commands.
 //!
 //! A `!` in a comment may be text, as in `(slow!)`, or a hold from the operator. It is text if the line continues after
@@ -27,10 +27,10 @@
 //! With `$900=3`, 0x82 is treated like `!`, and 0x81 and 0xA3, which can be bytes of `ü` and `£`, like `~`.
 
 use crate::messages::{LineByte, Realtime};
+use crate::protocol::comment::CommentTracker;
 use crate::protocol::host_arbiter::HostArbiter;
 use crate::protocol::queues::Queues;
 use crate::protocol::realtime::{Received, is_plain, is_plain_or_lf};
-use crate::protocol::remark::Remark;
 
 /// How long a `!` in a comment waits for the rest of its line, in µs: the duration of 230 bytes at 115,200 baud.
 pub const AMBIGUOUS_US: u32 = 20_000;
@@ -49,7 +49,7 @@ pub struct Link {
     may_hold: usize,
     /// Commands for which the queue had no room. While a command waits here, no byte is taken, because no byte may
     /// overtake a command. Has room for one command, and before it up to three bytes of an incomplete UTF-8 character,
-    /// which can be commands after all (see [`Remark::break_off`]).
+    /// which can be commands after all (see [`CommentTracker::break_off`]).
     stuck: heapless::Deque<Realtime, 4>,
     /// Bytes were lost; the next line byte is marked as damaged.
     lost: bool,
@@ -60,7 +60,7 @@ pub struct Link {
     /// The byte before was a CR.
     after_cr: bool,
     /// Whether the current line is in a comment, and the bytes of an incomplete character.
-    remark: Remark,
+    comment: CommentTracker,
     /// A `!` arrived in a comment, and nothing after it yet.
     is_ambiguous: bool,
     /// Number of refused lines that still have to be answered with [`REFUSAL`].
@@ -83,7 +83,7 @@ impl Link {
             mid_line: false,
             refusing_line: false,
             after_cr: false,
-            remark: Remark::NONE,
+            comment: CommentTracker::NONE,
             is_ambiguous: false,
             refusals: 0,
             refused_bytes: 0,
@@ -114,12 +114,12 @@ impl Link {
     /// Takes a byte of any kind, without the fast path.
     fn take_any(&mut self, byte: u8, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut impl Queues) -> bool {
         let mut any = false;
-        for byte in self.remark.break_off(byte) {
+        for byte in self.comment.break_off(byte) {
             if let Received::Realtime(command) = Received::in_dialect(byte, queues) {
                 any |= self.command(command, arbiter, queues);
             }
         }
-        if self.remark.takes(byte, || queues.reads_characters()) {
+        if self.comment.takes(byte, || queues.reads_characters()) {
             self.is_ambiguous = false;
             queues.ignored();
             return any;
@@ -135,7 +135,7 @@ impl Link {
                 false
             }
             Received::Realtime(command @ (Realtime::FeedHold | Realtime::CycleStart | Realtime::ToolReady))
-                if self.remark.is_inside() && queues.reads_characters() =>
+                if self.comment.is_inside() && queues.reads_characters() =>
             {
                 self.is_ambiguous |= command == Realtime::FeedHold;
                 queues.ignored();
@@ -144,14 +144,14 @@ impl Link {
             Received::Realtime(command) => {
                 if command == Realtime::Reset {
                     queues.stop();
-                    arbiter.turn_to(|floor| floor.seize(self.number), || other.lose_floor());
+                    arbiter.turn_to(|active| active.take_over(self.number), || other.lose_active_role());
                     self.mid_line = false;
                     self.after_cr = false;
                     // The bytes lost so far belong to lines that the reset voids.
                     self.lost = false;
                 }
                 if matches!(command, Realtime::Reset | Realtime::Stop) {
-                    self.remark.leave();
+                    self.comment.leave();
                     self.is_ambiguous = false;
                     other.void_line(arbiter);
                 }
@@ -159,23 +159,23 @@ impl Link {
                 // active one, and gets the answer even to this host's `?`.
                 if !other.mid_line || other.refusing_line {
                     let free = queues.is_free();
-                    arbiter.turn_to(|floor| floor.claim(self.number, free, false), || other.lose_floor());
+                    arbiter.turn_to(|active| active.claim(self.number, free, false), || other.lose_active_role());
                 }
                 self.command(command, arbiter, queues)
             }
             Received::Line(byte) => {
                 self.is_ambiguous = false;
-                self.remark.follow(byte, || queues.reads_characters());
+                self.comment.follow(byte, || queues.reads_characters());
                 let second_of_crlf = byte == b'\n' && self.after_cr;
                 self.after_cr = byte == b'\r';
                 if second_of_crlf {
-                    if self.refusing_line || arbiter.holder() != self.number {
+                    if self.refusing_line || arbiter.active_link() != self.number {
                         return false;
                     }
                 } else {
                     self.refusing_line &= self.mid_line;
                     self.refusing_line =
-                        self.refusing_line || !arbiter.claim(self.number, queues, || other.lose_floor());
+                        self.refusing_line || !arbiter.claim(self.number, queues, || other.lose_active_role());
                 }
                 self.mid_line = !is_end(byte);
                 if self.refusing_line {
@@ -199,15 +199,15 @@ impl Link {
     /// taken from the front.
     #[inline]
     pub fn take_text(&mut self, bytes: &[u8], arbiter: &HostArbiter, queues: &mut impl Queues) -> usize {
-        if self.remark.has_begun_character() {
+        if self.comment.has_begun_character() {
             return 0;
         }
-        let has_floor = arbiter.reads(self.number);
-        let has_no_room = self.held.len() >= self.may_hold && !queues.waits() && has_floor;
+        let is_active = arbiter.reads(self.number);
+        let has_no_room = self.held.len() >= self.may_hold && !queues.waits() && is_active;
         if self.mid_line && (self.refusing_line || has_no_room) {
             return self.drop_text(bytes);
         }
-        let is_text = has_floor && !(self.refusing_line || self.lost || self.after_cr) && self.held.is_empty();
+        let is_text = is_active && !(self.refusing_line || self.lost || self.after_cr) && self.held.is_empty();
         if !is_text {
             return 0;
         }
@@ -218,8 +218,8 @@ impl Link {
             self.mid_line = *last != b'\n';
             self.is_ambiguous = false;
         }
-        if self.remark.is_inside() && text.iter().take(taken).any(|byte| *byte == b'\n') {
-            self.remark.leave();
+        if self.comment.is_inside() && text.iter().take(taken).any(|byte| *byte == b'\n') {
+            self.comment.leave();
         }
         taken
     }
@@ -237,8 +237,8 @@ impl Link {
 
     /// Returns whether the next byte belongs to a comment.
     #[inline]
-    pub fn is_in_remark(&self) -> bool {
-        self.remark.is_inside()
+    pub fn is_in_comment(&self) -> bool {
+        self.comment.is_inside()
     }
 
     /// Returns whether the most recently received byte is a `!` that may be text.
@@ -286,7 +286,7 @@ impl Link {
 
     /// Voids the unfinished line, because the other host has become the active one: the held bytes of the line are
     /// dropped, and the rest of the line is refused.
-    fn lose_floor(&mut self) {
+    fn lose_active_role(&mut self) {
         self.refusing_line |= self.mid_line;
         self.held.clear();
     }
@@ -302,7 +302,7 @@ impl Link {
             self.held.pop_back();
         }
         if self.held.is_empty() {
-            arbiter.owe_cut();
+            arbiter.require_host_change();
         }
     }
 
@@ -310,7 +310,7 @@ impl Link {
     pub fn lose(&mut self) {
         self.lost = true;
         self.take_as_command();
-        self.remark.leave();
+        self.comment.leave();
     }
 
     /// Handles a host that has opened its port. Returns whether it is the active host now. If the other host stays the
@@ -319,9 +319,9 @@ impl Link {
     /// [`HOST_CHANGED`](crate::messages::HOST_CHANGED) voids it before the host's first line byte.
     pub fn came(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &impl Queues) -> bool {
         let free = queues.is_free();
-        let granted = arbiter.turn_to(|floor| floor.claim(self.number, free, true), || other.lose_floor());
+        let granted = arbiter.turn_to(|active| active.claim(self.number, free, true), || other.lose_active_role());
         if granted {
-            arbiter.owe_cut();
+            arbiter.require_host_change();
         }
         self.forget();
         granted
@@ -331,9 +331,9 @@ impl Link {
     /// queue are dropped. A `HOST_CHANGED` precedes the next host's first byte, which therefore starts a new line; the
     /// controller does not answer the lines before that `HOST_CHANGED`.
     pub fn went(&mut self, arbiter: &mut HostArbiter) -> bool {
-        let held_floor = arbiter.leave(self.number);
+        let was_active = arbiter.leave(self.number);
         self.forget();
-        held_floor
+        was_active
     }
 
     fn forget(&mut self) {

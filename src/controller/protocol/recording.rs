@@ -12,9 +12,9 @@ const CLOSE: &[u8] = b"]";
 
 /// Appends one item of the `$REC` listing. Times are printed in ticks of the step clock; `hz` is its frequency in ticks
 /// per second.
-pub fn piece(out: &mut Text, hz: u32, piece: &Recorded) {
+pub fn item(out: &mut Text, hz: u32, item: &Recorded) {
     put(out, BEGIN);
-    match piece {
+    match item {
         Recorded::Board { name, step_clock_hz } => {
             put(out, b"oxmill recording 1]\r\n[REC:board ");
             put(out, name.as_bytes());
@@ -26,10 +26,10 @@ pub fn piece(out: &mut Text, hz: u32, piece: &Recorded) {
             put(out, b"begin ");
             moment(out, hz, *time);
         }
-        Recorded::Noted(time, told) => {
+        Recorded::Noted(time, noted) => {
             moment(out, hz, *time);
             put(out, b" ");
-            entry(out, told);
+            entry(out, noted);
         }
         Recorded::End => put(out, b"end"),
     }

@@ -32,12 +32,12 @@ pub struct Replies {
     /// The next report must have all fields (0x87). Takes no memory in the small firmware image.
     is_full: [bool; FULL_IMAGE as usize],
     /// The fields of the previous status report with `$900=3`; `None` before the first one.
-    told: [Option<GrblHalFields>; FULL_IMAGE as usize],
+    last_fields: [Option<GrblHalFields>; FULL_IMAGE as usize],
     /// The text that was queued last is a status report.
     reported: bool,
     rare_fields: RareFields,
     /// The host has read, by `$RC`, why the machine was restarted.
-    restart_told: bool,
+    restart_read: bool,
     restart: Restart,
     /// Index of the first waiting byte in `ring`.
     first: usize,
@@ -60,10 +60,10 @@ impl Replies {
             echoed: false,
             status_due: false,
             is_full: [false; FULL_IMAGE as usize],
-            told: [None; FULL_IMAGE as usize],
+            last_fields: [None; FULL_IMAGE as usize],
             reported: false,
             rare_fields: RareFields::DUE,
-            restart_told: false,
+            restart_read: false,
             restart: Restart::POWER,
             first: 0,
             waiting: 0,
@@ -170,8 +170,8 @@ impl Replies {
     /// results: whether the fields that come with `WCO` have changed since the previous report, and whether M6 has
     /// started or stopped waiting for a tool since then.
     pub fn note_fields(&mut self, fields: &mut GrblHalFields) -> (bool, bool) {
-        let before = self.told.first_mut().and_then(|told| told.replace(*fields));
-        fields.tells_scaling = fields.scaled || before.is_some_and(|before| before.scaled);
+        let before = self.last_fields.first_mut().and_then(|last| last.replace(*fields));
+        fields.shows_scaling = fields.scaled || before.is_some_and(|before| before.scaled);
         let Some(before) = before else { return (false, false) };
         let rare =
             |fields: &GrblHalFields| (fields.system, fields.tool, fields.homed, fields.scaled, fields.has_reference);
@@ -219,12 +219,12 @@ impl Replies {
     /// Returns the failure to report after a welcome line. The failure is reported after each welcome line until the
     /// host reads the record with `$RC`, because a single report can be lost.
     pub fn failure(&self) -> Option<&Restart> {
-        (self.restart.is_failure() && !self.restart_told).then_some(&self.restart)
+        (self.restart.is_failure() && !self.restart_read).then_some(&self.restart)
     }
 
     /// Returns the record for `$RC`, and marks it as read.
-    pub fn tell_restart(&mut self) -> &Restart {
-        self.restart_told = true;
+    pub fn read_restart(&mut self) -> &Restart {
+        self.restart_read = true;
         &self.restart
     }
 }
@@ -308,7 +308,7 @@ mod tests {
         replies.restarted(failure.clone());
         replies.reset();
         assert_eq!(replies.failure(), Some(&failure));
-        assert_eq!(*replies.tell_restart(), failure);
+        assert_eq!(*replies.read_restart(), failure);
         assert_eq!(replies.failure(), None);
     }
 }

@@ -52,7 +52,7 @@ pub struct GrblHalFields {
     /// Whether coordinates are scaled (G51).
     pub scaled: bool,
     /// Whether the report has the field `Sc`: coordinates are scaled, or were scaled at the previous report.
-    pub tells_scaling: bool,
+    pub shows_scaling: bool,
     /// Whether the tool setter has a reference.
     pub has_reference: bool,
     /// Whether M6 waits for a tool.
@@ -137,7 +137,7 @@ fn fields_of_grblhal(out: &mut Text, more: &GrblHalFields, rare: bool, accessori
     if !rare {
         return;
     }
-    if more.tells_scaling {
+    if more.shows_scaling {
         put(out, b"|Sc:");
         put(out, if more.scaled { b"XYZ" } else { b"" });
     }

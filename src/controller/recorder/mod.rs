@@ -689,7 +689,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.reading = Reading { number, at: 0, time, line: heapless::Vec::new(), records: Some(0), begun: false };
     }
 
-    /// Passes the next piece of the `$REC` listing (the board, a stored record, the start time, an entry or the end) to
+    /// Passes the next item of the `$REC` listing (the board, a stored record, the start time, an entry or the end) to
     /// `tell`. `first`: begins the listing again. The second argument is the board's name and the frequency of its step
     /// clock in Hz. `record` returns stored records by index.
     pub fn read(

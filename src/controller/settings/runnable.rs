@@ -78,7 +78,7 @@ impl<const N: usize> Settings<N> {
 
     /// Returns whether a cycle at this rate might never end, because the rate is outside the range that motion can
     /// compute with.
-    pub fn crawls(&self, rate: Key) -> bool {
+    pub fn is_rate_out_of_range(&self, rate: Key) -> bool {
         !RATES.contains(&self.value(rate))
     }
 
@@ -95,15 +95,15 @@ impl<const N: usize> Settings<N> {
             Some(const { Key::ArcTolerance.number() })
         } else if self.is_on(Key::SoftLimits) && !homing {
             Some(SOFT_LIMITS)
-        } else if homing && self.crawls(Key::HomingLocate) {
+        } else if homing && self.is_rate_out_of_range(Key::HomingLocate) {
             Some(const { Key::HomingLocate.number() })
-        } else if homing && self.crawls(Key::HomingSeek) {
+        } else if homing && self.is_rate_out_of_range(Key::HomingSeek) {
             Some(const { Key::HomingSeek.number() })
         } else if parking && self.whole(Key::ParkingAxis) as usize >= self.axes_in_use().min(LINEAR) {
             Some(const { Key::ParkingAxis.number() })
-        } else if parking && self.crawls(Key::ParkingPullOutRate) {
+        } else if parking && self.is_rate_out_of_range(Key::ParkingPullOutRate) {
             Some(const { Key::ParkingPullOutRate.number() })
-        } else if parking && self.crawls(Key::ParkingFastRate) {
+        } else if parking && self.is_rate_out_of_range(Key::ParkingFastRate) {
             Some(const { Key::ParkingFastRate.number() })
         } else {
             None

@@ -13,7 +13,7 @@ fn answers(bytes: &[(u8, bool)]) -> String {
             step_idle: true,
             rx_free: LINES_DEPTH as u16 - 1,
             received: 1,
-            heard: 0,
+            activity: 0,
         });
         while let Some(output) = controller.output(NOW, Room { step: false, reply: true }) {
             if let Output::Reply(chunk) | Output::Answer(chunk) = output {

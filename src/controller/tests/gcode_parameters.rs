@@ -265,12 +265,12 @@ fn the_offset_of_g92() {
 }
 
 #[test]
-fn values_in_remarks() {
+fn values_in_comments() {
     let mut program = ready();
     program.run("#1=10.1 #<A_B>=[-1/3] #2=-0.0000001 #20=-2.456 #21=7 #22=2.5");
-    let expand = |remark: &str| {
+    let expand = |comment: &str| {
         let mut out = heapless::Vec::<u8, 64>::new();
-        program.interpreter.expand(remark.as_bytes(), &mut out);
+        program.interpreter.expand(comment.as_bytes(), &mut out);
         String::from_utf8(out.to_vec()).unwrap()
     };
     assert_eq!(expand(" v=#1, w=[#1+0.2]"), " v=10.100000, w=[10.100000+0.2]");

@@ -208,7 +208,7 @@ fn a_rest_drops_a_held_program() {
         let mut sender = Sender::new();
         sender.send_all(held);
         assert!(sender.errors.is_empty(), "{held}: {:?}", sender.errors);
-        // A line that has only a remark is accepted.
+        // A line that has only a comment is accepted.
         sender.rested = true;
         sender.send("(PART)");
         sender.send_after_rest("G21\nG0 X3\nO8\nG0 X4\nM99\nM30");
@@ -553,8 +553,8 @@ fn memory_for_programs() {
             let mut sender = Sender::new();
             let body = body.replace("{}", &"X5\n".repeat(lines));
             sender.send_all(&format!("G0 X1\nM98 P1\n{body}\n%\n"));
-            assert_eq!(sender.interpreter.lacking_bytes().is_some(), !sender.errors.is_empty(), "{lines}");
-            sender.interpreter.lacking_bytes()
+            assert_eq!(sender.interpreter.excess_bytes().is_some(), !sender.errors.is_empty(), "{lines}");
+            sender.interpreter.excess_bytes()
         };
         let lacking = send(2500).unwrap();
         let fits = 2500 - lacking.div_ceil(3);

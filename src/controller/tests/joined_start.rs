@@ -15,7 +15,7 @@ fn moves_before_the_start(millimetres: f64) -> usize {
         for byte in line.bytes() {
             controller.event(NOW, Event::Line(LineByte { byte, epoch: 0, damaged: false }));
         }
-        controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: 0, received: 100, heard: 0 });
+        controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: 0, received: 100, activity: 0 });
         while let Some(output) = controller.output(NOW, Room { step: true, reply: true }) {
             if let Output::Step(ToStep::Segment(_)) = output {
                 return count as usize + 1;

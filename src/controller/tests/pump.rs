@@ -87,7 +87,7 @@ impl<const WOKEN: bool> Pump<3> for Scribe<WOKEN> {
     fn observed(&mut self) -> Observed {
         self.log.push("observed".into());
         let received = self.lines.len() as u16;
-        Observed { segments_begun: 0, step_idle: true, rx_free: 255 - received, received, heard: 0 }
+        Observed { segments_begun: 0, step_idle: true, rx_free: 255 - received, received, activity: 0 }
     }
 
     fn next_event(&mut self, source: Source) -> Option<Event<3>> {
@@ -412,7 +412,7 @@ impl Pump<3> for Flooded {
     fn observed(&mut self) -> Observed {
         // Reports no waiting lines until motion has begun, because a motion does not begin while lines wait.
         let received = if self.sent == 0 { 0 } else { 255 };
-        Observed { segments_begun: self.begun, step_idle: self.sent == 0, rx_free: 0, received, heard: 0 }
+        Observed { segments_begun: self.begun, step_idle: self.sent == 0, rx_free: 0, received, activity: 0 }
     }
 
     fn next_event(&mut self, _: Source) -> Option<Event<3>> {

@@ -35,7 +35,7 @@ impl Board {
 
     fn pump_while(&mut self, step_idle: bool) -> String {
         let mut said = String::new();
-        self.controller.observe(Observed { segments_begun: 0, step_idle, rx_free: 255, received: 0, heard: 0 });
+        self.controller.observe(Observed { segments_begun: 0, step_idle, rx_free: 255, received: 0, activity: 0 });
         while let Some(output) = self.controller.output(NOW, Room { step: true, reply: true }) {
             if let Output::Reply(chunk) | Output::Answer(chunk) = output {
                 said.push_str(&String::from_utf8_lossy(chunk.as_bytes()));
@@ -147,7 +147,7 @@ fn many_resets_are_over_when_the_step_task_has_obeyed_them() {
 #[test]
 fn what_a_reset_button_drops_ends_with_a_cut() {
     let (mut board, _) = Board::started(None);
-    board.controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: 251, received: 4, heard: 0 });
+    board.controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: 251, received: 4, activity: 0 });
     let signals = Signals { reset: true, ..Signals::NONE };
     board.controller.event(NOW, Event::Signals(Sensed { signals, ..Sensed::default() }));
     let position = oxmill_controller::axes::PerAxis::all(0);
@@ -170,7 +170,7 @@ fn what_a_reset_button_drops_ends_with_a_cut() {
 #[test]
 fn a_host_that_goes_takes_what_was_counted_with_it() {
     let (mut board, _) = Board::started(None);
-    board.controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: 55, received: 200, heard: 0 });
+    board.controller.observe(Observed { segments_begun: 0, step_idle: true, rx_free: 55, received: 200, activity: 0 });
     let signals = Signals { reset: true, ..Signals::NONE };
     board.controller.event(NOW, Event::Signals(Sensed { signals, ..Sensed::default() }));
     while board.controller.output(NOW, Room { step: false, reply: true }).is_some() {}

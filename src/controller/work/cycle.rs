@@ -56,7 +56,7 @@ impl<const N: usize> Controller<N> {
         job.spindle_delay = delay;
         self.m.interpreter.set_accessories(direction, self.m.accessories.coolant());
         self.m.replies.overrides_changed();
-        if self.m.accessories.must_tell_speed(&self.m.settings) {
+        if self.m.accessories.waits_for_speed(&self.m.settings) {
             job.wait(Stage::SpinningUp, self.m.now + delay)
         } else {
             self.cycle_waits(delay, job)

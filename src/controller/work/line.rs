@@ -25,7 +25,7 @@ pub(crate) struct LineInWork<const N: usize> {
     curve: Option<Curve<N>>,
     single_block: bool,
     /// Notices already sent for this program, one bit each.
-    told: u8,
+    sent_notices: u8,
     /// The tool change of the line, if its tool is measured.
     change: ToolChange<N>,
     /// The last message of the program, for a host that takes over. Takes no memory without `FULL_IMAGE`.
@@ -52,7 +52,7 @@ impl<const N: usize> LineInWork<N> {
         action: Action::NOTHING,
         curve: None,
         single_block: false,
-        told: 0,
+        sent_notices: 0,
         change: ToolChange::NONE,
         message: [const { Message::new() }; FULL_IMAGE as usize],
         refusal: [const { Refusal::NONE }; REASONS as usize],
@@ -152,16 +152,16 @@ impl<const N: usize> LineInWork<N> {
     }
 
     /// Returns whether this notice has not been sent for the program yet, and marks it as sent.
-    pub(crate) fn is_new(&mut self, notice: Notice) -> bool {
+    pub(crate) fn take_unsent(&mut self, notice: Notice) -> bool {
         let bit = 1 << notice as u8;
-        let is_new = self.told & bit == 0;
-        self.told |= bit;
-        is_new
+        let is_unsent = self.sent_notices & bit == 0;
+        self.sent_notices |= bit;
+        is_unsent
     }
 
     /// Marks all notices as not sent, for another program.
     pub(crate) fn forget_notices(&mut self) {
-        self.told = 0;
+        self.sent_notices = 0;
     }
 
     /// At a reset, switches single block off, and marks all notices as not sent, for the next program.

@@ -68,7 +68,7 @@ impl<const N: usize> Controller<N> {
         action.speed_changed
             && action.spindle.is_none()
             && self.m.accessories.is_on_without_speed()
-            && (settings.is_on(Key::SpinUp) || self.m.accessories.must_tell_speed(settings))
+            && (settings.is_on(Key::SpinUp) || self.m.accessories.waits_for_speed(settings))
             && !settings.is_on(Key::Laser)
     }
 
@@ -302,7 +302,7 @@ impl<const N: usize> Controller<N> {
         let dwell = self.line.action.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
         let wait = dwell + job.spindle_delay;
         let switched = self.line.action.spindle.is_some() || !job.spindle_delay.is_zero();
-        if switched && self.m.accessories.must_tell_speed(&self.m.settings) && !checking {
+        if switched && self.m.accessories.waits_for_speed(&self.m.settings) && !checking {
             job.wait(Stage::SpinningUp, self.m.now + wait)
         } else if wait.is_zero() {
             Stage::Via
@@ -554,7 +554,7 @@ impl<const N: usize> Controller<N> {
     fn run_held_line(&mut self, caller: Caller) {
         let mut line = HeldLine::new();
         let next = self.m.interpreter.next_held(&mut line);
-        let (words, remark) = gcode::split_remark(&line);
+        let (words, comment) = gcode::split_comment(&line);
         let carried_out = match next {
             Ok(Held::Line) if !words.is_empty() => self.gcode(words, Answer::Held(caller)),
             Ok(Held::Line | Held::Again) => {
@@ -565,7 +565,7 @@ impl<const N: usize> Controller<N> {
             Err(error) => Err(error),
         };
         match carried_out {
-            Ok(()) => self.tell_remark(remark),
+            Ok(()) => self.send_comment(comment),
             Err(error) => {
                 if gcode::REASONS {
                     let dialect = self.dialect();

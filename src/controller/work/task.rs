@@ -296,13 +296,13 @@ pub(crate) enum Listing {
     Recording(Ask),
 }
 
-/// Progress of the request for the next piece of the `$REC` listing.
+/// Progress of the request for the next item of the `$REC` listing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Ask {
-    /// The controller requests the next piece when there is room for its text.
+    /// The controller requests the next item when there is room for its text.
     Wanted,
-    /// There is room for the text, and the controller requests the piece now.
+    /// There is room for the text, and the controller requests the item now.
     Due,
-    /// The piece has been requested from the recorder and has not arrived yet.
+    /// The item has been requested from the recorder and has not arrived yet.
     Asked,
 }

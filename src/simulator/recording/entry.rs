@@ -26,13 +26,13 @@ pub enum Input {
     /// A job starts.
     Job,
     /// An entry that only a board records.
-    Told(Told),
+    Report(BoardReport),
 }
 
 /// An entry that only a board records.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[allow(clippy::large_enum_variant, reason = "few of them, and read once")]
-pub enum Told {
+pub enum BoardReport {
     /// An entry of the board's ring buffer.
     Noted(Noted),
     /// How the recording ended.

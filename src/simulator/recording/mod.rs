@@ -28,7 +28,7 @@ mod entry;
 mod reader;
 mod writer;
 
-pub use entry::{Input, Told};
+pub use entry::{BoardReport, Input};
 pub use reader::Recording;
 pub use writer::{RecordedJob, Recorder};
 
@@ -49,7 +49,7 @@ impl Recording {
 
     /// Returns whether a board made the recording.
     pub fn is_of_board(&self) -> bool {
-        self.inputs.iter().any(|(_, input)| matches!(input, Input::Told(_)))
+        self.inputs.iter().any(|(_, input)| matches!(input, Input::Report(_)))
     }
 
     /// The inputs with their times, in ticks of the step clock.
@@ -117,7 +117,7 @@ impl Recording {
     }
 
     /// Plays the inputs into a machine that has just been powered up, up to the start of the recorded job if there is
-    /// one, otherwise to the end of the recording. `hear` receives the machine's output; `pass` is called as time
+    /// one, otherwise to the end of the recording. `on_output` receives the machine's output; `pass` is called as time
     /// passes, with the ticks of the step clock since the beginning.
     ///
     /// # Errors
@@ -125,15 +125,15 @@ impl Recording {
     pub fn play(
         &self,
         simulator: &mut Simulator,
-        mut hear: impl FnMut(&str),
+        mut on_output: impl FnMut(&str),
         mut pass: impl FnMut(u64),
     ) -> Result<(), String> {
         let begin = self.begin.unwrap_or_default();
         for (time, input) in &self.inputs {
-            advance(simulator, *time, &mut hear, |now| pass(now.saturating_sub(begin)));
+            advance(simulator, *time, &mut on_output, |now| pass(now.saturating_sub(begin)));
             match input {
                 Input::Job => return Ok(()),
-                Input::Told(_) => return Err("lines of a board and of a simulator are mixed".into()),
+                Input::Report(_) => return Err("lines of a board and of a simulator are mixed".into()),
                 Input::Connect => simulator.connect(),
                 Input::Disconnect => simulator.disconnect(),
                 Input::Host(bytes) => simulator.send(bytes),
@@ -149,26 +149,26 @@ impl Recording {
                     same.map_err(|why| format!("{seconds:.6} s after its begin {why}"))?;
                 }
             }
-            hear_all(simulator, &mut hear);
+            pass_output(simulator, &mut on_output);
         }
         Ok(())
     }
 }
 
 /// Advances time, and fetches the machine's output every 20 ms, as a host does.
-fn advance(simulator: &mut Simulator, until: u64, mut hear: impl FnMut(&str), mut pass: impl FnMut(u64)) {
+fn advance(simulator: &mut Simulator, until: u64, mut on_output: impl FnMut(&str), mut pass: impl FnMut(u64)) {
     let slice = u64::from(simulator.board().step_clock_hz) / 50;
     while simulator.clock().now() < until {
         simulator.advance_to(until.min(simulator.clock().now() + slice));
-        hear_all(simulator, &mut hear);
+        pass_output(simulator, &mut on_output);
         pass(simulator.clock().now());
     }
 }
 
-/// Passes all of the machine's output to `hear`, including replies that the controller sends only after earlier output
-/// has been fetched.
-fn hear_all(simulator: &mut Simulator, hear: &mut impl FnMut(&str)) {
+/// Passes all of the machine's output to `on_output`, including replies that the controller sends only after earlier
+/// output has been fetched.
+fn pass_output(simulator: &mut Simulator, on_output: &mut impl FnMut(&str)) {
     while simulator.unfetched() > 0 {
-        hear(&simulator.take_output());
+        on_output(&simulator.take_output());
     }
 }

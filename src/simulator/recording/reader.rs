@@ -1,6 +1,6 @@
 //! Reads a recording line by line: the text written by `Recorder`, or the listing of a board.
 
-use super::entry::{Input, TITLE, Told};
+use super::entry::{BoardReport, Input, TITLE};
 use crate::boards::Board;
 use crate::files::without_mark;
 use crate::power_up::board_named;
@@ -99,7 +99,7 @@ impl Recording {
                     "pin" => Input::Pin(rest.into()),
                     "at" => Input::At(rest.into()),
                     "job" => Input::Job,
-                    word if let Some(told) = told(word, rest)? => Input::Told(told),
+                    word if let Some(report) = parse_report(word, rest)? => Input::Report(report),
                     _ => return Err(format!("`{line}` is not understood")),
                 };
                 let time = self.parse_time(time)?;
@@ -131,7 +131,7 @@ fn listed(log: &str) -> Option<String> {
 }
 
 /// Parses a line that only a board writes; `None` for other lines.
-fn told(word: &str, rest: &str) -> Result<Option<Told>, String> {
+fn parse_report(word: &str, rest: &str) -> Result<Option<BoardReport>, String> {
     let words: Vec<&str> = rest.split_whitespace().collect();
     let entry = match word {
         "power" => Noted::PowerUp,
@@ -158,7 +158,7 @@ fn told(word: &str, rest: &str) -> Result<Option<Told>, String> {
         "ended" => return ended(rest, &words).map(Some),
         _ => return Ok(None),
     };
-    Ok(Some(Told::Noted(entry)))
+    Ok(Some(BoardReport::Noted(entry)))
 }
 
 pub(super) fn axes(words: &[&str]) -> Result<heapless::Vec<i32, { Standing::AXES }>, String> {
@@ -189,15 +189,15 @@ fn standing(words: &[&str]) -> Result<Noted, String> {
 }
 
 /// Parses the end of a recording: `panic N12 1.000 2.000 0.000`, or `reset`.
-fn ended(text: &str, words: &[&str]) -> Result<Told, String> {
+fn ended(text: &str, words: &[&str]) -> Result<BoardReport, String> {
     let text = text.to_owned();
     let [_, line, place @ ..] = words else {
-        return Ok(Told::Ended { text, crash: false, place: Vec::new(), line: 0 });
+        return Ok(BoardReport::Ended { text, crash: false, place: Vec::new(), line: 0 });
     };
     let line = number(line.trim_start_matches('N'))?;
     let micrometres = |word: &&str| Ok((number::<f64>(word)? * 1e3).round() as i64);
     let place = place.iter().map(micrometres).collect::<Result<_, String>>()?;
-    Ok(Told::Ended { text, crash: true, place, line })
+    Ok(BoardReport::Ended { text, crash: true, place, line })
 }
 
 fn number<T: std::str::FromStr>(text: &str) -> Result<T, String> {

@@ -76,7 +76,7 @@ impl Recorder {
             Input::At(place) => self.write(simulator, &format!("at {place}")),
             Input::Job => self.write(simulator, "job"),
             // Only boards record these.
-            Input::Told(_) => Ok(()),
+            Input::Report(_) => Ok(()),
         }
     }
 

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::Duration;
 
 /// Sent after the welcome line, and before the error if `$X` or `$H` is rejected.
-const TOLD: &str = "[MSG:Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms]\r\n";
+const DAMAGED: &str = "[MSG:Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms]\r\n";
 const WELCOME: &str = "\r\nGrbl 1.1h ['$' for help]\r\n";
 
 fn power_up(path: &Path) -> (Simulator, String) {
@@ -81,7 +81,7 @@ fn a_wrong_bit_costs_one_value_at_most() {
         damaged[bit / 8] ^= 1 << (bit % 8);
         fs::write(&path, damaged).unwrap();
         let (mut mill, said) = power_up(&path);
-        assert!(said.ends_with(&format!("{WELCOME}{TOLD}")), "bit {bit}: {said}");
+        assert!(said.ends_with(&format!("{WELCOME}{DAMAGED}")), "bit {bit}: {said}");
         let after = listing(&mut mill);
         assert_eq!(before.len(), after.len());
         let other: Vec<_> = before.iter().zip(&after).filter(|(a, b)| a != b).collect();
@@ -104,11 +104,11 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
     for (image, homing) in [(homing, false), (image, false)] {
         fs::write(&path, image).unwrap();
         let (mut mill, said) = power_up(&path);
-        assert_eq!(said, format!("{WELCOME}{TOLD}"));
+        assert_eq!(said, format!("{WELCOME}{DAMAGED}"));
         mill.send("?");
         assert!(mill.take_output().starts_with("<Alarm|"));
         // Senders begin with `$X` and `$H`, but neither unlocks motion.
-        let refused = format!("{TOLD}error:7\r\n");
+        let refused = format!("{DAMAGED}error:7\r\n");
         assert_eq!(say(&mut mill, "$X"), refused);
         assert_eq!(say(&mut mill, "$22=1"), "ok\r\n");
         assert_eq!(say(&mut mill, "$H"), refused, "{homing}");
@@ -126,23 +126,23 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
         // A reset makes the list count as unread, because another user may be present who has not seen it.
         mill.send([0x18]);
         mill.run_until_idle();
-        assert_eq!(mill.take_output(), format!("{WELCOME}{TOLD}"));
+        assert_eq!(mill.take_output(), format!("{WELCOME}{DAMAGED}"));
         wait(&mut mill, 5_000);
         assert_eq!(say(&mut mill, "$X"), refused);
         mill.connect();
-        assert_eq!(mill.take_output(), format!("{WELCOME}{TOLD}"));
+        assert_eq!(mill.take_output(), format!("{WELCOME}{DAMAGED}"));
         assert_eq!(say(&mut mill, "$SLP"), "ok\r\n[MSG:Sleeping]\r\n");
         mill.send([0x18]);
         mill.run_until_idle();
-        assert_eq!(mill.take_output(), format!("{WELCOME}{TOLD}"));
+        assert_eq!(mill.take_output(), format!("{WELCOME}{DAMAGED}"));
         assert_eq!(say(&mut mill, "$X"), refused);
         // Not even `$RST` clears the damage.
-        assert!(say(&mut mill, "$RST=#").ends_with(&format!("{WELCOME}{TOLD}")));
+        assert!(say(&mut mill, "$RST=#").ends_with(&format!("{WELCOME}{DAMAGED}")));
         assert_eq!(mill.machine().pulses(), [0; 3]);
         // After a power cycle, the damage is reported again.
         drop(mill);
         let (mut mill, said) = power_up(&path);
-        assert_eq!(said, format!("{WELCOME}{TOLD}"));
+        assert_eq!(said, format!("{WELCOME}{DAMAGED}"));
         say(&mut mill, "$$");
         wait(&mut mill, 2_000);
         let said = say(&mut mill, "$X");
@@ -173,7 +173,7 @@ fn settings_are_mended_before_they_are_confirmed() {
     assert_eq!(say(&mut mill, "$100=80"), "ok\r\n");
     drop(mill);
     let (mut mill, said) = power_up(&path);
-    assert_eq!(said, format!("{WELCOME}{TOLD}"));
+    assert_eq!(said, format!("{WELCOME}{DAMAGED}"));
     let list = say(&mut mill, "$$");
     assert!(list.contains("$100=80.000\r\n") && list.contains("$101=81.000\r\n"), "{list}");
 }
@@ -186,7 +186,7 @@ fn a_power_cut_in_the_confirmation_is_no_harm() {
     let path = folder.path().join("s");
     let mut damaged = stored(&path, &["$100=80", "$101=81", "G10L2P1X1", "$N0=G21", "$22=1"]);
     damaged[13] ^= 2;
-    let (mut told, mut clean) = (0, 0);
+    let (mut reported, mut clean) = (0, 0);
     for operations in 0.. {
         fs::write(&path, &damaged).unwrap();
         let (mut mill, _) = power_up(&path);
@@ -198,11 +198,11 @@ fn a_power_cut_in_the_confirmation_is_no_harm() {
         drop(mill);
         let (mut mill, said) = power_up(&path);
         let lock = "[MSG:'$H'|'$X' to unlock]\r\n";
-        assert!(said == format!("{WELCOME}{lock}") || said == format!("{WELCOME}{TOLD}"), "{said}");
+        assert!(said == format!("{WELCOME}{lock}") || said == format!("{WELCOME}{DAMAGED}"), "{said}");
         if said.ends_with(lock) {
             clean += 1
         } else {
-            told += 1
+            reported += 1
         }
         let list = listing(&mut mill).join("\n");
         for line in ["$101=81.000", "[G54:1.000,0.000,0.000]", "$N0=G21", "$100=250.000"] {
@@ -212,5 +212,5 @@ fn a_power_cut_in_the_confirmation_is_no_harm() {
             break;
         }
     }
-    assert!(told > 10 && clean >= 1, "{told} {clean}");
+    assert!(reported > 10 && clean >= 1, "{reported} {clean}");
 }

@@ -374,11 +374,11 @@ fn a_host_that_waits_for_room_is_not_silent() {
     mill.run_until_idle();
     mill.take_output();
     mill.send("G4 P1\n".repeat(120));
-    let mut hear = |seconds| {
+    let mut output_after = |seconds| {
         mill.run_for(Duration::from_secs(seconds));
         mill.take_output()
     };
-    let (waits, alone) = (hear(60), hear(120));
+    let (waits, alone) = (output_after(60), output_after(120));
     assert!(waits.matches("ok").count() > 55 && !waits.contains("silent"), "{waits}");
     assert!(alone.contains("[MSG:The host is silent]"), "{alone}");
 }

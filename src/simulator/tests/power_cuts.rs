@@ -91,7 +91,7 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
     let mut dice = Dice(2_463_534_242);
     let mut store = Store::with_sectors_of(SECTOR);
     let mut last = Vec::new();
-    let (mut old, mut new, mut cuts, mut moves, mut told) = (0, 0, 0, 0, 0);
+    let (mut old, mut new, mut cuts, mut moves, mut reported) = (0, 0, 0, 0, 0);
     for session in 0..SESSIONS {
         let commands: Vec<String> = (0..COMMANDS).map(|_| dice.command()).collect();
         let begin = store.clone();
@@ -133,7 +133,7 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
             cuts += 1;
             // The store reports an interrupted write as damage only if the record's last word lacks bits of just one
             // byte: see the store's own tests.
-            told += u32::from(again.controller().is_store_damaged());
+            reported += u32::from(again.controller().is_store_damaged());
             if before != after {
                 old += u32::from(found == *before);
                 new += u32::from(found == *after);
@@ -145,7 +145,7 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
         }
     }
     println!("{cuts} cuts: {old} left the old, {new} the new; {moves} moves to the other sector");
-    assert!(cuts > 1_000 && 500 * told < cuts, "{told} of {cuts} cuts are told as damage");
+    assert!(cuts > 1_000 && 500 * reported < cuts, "{reported} of {cuts} cuts are told as damage");
     assert!(old > 500 && new > 0 && moves > 5);
 }
 

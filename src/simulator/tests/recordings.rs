@@ -73,7 +73,7 @@ fn apply(mill: &mut Simulator, input: &Input) {
         Input::Disconnect => mill.disconnect(),
         Input::Host(bytes) => mill.send(bytes),
         Input::Pin(line) => assert_eq!(mill.pin_line(line), "ok"),
-        Input::At(_) | Input::Job | Input::Told(_) => {}
+        Input::At(_) | Input::Job | Input::Report(_) => {}
     }
 }
 

@@ -5,7 +5,7 @@ use oxmill_controller::gcode::Interpreter;
 use oxmill_controller::units::{Coordinate, Decimal};
 use oxmill_simulator::boards::AXES;
 use oxmill_simulator::power_up::apply_setting;
-use oxmill_simulator::resume::{Begin, Resumed, Wish, resume};
+use oxmill_simulator::resume::{Begin, ResumeRequest, Resumed, resume};
 use oxmill_simulator::{Options, Simulator};
 
 fn machine(settings: &[&str]) -> Simulator {
@@ -16,12 +16,12 @@ fn machine(settings: &[&str]) -> Simulator {
     simulator
 }
 
-fn wish(line: u64) -> Wish {
-    Wish { begin: Begin::Line(line), clearance: None, plunge: None, spin_up: 3 }
+fn request(line: u64) -> ResumeRequest {
+    ResumeRequest { begin: Begin::Line(line), clearance: None, plunge: None, spin_up: 3 }
 }
 
-fn resumed(settings: &[&str], job: &str, wish: &Wish) -> Result<Resumed, String> {
-    resume(&machine(settings), "job.nc", job.as_bytes(), wish)
+fn resumed(settings: &[&str], job: &str, request: &ResumeRequest) -> Result<Resumed, String> {
+    resume(&machine(settings), "job.nc", job.as_bytes(), request)
 }
 
 /// For each step event: the step bits, the direction bits, and the step counters of X, Y and Z and of A. Then the final
@@ -55,7 +55,7 @@ fn compare_all(settings: &[&str], program: &str, elsewhere: &str, other_way: &[u
     let mut refused = Vec::new();
     for line in 1..=lines.len() {
         let front = lines[..line - 1].join("\n");
-        let rest = match resumed(settings, program, &wish(line as u64)) {
+        let rest = match resumed(settings, program, &request(line as u64)) {
             Ok(resumed) => resumed,
             Err(why) => {
                 refused.push((line as u64, why));
@@ -192,7 +192,7 @@ M2";
 #[test]
 fn a_laser_is_off_until_it_is_there_and_z_stays_where_it_is() {
     let program = "G21 G90\nG0 X5 Y5\nM4 S300\nG1 X10 F900\nY10\nG1 X0 S0\nM5\nG0 X0 Y0\n";
-    let rest = resumed(&["32=1"], program, &wish(5)).unwrap();
+    let rest = resumed(&["32=1"], program, &request(5)).unwrap();
     assert_eq!(rest.prologue, ["G21 G90 G94 G17 G54", "M5 M9", "G0 X10 Y5", "G1 F900", "M4 S300"]);
     assert!(compare_all(&["32=1"], program, "G91 G0 X1.7 Y-2.3\nG90", &[]).is_empty());
 }
@@ -211,7 +211,7 @@ fn circles_round_the_tool_go_on() {
         "G21 G90\nG0 Z5\nG0 X3 Y4\nG1 Z-1 F100\nG13 I2 F300\nG2 X7 Y4 I2 J0\nG12 I1\nX3 Y4 I-2\nG0 Z5\nG12 I1\nM2";
     assert_eq!(compare_all(&[], program, "G91 G0 X1.7 Y-2.3 Z4.9\nG90", &[]), []);
     let bore = "G21 G90\nG0 Z5\nG1 Z-1 F100\nG12 I5 F300\nG1 Z-2\nG12 I5\n";
-    let why = resumed(&[], bore, &wish(5)).unwrap_err();
+    let why = resumed(&[], bore, &request(5)).unwrap_err();
     assert!(why.contains("where X is"), "{why}");
 }
 
@@ -220,12 +220,13 @@ fn circles_round_the_tool_go_on() {
 fn the_way_to_the_place_is_over_the_work() {
     let program = "G21 G90\nG0 Z5\nG0 X1 Y1\nM3 S1000\nG1 Z-2 F120\nX9 F800\nY9\nG0 Z5\nM2\n";
     let expected = ["G21 G90 G94 G17 G54", "M5 M9", "G0 Z5", "G0 X9 Y1", "M3 S1000", "G4 P3", "G1 Z-2 F120", "G1 F800"];
-    assert_eq!(resumed(&[], program, &wish(7)).unwrap().prologue, expected);
-    let other = Wish { clearance: Some(Coordinate(75_000_000)), plunge: Some(Decimal(600_000_000)), ..wish(7) };
+    assert_eq!(resumed(&[], program, &request(7)).unwrap().prologue, expected);
+    let other =
+        ResumeRequest { clearance: Some(Coordinate(75_000_000)), plunge: Some(Decimal(600_000_000)), ..request(7) };
     let prologue = resumed(&[], program, &other).unwrap().prologue;
     assert_eq!((prologue[2].as_str(), prologue[6].as_str()), ("G0 Z7.5", "G1 Z-2 F60"));
     assert_eq!(
-        resumed(&[], program, &wish(7)).unwrap().program,
+        resumed(&[], program, &request(7)).unwrap().program,
         format!("(job.nc from line 7 on)\n{}\nY9\nG0 Z5\nM2\n", expected.join("\n")).into_bytes()
     );
 }
@@ -233,17 +234,19 @@ fn the_way_to_the_place_is_over_the_work() {
 #[test]
 fn a_line_is_found_by_its_number() {
     let program = "G21 G90\r\nN5 G0 Z5\r\n/ n 10 X1\r\nN20 X2\r\n";
-    let at = |number| resumed(&[], program, &Wish { begin: Begin::Number(number), ..wish(0) }).map(|rest| rest.line);
+    let at = |number| {
+        resumed(&[], program, &ResumeRequest { begin: Begin::Number(number), ..request(0) }).map(|rest| rest.line)
+    };
     assert_eq!((at(10), at(20)), (Ok(3), Ok(4)));
     assert!(at(30).unwrap_err().contains("no line has N30"));
-    assert!(resumed(&[], program, &wish(0)).unwrap_err().contains("there is no line 0"));
-    assert!(resumed(&[], program, &wish(5)).unwrap_err().contains("the job has 4"));
+    assert!(resumed(&[], program, &request(0)).unwrap_err().contains("there is no line 0"));
+    assert!(resumed(&[], program, &request(5)).unwrap_err().contains("the job has 4"));
 }
 
 #[test]
 fn what_cannot_be_known_is_refused() {
     let refused = |program: &str, line, word: &str| {
-        let why = resumed(&[], program, &wish(line)).unwrap_err();
+        let why = resumed(&[], program, &request(line)).unwrap_err();
         assert!(why.contains(word), "{program}: {why}");
     };
     refused("G21 G91\nG0 X5\nX5\n", 3, "where X is");
@@ -271,22 +274,22 @@ fn curves_of_control_points() {
         let curve = format!("G5.2 P1{order}\nX1 Y2 P1\nX3 Y4 P1\nX5 Y0 P1\nG5.3");
         format!("G21 G90 G0 X0 Y0 Z5\nG1 Z0 F100\n{curve}\nG1 X10\nX20\n")
     };
-    let behind = resumed(&[], &job(" L4"), &wish(9)).unwrap();
+    let behind = resumed(&[], &job(" L4"), &request(9)).unwrap();
     assert_eq!(behind.prologue.last().map(String::as_str), Some("G1 F100"), "{behind:?}");
-    let why = resumed(&[], &job(" L4"), &wish(4)).unwrap_err();
+    let why = resumed(&[], &job(" L4"), &request(4)).unwrap_err();
     assert!(why.contains("control points are being read"), "{why}");
     let closed = "G21 G90 G0 X0 Y0 Z5\nG1 Z0 F100\nG5.2 P1 L3\nX1 Y2 P1\nX3 Y4 P1\nX0 Y0 P1\nG5.3\nG1 Z-1\nX20\n";
-    assert!(resumed(&[], closed, &wish(8)).is_ok(), "a curve that is done, in front of a line at its first point");
+    assert!(resumed(&[], closed, &request(8)).is_ok(), "a curve that is done, in front of a line at its first point");
     // Order 3 (`L3`) is the default of G5.2, so the job can be resumed there.
-    assert!(resumed(&[], &job(" L3"), &wish(4)).is_ok());
+    assert!(resumed(&[], &job(" L3"), &request(4)).is_ok());
 }
 
 /// Neither homing nor limits of travel prevent resuming.
 #[test]
 fn limits_of_travel_do_not_hinder_it() {
     let program = "G21 G90\nG0 Z5\nG0 X300 Y1\nG1 Z-2 F120\nX9 F800\nY9\n";
-    let free = resumed(&[], program, &wish(6)).unwrap();
-    assert_eq!(resumed(&["22=1", "20=1", "21=1"], program, &wish(6)).unwrap(), free);
+    let free = resumed(&[], program, &request(6)).unwrap();
+    assert_eq!(resumed(&["22=1", "20=1", "21=1"], program, &request(6)).unwrap(), free);
 }
 
 /// `resume` does not change the store of the machine that it is given.
@@ -294,7 +297,7 @@ fn limits_of_travel_do_not_hinder_it() {
 fn the_machine_is_as_it_was() {
     let simulator = machine(&[]);
     let (image, program) = (simulator.store().image(), b"G10 L2 P1 X5\nG21 G90 G0 Z1\nX1\nX2\n");
-    resume(&simulator, "a", program, &wish(4)).unwrap();
+    resume(&simulator, "a", program, &request(4)).unwrap();
     assert!(image == simulator.store().image());
 }
 
@@ -420,29 +423,29 @@ fn programs_at_random_go_on() {
 #[test]
 fn what_may_have_to_be_cut_is_not_reached_by_a_rapid() {
     let program = "G21 G90\nG0 Z5\nG0 X0 Y0\nM3 S1000\nG0 Z-5\nG1 X50 F800\nX100\nG0 Z5\n";
-    let why = resumed(&[], program, &wish(7)).unwrap_err();
+    let why = resumed(&[], program, &request(7)).unwrap_err();
     assert!(why.contains("--plunge"), "{why}");
-    let slow = Wish { plunge: Some(Decimal(600_000_000)), ..wish(7) };
+    let slow = ResumeRequest { plunge: Some(Decimal(600_000_000)), ..request(7) };
     assert_eq!(resumed(&[], program, &slow).unwrap().prologue[6..], ["G1 Z-5 F60", "G1 F800"]);
-    assert_eq!(resumed(&[], program, &wish(6)).unwrap().prologue[6..], ["G0 Z-5", "G0"]);
+    assert_eq!(resumed(&[], program, &request(6)).unwrap().prologue[6..], ["G0 Z-5", "G0"]);
 }
 
 /// The feed rate of a ramp is a cutting feed, not a plunge feed.
 #[test]
 fn a_plunge_is_a_move_straight_down() {
     let program = "G21 G90\nG0 Z5\nG0 X0 Y0\nG1 Z0 F100\nX50 Z-1 F3000\nX90 Z-2\nG0 Z5\n";
-    assert_eq!(resumed(&[], program, &wish(7)).unwrap().prologue[4..], ["G1 Z-2 F100", "G1 F3000"]);
+    assert_eq!(resumed(&[], program, &request(7)).unwrap().prologue[4..], ["G1 Z-2 F100", "G1 F3000"]);
     let ramps = program.replace("G1 Z0", "G1 X1 Z0");
-    assert!(resumed(&[], &ramps, &wish(7)).unwrap_err().contains("--plunge"));
+    assert!(resumed(&[], &ramps, &request(7)).unwrap_err().contains("--plunge"));
 }
 
 /// The tool travels at the highest Z of the job. If the job has travelled at an unknown Z, the clearance must be given.
 #[test]
 fn the_clearance_is_the_highest_height_or_must_be_said() {
     let retract = "G21 G90\nG0 Z5\nG0 X1 Y1\nG1 Z-1 F100\nX5\nG1 Z20\nX9\nZ-1\nX12\n";
-    assert_eq!(resumed(&[], retract, &wish(8)).unwrap().prologue[2..4], ["G0 Z20", "G0 X9 Y1"]);
-    assert_eq!(resumed(&[], retract, &wish(9)).unwrap().prologue[2..4], ["G0 Z20", "G0 X9 Y1"]);
-    let low = Wish { clearance: Some(Coordinate(100_000_000)), ..wish(8) };
+    assert_eq!(resumed(&[], retract, &request(8)).unwrap().prologue[2..4], ["G0 Z20", "G0 X9 Y1"]);
+    assert_eq!(resumed(&[], retract, &request(9)).unwrap().prologue[2..4], ["G0 Z20", "G0 X9 Y1"]);
+    let low = ResumeRequest { clearance: Some(Coordinate(100_000_000)), ..request(8) };
     assert!(resumed(&[], retract, &low).unwrap_err().contains("below the place"));
     for unknown in [
         "G21 G90\nG53 G0 Z-5\nG0 X1 Y1\nG0 Z2\nG1 Z-1 F100\nX5\nX6\n",
@@ -451,9 +454,9 @@ fn the_clearance_is_the_highest_height_or_must_be_said() {
         "G21 G90\nG0 Z9\nX1 Y1\nG55 G0 Z2\nX3 Y3\nX6\n",
     ] {
         let line = unknown.lines().count() as u64;
-        let why = resumed(&[], unknown, &wish(line)).unwrap_err();
+        let why = resumed(&[], unknown, &request(line)).unwrap_err();
         assert!(why.contains("travels at a Z that is not known") && why.contains("Z2: say"), "{unknown}{why}");
-        let high = Wish { clearance: Some(Coordinate(300_000_000)), ..wish(line) };
+        let high = ResumeRequest { clearance: Some(Coordinate(300_000_000)), ..request(line) };
         assert_eq!(resumed(&[], unknown, &high).unwrap().prologue[2], "G0 Z30");
     }
 }
@@ -462,25 +465,25 @@ fn the_clearance_is_the_highest_height_or_must_be_said() {
 #[test]
 fn the_spindle_goes_no_higher_than_in_the_job() {
     let program = "G21 G90\nG0 Z100\nX1 Y1\nG43.1 Z60\nG0 Z15\nG1 Z-1 F100\nX5\nX6\n";
-    assert!(resumed(&[], program, &wish(8)).unwrap_err().contains("the spindle would be higher at Z100"));
-    let said = Wish { clearance: Some(Coordinate(150_000_000)), ..wish(8) };
+    assert!(resumed(&[], program, &request(8)).unwrap_err().contains("the spindle would be higher at Z100"));
+    let said = ResumeRequest { clearance: Some(Coordinate(150_000_000)), ..request(8) };
     assert_eq!(resumed(&[], program, &said).unwrap().prologue[2..4], ["G43.1 Z60", "G0 Z15"]);
     let lower = program.replace("Z100", "Z14");
-    assert_eq!(resumed(&[], &lower, &wish(8)).unwrap().prologue[3], "G0 Z15");
+    assert_eq!(resumed(&[], &lower, &request(8)).unwrap().prologue[3], "G0 Z15");
 }
 
 /// G98 would retract to the Z at which the cycles began, and this Z is within the work.
 #[test]
 fn cycles_that_began_in_the_work_do_not_go_on() {
     let program = "G21 G90\nG0 Z5\nG0 X1\nG1 Z-3 F100\nG98 G81 X2 Z-5 R2\nX3\nX4\n";
-    assert!(resumed(&[], program, &wish(7)).unwrap_err().contains("below their R"));
+    assert!(resumed(&[], program, &request(7)).unwrap_err().contains("below their R"));
 }
 
 /// Results of probing and inputs are not known, and neither is anything that depends on them.
 #[test]
 fn what_probes_and_inputs_tell_is_not_known() {
     let refused = |program: &str, word: &str| {
-        let why = resumed(&[], program, &wish(program.lines().count() as u64)).unwrap_err();
+        let why = resumed(&[], program, &request(program.lines().count() as u64)).unwrap_err();
         assert!(why.contains(word), "{program}: {why}");
     };
     refused("G21 G90\nG0 Z5\nG38.3 Z-10 F100\nG92 Z0\nG0 Z5\nX5\nX6\n", "line 3 probes");
@@ -490,14 +493,14 @@ fn what_probes_and_inputs_tell_is_not_known() {
     refused("G21 G90\nF[#5420*10+100]\nG0 Z5\nX1\nX2\n", "a modal state");
     refused("$C\nG21 G90\nG0 X1\nX2\n", "check mode");
     // Here, no later line uses the result of M66.
-    assert!(resumed(&[], "G21 G90\nG0 Z5\nG0 X1\nM66 P0 L0\nX2\nX3\n", &wish(6)).is_ok());
+    assert!(resumed(&[], "G21 G90\nG0 Z5\nG0 X1\nM66 P0 L0\nX2\nX3\n", &request(6)).is_ok());
 }
 
 #[test]
 fn outputs_of_the_program_are_on_again() {
     let program = "G21 G90\nG0 Z5\nG0 X1\nM62 P2\nM64 P3\nG1 X2 F100\nX3\n";
-    assert!(resumed(&[], program, &wish(6)).unwrap_err().contains("M62"));
-    let prologue = resumed(&[], program, &wish(7)).unwrap().prologue;
+    assert!(resumed(&[], program, &request(6)).unwrap_err().contains("M62"));
+    let prologue = resumed(&[], program, &request(7)).unwrap().prologue;
     assert_eq!(prologue[2..], ["G0 Z5", "G0 X2", "M64 P2", "M64 P3", "G1 F100"]);
 }
 
@@ -516,7 +519,7 @@ fn a_curve_that_goes_on_from_one_in_front_is_refused() {
         ("G5.1 X4 Y0 I1 J1\nG5.2 X1 Y1 P1 L3\nX4 P1\nX5 P2\nG5.3\n", None),
         ("G0 X4 (G5 X4)\nG4 P1\nM2\nG5 X8 P1 Q1\n", None),
     ] {
-        let resumed = resumed(&[], &format!("{front}{rest}"), &wish(6));
+        let resumed = resumed(&[], &format!("{front}{rest}"), &request(6));
         let why = resumed.err();
         let word = line.map(|line| format!("line {line} (G5 without I and J)"));
         let is_right =
@@ -524,14 +527,14 @@ fn a_curve_that_goes_on_from_one_in_front_is_refused() {
         assert!(is_right, "{rest}: {why:?}");
     }
     let mode = "G21 G90\nG0 Z5\nG0 X0 Y0\nG5 X2 Y2 I1 J0 P-1 Q0 F100\nX4 I1 J0 P1 Q1\nX9 P0 Q1\n";
-    assert!(resumed(&[], mode, &wish(5)).is_ok());
+    assert!(resumed(&[], mode, &request(5)).is_ok());
 }
 
 /// Simulating a slower plunge would take hours, and Grbl does not support it either.
 #[test]
 fn a_plunge_is_not_slower_than_grbl_goes() {
     let program = "G21 G90\nG0 Z5\nG0 X1\nG1 Z-1 F100\nX5\nX6\n";
-    let plunge = |feed| resumed(&[], program, &Wish { plunge: Some(Decimal(feed)), ..wish(6) });
+    let plunge = |feed| resumed(&[], program, &ResumeRequest { plunge: Some(Decimal(feed)), ..request(6) });
     for feed in [0, 1, 9_999_999] {
         assert!(plunge(feed).unwrap_err().contains("1 mm/min"));
     }
@@ -543,13 +546,13 @@ fn a_plunge_is_not_slower_than_grbl_goes() {
 /// them.
 #[test]
 fn what_matters_not_does_not_hinder() {
-    assert!(resumed(&[], "$H\nG21 G90\nG0 Z5\nX1\n", &wish(4)).is_ok());
-    assert!(resumed(&[], "G21 G90\nG0 Z5\n$H\nX1\n", &wish(4)).is_err());
+    assert!(resumed(&[], "$H\nG21 G90\nG0 Z5\nX1\n", &request(4)).is_ok());
+    assert!(resumed(&[], "G21 G90\nG0 Z5\n$H\nX1\n", &request(4)).is_err());
     let arc = "G21 G90\nG0 Z5\nG0 X0 Y0\nG2 X2 I1 F100\nM0\n/2 X4 I1\nX6 I1\n";
-    let rest = resumed(&[], arc, &wish(5)).unwrap();
+    let rest = resumed(&[], arc, &request(5)).unwrap();
     assert!(rest.program.ends_with(b"M0\n/2 G2 X4 I1\nX6 I1\n"), "{}", String::from_utf8_lossy(&rest.program));
     let feed = "G21 G90\nG0 Z5\nG0 X0 Y0\nG1 Z1 F300\nF100\nG93\nG94\nM8\nX3 F90\n";
-    assert!(resumed(&[], feed, &wish(8)).is_ok());
+    assert!(resumed(&[], feed, &request(8)).is_ok());
     let curve = "G21 G90\nG0 Z5\nG0 X0 Y0\nG5 X2 Y2 I1 J0 P-1 Q0 F100\nG2 I1\nG5 X4 Y0 P1 Q1\n";
-    assert!(resumed(&[], curve, &wish(5)).unwrap_err().contains("curve"));
+    assert!(resumed(&[], curve, &request(5)).unwrap_err().contains("curve"));
 }

@@ -68,7 +68,7 @@ impl Beam {
     }
 
     /// Delays all queued changes by `by` ticks.
-    pub fn put_off(&mut self, by: u32) {
+    pub fn delay(&mut self, by: u32) {
         for (at, _) in self.marks.iter_mut() {
             *at = at.wrapping_add(by);
         }

@@ -39,7 +39,7 @@ impl Begins {
     }
 
     /// Delays all start times by `by` ticks.
-    pub fn put_off(&mut self, by: u32) {
+    pub fn delay(&mut self, by: u32) {
         for moment in &mut self.moments {
             *moment = moment.wrapping_add(by);
         }

@@ -111,8 +111,8 @@ impl Maker {
         let second = SecondMotor {
             axis: wiring.ganged,
             inverted: wiring.ganged_invert,
-            stands: wiring.ganged_motors == GangedMotors::First,
-            first_stands: wiring.ganged_motors == GangedMotors::Second,
+            gets_no_steps: wiring.ganged_motors == GangedMotors::First,
+            first_gets_no_steps: wiring.ganged_motors == GangedMotors::Second,
         };
         self.output.set_polarity(wiring.step_invert, wiring.direction_invert, second);
         self.output.set_pulse(wiring.pulse_tenths);
@@ -124,7 +124,7 @@ impl Maker {
     /// Loads queued messages while the stepper has room.
     #[inline(always)]
     pub fn receive(&mut self) {
-        while self.stepper.wants() && self.receive_one() {}
+        while self.stepper.has_room() && self.receive_one() {}
     }
 
     #[inline(never)]
@@ -148,12 +148,12 @@ impl Maker {
 
     /// Delays by `by` ticks: all ticks to come, and the start times and power changes of generated segments that have
     /// not begun. Does not change the events in the queue of the output.
-    pub fn put_off(&mut self, by: u32) {
+    pub fn delay(&mut self, by: u32) {
         self.stepper.begin_at(self.stepper.moment().wrapping_add(by));
         self.last = self.last.wrapping_add(by);
         self.free_from = self.free_from.wrapping_add(by);
-        self.begins.put_off(by);
-        self.beam.put_off(by);
+        self.begins.delay(by);
+        self.beam.delay(by);
     }
 
     /// Subtracts the segments that have not begun from the stepper's count of begun segments. Call after a stop.

@@ -189,8 +189,8 @@ impl Step {
                 self.maker.begins.clear();
             }
             let by = self.maker.output.begin(self.maker.one_by_one);
-            self.put_off(moment, by);
-            self.count_anew();
+            self.delay(moment, by);
+            self.clear_deadline_when_ahead();
             self.maker.beam.arm(&mut self.maker.output);
         } else if is_late && !is_all {
             // No event is queued yet. Delay the motion, so that the next run can generate an event, or more segments
@@ -198,7 +198,7 @@ impl Step {
             let waits = self.latest.is_none() && self.maker.stepper.lacks_segment();
             let by = if waits { START_TICKS } else { IN_TIME_TICKS };
             self.state = State::Preparing(moment.wrapping_add(by));
-            self.put_off(moment, by);
+            self.delay(moment, by);
         }
         self.call_again();
     }
@@ -206,11 +206,11 @@ impl Step {
     /// Delays the motion by `by` ticks: all ticks to come, and the times noted for the segments that have not begun.
     /// (Events already queued have been delayed by [`StepOutput::begin`].) If the first tick, due at `moment`, would
     /// then be too late for the motors, aborts the motion instead.
-    fn put_off(&mut self, moment: u32, by: u32) {
+    fn delay(&mut self, moment: u32, by: u32) {
         if self.latest.is_some_and(|latest| (latest.wrapping_sub(moment.wrapping_add(by)) as i32) < 0) {
             self.ran_dry();
         } else if by != 0 {
-            self.maker.put_off(by);
+            self.maker.delay(by);
         }
     }
 
@@ -238,7 +238,7 @@ impl Step {
             self.state = State::Ending;
         } else {
             self.make(now);
-            self.count_anew();
+            self.clear_deadline_when_ahead();
         }
         self.call_again_here();
     }
@@ -265,7 +265,7 @@ impl Step {
     /// Clears `latest`, the deadline of a resumed motion, once enough events are queued again. So the next late event
     /// gets a deadline of its own.
     #[inline(always)]
-    fn count_anew(&mut self) {
+    fn clear_deadline_when_ahead(&mut self) {
         if self.maker.output.ahead() >= LEAST_EVENTS {
             self.latest = None;
         }
@@ -336,8 +336,8 @@ impl Step {
     #[cold]
     fn resume(&mut self) {
         let planned = self.maker.stepper.moment();
-        // If the motion was resumed before, and has not had enough events queued since ([`Step::count_anew`]), it keeps
-        // its earlier deadline.
+        // If the motion was resumed before, and has not had enough events queued since
+        // ([`Step::clear_deadline_when_ahead`]), it keeps its earlier deadline.
         let latest = planned.wrapping_add(MOST_LATE_STEPS.wrapping_mul(self.maker.stepper.step_interval()));
         self.latest = Some(self.latest.unwrap_or(latest));
         // The start of the output needs `IN_TIME_TICKS`. Add the time for one more run of this task and the pause after
@@ -449,21 +449,21 @@ impl Step {
     /// of that run already takes queued segments into account. So a message is urgent only if a segment is needed and
     /// none is queued.
     #[inline(always)]
-    fn wants_message(&self) -> bool {
+    fn needs_message(&self) -> bool {
         let Maker { stepper, one_by_one, .. } = &self.maker;
         match self.state {
             State::Running | State::Preparing(_) if !one_by_one => self.maker.is_out_of_segments(),
-            _ => stepper.wants(),
+            _ => stepper.has_room(),
         }
     }
 
     /// Publishes the state to the other tasks, updates the laser power, and sends reports.
     #[inline(always)]
     fn tell(&mut self) {
-        let (is_preparing, wants) = (self.is_preparing(), self.wants_message());
+        let (is_preparing, needs_message) = (self.is_preparing(), self.needs_message());
         let Maker { stepper, output, begins, beam, .. } = &mut self.maker;
         STEP.segments_begun.store(stepper.segments_begun().wrapping_sub(begins.len()), Ordering::Relaxed);
-        STEP.wants.store(u8::from(wants), Ordering::Relaxed);
+        STEP.needs_message.store(u8::from(needs_message), Ordering::Relaxed);
         let (is_rest, is_ending) = (self.state == State::Rest, self.state == State::Ending);
         let is_dark = (is_rest || is_ending) && stepper.is_shut();
         if beam.show(output, is_rest, is_dark) && !is_preparing {

@@ -84,7 +84,7 @@ impl Model {
             self.switch_off();
         }
         self.mode = Mode::Critical;
-        self.work = self.work.take().map(|_| Work::Owed);
+        self.work = self.work.take().map(|_| Work::Unanswered);
     }
 
     fn stop_at_once(&mut self, alarm: u8, also: &mut Vec<Model>) {

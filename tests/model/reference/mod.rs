@@ -89,7 +89,7 @@ enum Work {
     /// `$H`.
     Homing,
     /// An alarm has ended the activity; the line is answered at the reset.
-    Owed,
+    Unanswered,
 }
 
 #[derive(Clone, Debug, PartialEq)]

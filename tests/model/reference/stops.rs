@@ -174,7 +174,7 @@ impl Model {
 
     pub(super) fn wait_for_reset(&mut self) {
         self.mode = Mode::Critical;
-        self.work = self.work.take().map(|_| Work::Owed);
+        self.work = self.work.take().map(|_| Work::Unanswered);
         self.switch_off();
     }
 

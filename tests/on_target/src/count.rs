@@ -654,7 +654,7 @@ fn unit_line(controller: &mut Whole, line: &[u8], segments_begun: u32) -> Outcom
         }
     }
     loop {
-        let observed = Observed { segments_begun, step_idle: false, rx_free: 0, received: 1, heard: 0 };
+        let observed = Observed { segments_begun, step_idle: false, rx_free: 0, received: 1, activity: 0 };
         controller.observe(observed);
         match &controller.output(now, Room { step: true, reply: true }) {
             Some(Output::Step(ToStep::Block { .. })) => {

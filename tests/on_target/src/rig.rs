@@ -171,7 +171,7 @@ impl Pump<AXES> for Rig {
             step_idle: self.is_idle(),
             rx_free: free as u16,
             received: u16::from(free == 0),
-            heard: 0,
+            activity: 0,
         }
     }
 
@@ -199,7 +199,7 @@ impl Pump<AXES> for Rig {
     }
 
     fn room(&mut self) -> Room {
-        Room { step: self.stepper.wants(), reply: true }
+        Room { step: self.stepper.has_room(), reply: true }
     }
 
     fn carry(&mut self, output: Output) {

@@ -60,7 +60,7 @@ mod suite {
         let mut stepper: Stepper<3> = Stepper::new();
         let load = |stepper: &mut Stepper<3>,
                     receive: &mut rtic_sync::channel::Receiver<'_, ToStep, SEGMENTS_DEPTH>| {
-            while stepper.wants()
+            while stepper.has_room()
                 && let Ok(message) = receive.try_recv()
             {
                 stepper.load(message);

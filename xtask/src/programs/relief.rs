@@ -35,13 +35,13 @@ pub fn write(out: &mut dyn Write) -> Result<()> {
     w.text("S10000 M3")?;
     w.line_to("G0", [None, None, Some(CLEAR)], None)?;
     w.line_to("G0", [Some(0), Some(0), None], None)?;
-    w.line_to("G1", [None, None, Some(depth(0, 0))], Some(PLUNGE))?;
+    w.line_to("G1", [None, None, Some(height(0, 0))], Some(PLUNGE))?;
     for row in 0..=HEIGHT / ROW {
         let y = row * ROW;
         let points = WIDTH / POINT;
         for point in 0..=points {
             let x = if row % 2 == 0 { point } else { points - point } * POINT;
-            w.line_to("G1", [Some(x), Some(y), Some(depth(x, y))], Some(FEED))?;
+            w.line_to("G1", [Some(x), Some(y), Some(height(x, y))], Some(FEED))?;
         }
     }
     w.line_to("G0", [None, None, Some(CLEAR)], None)?;
@@ -51,7 +51,7 @@ pub fn write(out: &mut dyn Write) -> Result<()> {
 }
 
 /// Returns the height of the surface at a point, µm: 0 at the top of the stock and negative below.
-fn depth(x: i64, y: i64) -> i64 {
+fn height(x: i64, y: i64) -> i64 {
     let (u, v) = (x - WIDTH / 2, y - HEIGHT / 2);
     let ground = -3_200 * NM;
     // A frame along the edge: level for 2 mm, at 1.2 mm below the top of the stock, then 2 mm of slope to the ground.
@@ -89,7 +89,7 @@ mod tests {
     #[test]
     fn the_surface_lies_within_the_stock_and_has_relief() {
         let heights: Vec<i64> =
-            (0..=WIDTH / 500).flat_map(|i| (0..=HEIGHT / 500).map(move |j| depth(i * 500, j * 500))).collect();
+            (0..=WIDTH / 500).flat_map(|i| (0..=HEIGHT / 500).map(move |j| height(i * 500, j * 500))).collect();
         assert!(heights.iter().all(|h| (-3_201..=0).contains(h)));
         assert!(heights.iter().max() > Some(&-600) && heights.iter().min() < Some(&-3_000));
     }

@@ -21,7 +21,7 @@ struct Reader {
     machine: [f64; AXES],
     /// Whether the position is unknown, because the last move was a spline, of which `rs274` prints only the number of
     /// control points.
-    is_place_untold: bool,
+    is_place_unknown: bool,
     /// Feed rate, mm/min.
     rate: f64,
     /// Whether G93 is active.
@@ -41,7 +41,7 @@ pub struct Settings<'a> {
     /// Whether lines that start with a slash are skipped.
     pub deletes_blocks: bool,
     /// Whether to report messages, stops and the rates of G93.
-    pub is_told_all: bool,
+    pub reports_all: bool,
 }
 
 /// Runs a file through `rs274` and returns its events. Each process needs its own `home`, where it keeps a tool table.
@@ -64,15 +64,15 @@ pub fn interpret(home: &Path, file: &Path, settings: &Settings) -> Result<Outcom
         // call.
         let Some((_, numbered)) = line.trim_start().split_once(" N") else {
             // A line without a call can be what `(PRINT, ...)` in the program outputs.
-            if settings.is_told_all && line.starts_with(super::STATE) {
+            if settings.reports_all && line.starts_with(super::STATE) {
                 reader.events.push(Event::Message(line.into()));
             }
             continue;
         };
         if let Some((_, call)) = numbered.split_once(' ') {
             reader.call(call.trim()).ok_or_else(|| format!("not understood: {line}"))?;
-            if settings.is_told_all {
-                reader.tell(call.trim()).ok_or_else(|| format!("not understood: {line}"))?;
+            if settings.reports_all {
+                reader.record_other(call.trim()).ok_or_else(|| format!("not understood: {line}"))?;
             }
         }
     }
@@ -141,7 +141,7 @@ impl Reader {
             }
             "NURBS_FEED" => {
                 self.events.push(Event::Spline(arguments.split(',').next()?.parse().ok()?));
-                self.is_place_untold = true;
+                self.is_place_unknown = true;
             }
             "DWELL" => self.events.push(Event::Dwell(arguments.parse().ok()?)),
             _ => {}
@@ -150,7 +150,7 @@ impl Reader {
     }
 
     /// Records what [`Self::call`] leaves out: messages, program stops and the rates of G93. Called after it.
-    fn tell(&mut self, call: &str) -> Option<()> {
+    fn record_other(&mut self, call: &str) -> Option<()> {
         let (name, arguments) = call.strip_suffix(')')?.split_once('(')?;
         match name {
             "COMMENT" if arguments.contains("feed mode set to") => self.is_inverse_time = arguments.contains("inverse"),
@@ -180,12 +180,12 @@ impl Reader {
     fn go(&mut self, to: [f64; AXES], event: Event) {
         let machine = self.machine(to);
         let is_move = machine.iter().zip(self.machine).any(|(a, b)| (a - b).abs() > NO_MOVE);
-        self.has_moved = is_move || self.is_place_untold;
+        self.has_moved = is_move || self.is_place_unknown;
         if self.has_moved {
             self.events.push(event);
         }
         self.machine = machine;
-        self.is_place_untold = false;
+        self.is_place_unknown = false;
     }
 
     fn arc(&mut self, arguments: &str) -> Option<()> {
@@ -199,7 +199,7 @@ impl Reader {
         self.events.push(Event::Arc(end, [centre_first, centre_second], turns));
         self.has_moved = true;
         self.machine = self.machine(end);
-        self.is_place_untold = false;
+        self.is_place_unknown = false;
         Some(())
     }
 }

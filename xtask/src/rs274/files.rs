@@ -8,7 +8,7 @@ use super::canon::Settings;
 use super::ours::Mill;
 use super::{Event, canon};
 use crate::Failure;
-use oxmill_controller::gcode::{Direction, Flow, Held, HeldLine, Interpreter, split_remark};
+use oxmill_controller::gcode::{Direction, Flow, Held, HeldLine, Interpreter, split_comment};
 use oxmill_controller::protocol::line_filter::{self, Line, LineRules, Pushed};
 use std::collections::BTreeMap;
 use std::fs;
@@ -96,7 +96,7 @@ fn collect(path: &Path, files: &mut Vec<PathBuf>) -> Result<(), Failure> {
 /// Runs a program through both interpreters. Returns the verdict with its reason, and the number of Oxmill's events.
 pub fn judge(home: &Path, file: &Path, text: &[u8]) -> Result<(&'static str, String, usize), Failure> {
     let tools: String = TOOLS.map(|tool| format!("T{tool} P{tool}\n")).collect();
-    let theirs = canon::interpret(home, file, &Settings { tools: &tools, deletes_blocks: false, is_told_all: false })?;
+    let theirs = canon::interpret(home, file, &Settings { tools: &tools, deletes_blocks: false, reports_all: false })?;
     let ours = interpret(text);
     let alike = ours.events.iter().zip(&theirs.events).take_while(|(a, b)| a.is_as(b)).count();
     let (mine, others) = (ours.events.len(), theirs.events.len());
@@ -125,7 +125,7 @@ fn interpret(text: &[u8]) -> Ours {
     let rules = || LineRules {
         length: line_filter::LENGTH,
         merge_crlf: true,
-        nested_remarks: false,
+        nested_comments: false,
         expressions: true,
         block_delete: false,
     };
@@ -190,7 +190,7 @@ impl Program {
             match self.interpreter().next_held(&mut held).map_err(tell)? {
                 Held::Line => {
                     let line = held.clone();
-                    let (words, _) = split_remark(&line);
+                    let (words, _) = split_comment(&line);
                     if !words.is_empty() && self.carry_out(words)? {
                         return Ok(true);
                     }

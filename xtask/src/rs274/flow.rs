@@ -172,14 +172,14 @@ pub fn batch(seed: u64, programs: usize, deletes_blocks: bool) -> Batch {
 /// slash of block delete, in upper case.
 pub fn without_blanks(line: &str) -> String {
     let mut text = String::new();
-    let mut in_remark = false;
+    let mut in_comment = false;
     for letter in line.chars() {
         match letter {
-            '(' => in_remark = true,
-            ')' => in_remark = false,
-            ';' if !in_remark => break,
+            '(' => in_comment = true,
+            ')' => in_comment = false,
+            ';' if !in_comment => break,
             '/' if text.is_empty() => {}
-            _ if in_remark || letter.is_whitespace() => {}
+            _ if in_comment || letter.is_whitespace() => {}
             _ => text.push(letter.to_ascii_uppercase()),
         }
     }

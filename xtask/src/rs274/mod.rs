@@ -232,7 +232,7 @@ fn one_batch(home: &Path, batch: usize, seed: u64, programs: usize) -> Result<Fo
     };
     let (lines, ours) = (written.lines, written.outcome);
     let file = write(home, &lines)?;
-    let settings = canon::Settings { tools: "T1 P1\nT2 P2\nT7 P7\n", deletes_blocks, is_told_all: has_flow };
+    let settings = canon::Settings { tools: "T1 P1\nT2 P2\nT7 P7\n", deletes_blocks, reports_all: has_flow };
     let mut theirs = canon::interpret(home, &file, &settings)?;
     if has_flow {
         theirs.refused = theirs.refused.map(|line| flow::without_blanks(&line));

@@ -20,7 +20,7 @@ pub struct Mill {
     /// End position of the most recent event, machine coordinates.
     place: [f64; AXES],
     /// Whether no event has this position, because the most recent event was a spline.
-    is_place_untold: bool,
+    is_place_unknown: bool,
     /// Whether a move of the most recent line is so short that rounding decides if there is a move at all.
     is_doubtful: bool,
 }
@@ -35,7 +35,7 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
 
 impl Mill {
     pub fn new() -> Mill {
-        Mill { interpreter: Interpreter::default(), place: [0.0; AXES], is_place_untold: false, is_doubtful: false }
+        Mill { interpreter: Interpreter::default(), place: [0.0; AXES], is_place_unknown: false, is_doubtful: false }
     }
 
     /// Returns whether rounding decides if the most recent line has a move.
@@ -122,19 +122,19 @@ impl Mill {
                 let turns = i64::from(arc.turns) + 1;
                 events.push(Event::Arc(end, centre, if arc.clockwise { -turns } else { turns }));
                 self.place = mm(&arc.target);
-                self.is_place_untold = false;
+                self.is_place_unknown = false;
             }
             MotionCommand::Spline(spline) => {
                 let is_cubic = matches!(checked.modal().motion, MotionMode::Spline(SplineKind::Cubic));
                 events.push(Event::Spline(if is_cubic { 4 } else { 3 }));
                 // `rs274` does not print where the spline ends; the move after the spline shows it.
                 self.place = mm(&spline.target);
-                self.is_place_untold = true;
+                self.is_place_unknown = true;
             }
             MotionCommand::Nurbs(nurbs) => {
                 events.push(Event::Spline(self.interpreter.control_points().len() as u8));
                 self.place = mm(&nurbs.target);
-                self.is_place_untold = true;
+                self.is_place_unknown = true;
             }
             MotionCommand::Cycle(mut cycle) => {
                 let mut is_first = true;
@@ -195,12 +195,12 @@ impl Mill {
         let way = machine.iter().zip(self.place).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         let is_move = way > NO_MOVE;
         self.is_doubtful |= (way - NO_MOVE).abs() < TOLERANCE;
-        if is_move || std::mem::take(&mut self.is_place_untold) {
+        if is_move || std::mem::take(&mut self.is_place_unknown) {
             let work = self.relative(to);
             events.push(if rapid { Event::Rapid(work) } else { Event::Feed(work) });
         }
         self.place = machine;
-        self.is_place_untold = false;
+        self.is_place_unknown = false;
     }
 }
 

@@ -502,7 +502,7 @@ impl Writer {
         let l = self.one_of(&["L1", "L10", "L11"]);
         let which = self.below(10);
         if matches!(which, 3 | 8) {
-            self.move_all();
+            self.rapid_xyz();
             self.is_tool_named = false;
         }
         let line = match which {
@@ -522,7 +522,7 @@ impl Writer {
 
     /// Writes a rapid of X, Y and Z. Needed before M6 and M61, where the machine stub of `rs274` forgets changes of
     /// offsets since the last move.
-    fn move_all(&mut self) {
+    fn rapid_xyz(&mut self) {
         let (x, y, z) = (self.coordinate(), self.coordinate(), self.coordinate());
         self.put(format!("G0 X{x} Y{y} Z{z}"));
     }
@@ -542,7 +542,7 @@ impl Writer {
             16 => format!("M66 E{number} L{wait} Q1"),
             17 => format!("M66 P{number}"),
             18 => {
-                self.move_all();
+                self.rapid_xyz();
                 self.is_tool_named = true;
                 let tool = self.one_of(&["1", "2", "7"]);
                 format!("M61 Q{tool}")

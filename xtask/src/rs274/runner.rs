@@ -3,7 +3,7 @@
 use super::Event;
 use super::ours::Mill;
 use oxmill_controller::error::Error;
-use oxmill_controller::gcode::{AS_WRITTEN, Direction, Flow, Held, HeldLine, WITH_VALUES, split_remark};
+use oxmill_controller::gcode::{AS_WRITTEN, Direction, Flow, Held, HeldLine, WITH_VALUES, split_comment};
 use oxmill_controller::protocol::line_filter::{self, Line, LineRules, Pushed};
 
 /// Runs programs one after the other on one machine.
@@ -33,7 +33,7 @@ impl Runner {
         let rules = || LineRules {
             length: line_filter::LENGTH,
             merge_crlf: true,
-            nested_remarks: false,
+            nested_comments: false,
             expressions: true,
             block_delete,
         };
@@ -47,21 +47,21 @@ impl Runner {
             }
         }
         let words = line.text().to_vec();
-        let mut remark = Vec::new();
+        let mut comment = Vec::new();
         if let Some((has_values, text)) = line.message() {
-            remark.push(if has_values { WITH_VALUES } else { AS_WRITTEN });
-            remark.extend_from_slice(text);
+            comment.push(if has_values { WITH_VALUES } else { AS_WRITTEN });
+            comment.extend_from_slice(text);
         }
-        self.take(&words, &remark, events)
+        self.take(&words, &comment, events)
     }
 
-    fn take(&mut self, words: &[u8], remark: &[u8], events: &mut Vec<Event>) -> Result<(), Refusal> {
+    fn take(&mut self, words: &[u8], comment: &[u8], events: &mut Vec<Event>) -> Result<(), Refusal> {
         let refused = |error| Refusal { line: String::from_utf8_lossy(words).into_owned(), error };
         if words.first() == Some(&b'%') {
             return self.mill.interpreter().tape_mark().map_err(refused);
         }
-        match self.mill.interpreter().direct(words, remark, self.lines).map_err(refused)? {
-            Direction::Check => self.carry_out(words, remark, events),
+        match self.mill.interpreter().direct(words, comment, self.lines).map_err(refused)? {
+            Direction::Check => self.carry_out(words, comment, events),
             Direction::Run | Direction::Call => self.run_held(words, events),
             Direction::Done | Direction::LeftOut => Ok(()),
         }
@@ -72,10 +72,10 @@ impl Runner {
         loop {
             let next = self.mill.interpreter().next_held(&mut held);
             let line = held.clone();
-            let (text, remark) = split_remark(&line);
+            let (text, comment) = split_comment(&line);
             let at = if text.is_empty() { words } else { text };
             match next {
-                Ok(Held::Line) => self.carry_out(text, remark, events)?,
+                Ok(Held::Line) => self.carry_out(text, comment, events)?,
                 Ok(Held::Again) => {}
                 Ok(Held::End) => return Ok(()),
                 Err(error) => return Err(Refusal { line: String::from_utf8_lossy(at).into_owned(), error }),
@@ -83,7 +83,7 @@ impl Runner {
         }
     }
 
-    fn carry_out(&mut self, words: &[u8], remark: &[u8], events: &mut Vec<Event>) -> Result<(), Refusal> {
+    fn carry_out(&mut self, words: &[u8], comment: &[u8], events: &mut Vec<Event>) -> Result<(), Refusal> {
         if !words.is_empty() {
             let line = String::from_utf8_lossy(words).into_owned();
             let (made, flow) = self.mill.carry_out(&line).map_err(|error| Refusal { line, error })?;
@@ -94,7 +94,7 @@ impl Runner {
                 Flow::None | Flow::End => {}
             }
         }
-        if let Some((mark, written)) = remark.split_first() {
+        if let Some((mark, written)) = comment.split_first() {
             let mut told = HeldLine::new();
             if *mark == WITH_VALUES {
                 self.mill.interpreter().expand(written, &mut told);

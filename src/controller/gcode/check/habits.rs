@@ -73,10 +73,11 @@ impl<const N: usize> Draft<'_, N> {
         Ok(point)
     }
 
-    /// Whether D is the only unused word of the line and is allowed there: on a line with G40 or G43 to G49, or alone,
-    /// but not beside G12 and G13. If so, stores in the action whether D names the radius of a tool.
+    /// Takes D if it is the only unused word of the line and is allowed there: on a line with G40 or G43 to G49, or
+    /// alone, but not beside G12 and G13. Stores in the action whether D names the radius of a tool. Returns whether D
+    /// was taken.
     #[inline(never)]
-    pub(super) fn is_radius_register(&mut self) -> Result<bool, Error> {
+    pub(super) fn take_radius_register(&mut self) -> Result<bool, Error> {
         let mut others = self.line.values;
         others.remove(Letters::of(b"DN"));
         let is_alone = others.is_empty() && self.line.groups == Groups::default();

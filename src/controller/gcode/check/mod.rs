@@ -248,7 +248,7 @@ impl<const N: usize> Draft<'_, N> {
         if self.claim != Claim::Nobody {
             self.unused.remove(Letters::of(b"XYZABC"));
         }
-        if self.unused.is_empty() || FULL_IMAGE && self.is_radius_register()? {
+        if self.unused.is_empty() || FULL_IMAGE && self.take_radius_register()? {
             return Ok(());
         }
         self.action.unused.fill(self.unused);

@@ -57,9 +57,9 @@ impl<const N: usize> Interpreter<N> {
     /// Explains a line that belongs to no program and to no subprogram.
     #[inline(never)]
     fn explain_place(&self, line: &[u8], order: Option<OWord>, out: &mut Reason) {
-        if let Some(lacking) = self.computed.overflow.so_far() {
+        if let Some(excess) = self.computed.overflow.so_far() {
             say(out, "% finds no room either: ", &[line]);
-            let _ = write!(out, "{lacking} bytes of the program are too many so far; $X ends this");
+            let _ = write!(out, "{excess} bytes of the program are too many so far; $X ends this");
             return;
         }
         match order.map(|order| order.keyword) {

@@ -22,8 +22,8 @@
 use super::m_words::has_m_word;
 use super::modal_calls::ModalCall;
 use crate::error::Error;
+use crate::gcode::comment::split_comment;
 use crate::gcode::program_number::behind_line_number;
-use crate::gcode::remark::split_remark;
 use crate::lent::Lent;
 
 /// Capacity of the held text on hosts, in bytes. Boards have their own (`held_bytes` in `boards/profiles.rs`), which is
@@ -51,7 +51,7 @@ pub(super) const PASSES: u32 = 100_000;
 /// Return position of a call from the stream: after the call, the program continues with the host's next line.
 pub(super) const STREAM: u16 = u16::MAX;
 
-/// A line of held text: its words, followed by its message, which begins with a mark (`(` or `;`, see `split_remark`).
+/// A line of held text: its words, followed by its message, which begins with a mark (`(` or `;`, see `split_comment`).
 pub type HeldLine = heapless::Vec<u8, 256>;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -128,7 +128,7 @@ impl<'a> OWord<'a> {
     /// Reads the O word of a line; ignores the line's message. Returns `None` for every other line, including a number
     /// without a keyword, such as `O1000`. The label may be an expression.
     pub(super) fn of(line: &'a [u8]) -> Option<OWord<'a>> {
-        let (line, _) = split_remark(line);
+        let (line, _) = split_comment(line);
         let line = behind_line_number(line);
         let Some(mut text) = line.strip_prefix(b"O") else { return Self::without_o(line) };
         // Leading zeros do not count: O0100 is O100.
@@ -510,15 +510,15 @@ impl FlowControl {
     }
 
     /// Appends a line and its message to the held text, if `spare` bytes remain free after it.
-    pub(super) fn hold(&mut self, line: &[u8], remark: &[u8], spare: usize) -> Result<(), Error> {
-        let length = line.len() + remark.len();
+    pub(super) fn hold(&mut self, line: &[u8], comment: &[u8], spare: usize) -> Result<(), Error> {
+        let length = line.len() + comment.len();
         let prefix = u8::try_from(length).map_err(|_| Error::OutOfMemory)?;
         if self.text.len() + 1 + length + spare > self.most {
             return Err(Error::OutOfMemory);
         }
         let _ = self.text.push(prefix);
         self.text.extend_from_slice(line).map_err(|_| Error::OutOfMemory)?;
-        self.text.extend_from_slice(remark).map_err(|_| Error::OutOfMemory)
+        self.text.extend_from_slice(comment).map_err(|_| Error::OutOfMemory)
     }
 
     /// Finds a subroutine of the program or, if it has none with this label, a complete subroutine among the macros.
@@ -641,10 +641,10 @@ impl FlowControl {
         Ok(())
     }
 
-    /// Starts to execute the held text at `at`. `of_loop`: start of a text that was stored only for this execution (see
-    /// [`FlowState::Running`]).
-    pub(super) fn run(&mut self, at: u16, of_loop: Option<u16>) {
-        self.state = FlowState::Running(of_loop);
+    /// Starts to execute the held text at `at`. `temporary_from`: start of a text that was stored only for this
+    /// execution (see [`FlowState::Running`]).
+    pub(super) fn run(&mut self, at: u16, temporary_from: Option<u16>) {
+        self.state = FlowState::Running(temporary_from);
         self.next = at;
         self.below = self.frames.len() as u8;
         self.passes = 0;
@@ -688,8 +688,8 @@ impl FlowControl {
     /// Stops executing the held text, whether or not it has reached its end, and closes the blocks and calls within it.
     /// Removes the text if it was stored only for this execution.
     pub fn stop(&mut self) {
-        if let FlowState::Running(of_loop) = self.state {
-            if let Some(at) = of_loop {
+        if let FlowState::Running(temporary_from) = self.state {
+            if let Some(at) = temporary_from {
                 self.text.truncate(usize::from(at));
             }
             while self.frames.len() > usize::from(self.below) {

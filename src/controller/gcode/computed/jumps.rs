@@ -8,8 +8,8 @@
 
 use super::flow::{FlowControl, FlowState, FrameKind, HeldLine, Keyword, OWord};
 use crate::error::Error;
+use crate::gcode::comment::split_comment;
 use crate::gcode::direction::Held;
-use crate::gcode::remark::split_remark;
 use crate::gcode::state::Interpreter;
 
 impl<const N: usize> Interpreter<N> {
@@ -22,7 +22,7 @@ impl<const N: usize> Interpreter<N> {
             line.clear();
             return Ok(Held::Again);
         }
-        let (words, _) = split_remark(line);
+        let (words, _) = split_comment(line);
         let start = words.len() - order.label.len();
         line.copy_within(start.., 0);
         line.truncate(line.len() - start);

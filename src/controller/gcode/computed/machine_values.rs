@@ -36,8 +36,8 @@ impl<const N: usize> Interpreter<N> {
     /// has six decimals. The formats `%d` (no decimals), `%f` (four) and `%.2f` (two) apply to all values after them,
     /// and are removed from the text. A name that is not set becomes `######`. Assignments of the line being checked
     /// are already in effect here. Text beyond the capacity of `out` is cut off.
-    pub fn expand<const LENGTH: usize>(&self, remark: &[u8], out: &mut heapless::Vec<u8, LENGTH>) {
-        let (mut rest, mut places) = (remark, 6);
+    pub fn expand<const LENGTH: usize>(&self, comment: &[u8], out: &mut heapless::Vec<u8, LENGTH>) {
+        let (mut rest, mut places) = (comment, 6);
         while let Some((byte, behind)) = rest.split_first() {
             if let (b'%', Some((wanted, after))) = (*byte, format(behind)) {
                 (rest, places) = (after, wanted);

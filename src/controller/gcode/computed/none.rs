@@ -133,7 +133,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Returns `None`: no program is held.
-    pub fn lacking_bytes(&self) -> Option<usize> {
+    pub fn excess_bytes(&self) -> Option<usize> {
         None
     }
 
@@ -206,8 +206,8 @@ impl<const N: usize> Interpreter<N> {
     pub fn set_input_read(&mut self, _: Option<bool>) {}
 
     /// Copies the message unchanged: there are no parameters.
-    pub fn expand<const LENGTH: usize>(&self, remark: &[u8], out: &mut heapless::Vec<u8, LENGTH>) {
-        for byte in remark {
+    pub fn expand<const LENGTH: usize>(&self, comment: &[u8], out: &mut heapless::Vec<u8, LENGTH>) {
+        for byte in comment {
             let _ = out.push(*byte);
         }
     }

@@ -21,12 +21,12 @@ type Label = heapless::Vec<u8, LABELS>;
 const RESTORE: &[u8] = b"M72";
 
 impl<const N: usize> Interpreter<N> {
-    /// Returns what to do with a line of the host. `number` is the number of lines received up to this one. `remark` is
-    /// the line's message with its mark (see `split_remark`); `line` is empty if the line consists of a message alone.
-    /// If an error is returned, no part of the line has been executed. If the value of a condition cannot be computed,
-    /// none of its branches will run.
+    /// Returns what to do with a line of the host. `number` is the number of lines received up to this one. `comment`
+    /// is the line's message with its mark (see `split_comment`); `line` is empty if the line consists of a message
+    /// alone. If an error is returned, no part of the line has been executed. If the value of a condition cannot be
+    /// computed, none of its branches will run.
     #[inline]
-    pub fn direct(&mut self, line: &[u8], remark: &[u8], number: u32) -> Result<Direction, Error> {
+    pub fn direct(&mut self, line: &[u8], comment: &[u8], number: u32) -> Result<Direction, Error> {
         self.computed.begin();
         let flow = &mut self.computed.flow;
         flow.line = number;
@@ -42,7 +42,7 @@ impl<const N: usize> Interpreter<N> {
         }
         flow.of_host = true;
         let order = flow.order_of(line);
-        self.direct_order(line, remark, order)
+        self.direct_order(line, comment, order)
     }
 
     /// Begins the call of a subroutine from a startup line, which does not belong to the host's program. The lines of
@@ -116,7 +116,7 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    fn direct_order(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
+    fn direct_order(&mut self, line: &[u8], comment: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
         if self.computed.flow.records()
             && order.is_none()
             && !is_jump(line)
@@ -125,20 +125,20 @@ impl<const N: usize> Interpreter<N> {
         {
             // The words before M98 or M99 are held as a line of their own.
             self.direct_part(words, &[], None)?;
-            return self.direct_part(call, remark, OWord::of(call));
+            return self.direct_part(call, comment, OWord::of(call));
         }
-        self.direct_part(line, remark, order)
+        self.direct_part(line, comment, order)
     }
 
     /// Decides what to do with a line, or with one part of a line that `split_call` has split. Records it if it belongs
     /// to a subroutine or loop, and executes its O word.
-    fn direct_part(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
-        if let Some(directed) = self.direct_subprogram(line, remark, order) {
+    fn direct_part(&mut self, line: &[u8], comment: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
+        if let Some(directed) = self.direct_subprogram(line, comment, order) {
             return directed;
         }
         self.look_for_end(line, order)?;
         if let FlowState::Recording(from, error) = self.computed.flow.state {
-            return self.record(line, remark, order, from, error);
+            return self.record(line, comment, order, from, error);
         }
         let flow = &mut self.computed.flow;
         if flow.skipping && !order.is_some_and(|order| order.ends_skipping() && flow.is_of_last(order.label)) {
@@ -151,7 +151,7 @@ impl<const N: usize> Interpreter<N> {
                 self.note_number(line);
             }
             if has_modal_call {
-                return self.direct_before_modal_call(line, remark);
+                return self.direct_before_modal_call(line, comment);
             }
             return Ok(Direction::Check);
         };
@@ -165,13 +165,13 @@ impl<const N: usize> Interpreter<N> {
                 return Ok(Direction::Call);
             }
             Keyword::CallProgram | Keyword::CallMacro | Keyword::BeginModalCall | Keyword::Then => {
-                return self.run_call(&[], line, remark, &order);
+                return self.run_call(&[], line, comment, &order);
             }
             Keyword::GoTo => return Err(Error::NotSupported),
             Keyword::Back => return Err(self.refuse_rest()),
             Keyword::Sub | Keyword::Do | Keyword::While | Keyword::Repeat => {
                 let from = flow.text.len() as u16;
-                let held = order.must_be_well_formed().and_then(|()| flow.hold(line, remark, 0));
+                let held = order.must_be_well_formed().and_then(|()| flow.hold(line, comment, 0));
                 flow.state = FlowState::Recording(from, held.err());
                 flow.recorded_from = flow.line;
                 if held.is_err() {
@@ -193,7 +193,7 @@ impl<const N: usize> Interpreter<N> {
     fn record(
         &mut self,
         line: &[u8],
-        remark: &[u8],
+        comment: &[u8],
         order: Option<OWord>,
         from: u16,
         error: Option<Error>,
@@ -206,7 +206,7 @@ impl<const N: usize> Interpreter<N> {
         let strange = strange || order.is_some_and(|order| !order.is_well_formed());
         let error = match error {
             None if strange => Some(Error::FlowSyntax),
-            None => flow.hold(line, remark, SPARE).err(),
+            None => flow.hold(line, comment, SPARE).err(),
             error => error,
         };
         flow.state = match ends {

@@ -15,7 +15,7 @@ struct Excess {
     /// Length that the held text would have in bytes if every line so far had been stored.
     held: usize,
     /// Number of bytes by which `held`, with [`SPARE`] bytes left free, exceeds the capacity of the held text.
-    lacking: usize,
+    bytes: usize,
     /// Number of digits in the O number of the subprogram whose lines are being counted; 0 for lines of the main
     /// program.
     digits: usize,
@@ -36,7 +36,7 @@ impl Overflow {
     pub fn begin(&mut self, flow: &FlowControl, length: usize, subprogram: Option<(&[u8], bool)>) {
         for excess in &mut self.0 {
             let (number, is_awaited) = subprogram.unwrap_or_default();
-            *excess = Excess { held: flow.text.len(), lacking: 0, digits: number.len(), is_awaited, counts: true };
+            *excess = Excess { held: flow.text.len(), bytes: 0, digits: number.len(), is_awaited, counts: true };
             excess.add(1 + length, flow.most);
         }
     }
@@ -52,7 +52,7 @@ impl Overflow {
                     excess.digits = number.len();
                     excess.add(1 + line.len() + PROGRAM.len(), flow.most);
                 }
-                // M99 does not raise `lacking`: it is stored as `O`, number and `ENDSUB`, which may use the `SPARE`
+                // M99 does not raise `bytes`: it is stored as `O`, number and `ENDSUB`, which may use the `SPARE`
                 // bytes.
                 None if has_m_word(line, &[b"99"]) => excess.held += 1 + END_OF_SUBPROGRAM + excess.digits,
                 None => excess.add(1 + line.len(), flow.most),
@@ -60,7 +60,7 @@ impl Overflow {
         }
     }
 
-    /// Ends the count of missing bytes, because another program begins. [`Self::lacking`] still returns the sum.
+    /// Ends the count of missing bytes, because another program begins. [`Self::excess`] still returns the sum.
     pub fn end(&mut self) {
         self.0.iter_mut().for_each(|excess| excess.counts = false);
     }
@@ -68,19 +68,19 @@ impl Overflow {
     /// Returns by how many bytes the program is too long so far; `None` if no count of refused lines is in progress.
     #[cfg(feature = "reasons")]
     pub fn so_far(&self) -> Option<usize> {
-        self.0.first().filter(|excess| excess.counts).map(|excess| excess.lacking)
+        self.0.first().filter(|excess| excess.counts).map(|excess| excess.bytes)
     }
 
     /// Returns how many bytes of memory were missing for the most recent held program that did not fit; `None` if all
     /// programs have fit.
-    pub fn lacking(&self) -> Option<usize> {
-        self.0.first().map(|excess| excess.lacking).filter(|lacking| *lacking > 0)
+    pub fn excess(&self) -> Option<usize> {
+        self.0.first().map(|excess| excess.bytes).filter(|bytes| *bytes > 0)
     }
 }
 
 impl Excess {
     fn add(&mut self, length: usize, most: usize) {
         self.held += length;
-        self.lacking = (self.held + SPARE).saturating_sub(most);
+        self.bytes = (self.held + SPARE).saturating_sub(most);
     }
 }

@@ -28,9 +28,9 @@ use super::m_words::find_m_word;
 use super::real::Real;
 use crate::error::Error;
 use crate::gcode::REASONS;
+use crate::gcode::comment::split_comment;
 use crate::gcode::direction::Direction;
 use crate::gcode::program_number::{behind_line_number, has_program_number, number_of, subprogram_number};
-use crate::gcode::remark::split_remark;
 use crate::gcode::state::{Interpreter, ProgramPlace};
 use core::fmt::Write;
 
@@ -77,12 +77,12 @@ impl<const N: usize> Interpreter<N> {
     pub(super) fn direct_subprogram(
         &mut self,
         line: &[u8],
-        remark: &[u8],
+        comment: &[u8],
         order: Option<OWord>,
     ) -> Option<Result<Direction, Error>> {
         match self.computed.flow.state {
-            FlowState::Holding => Some(self.hold_line(line, remark, order)),
-            FlowState::Recording(from, _) => self.is_held().then(|| self.record_subprogram(line, remark, order, from)),
+            FlowState::Holding => Some(self.hold_line(line, comment, order)),
+            FlowState::Recording(from, _) => self.is_held().then(|| self.record_subprogram(line, comment, order, from)),
             FlowState::Running(_) => None,
             FlowState::Waiting | FlowState::Streaming if self.place == ProgramPlace::Subprogram => {
                 subprogram_number(line).map(|label| self.define(label))
@@ -96,14 +96,14 @@ impl<const N: usize> Interpreter<N> {
     /// refused.
     #[cold]
     #[inline(never)]
-    pub fn direct_refused(&mut self, line: &[u8], remark: &[u8], error: Error) -> Result<Direction, Error> {
+    pub fn direct_refused(&mut self, line: &[u8], comment: &[u8], error: Error) -> Result<Direction, Error> {
         let Some((words, call)) = split_call(line) else { return Err(error) };
         match OWord::of(call) {
             Some(order) if order.keyword == Keyword::Back => Err(self.refuse_rest()),
             Some(order)
                 if order.keyword == Keyword::CallProgram && error == Error::NotSupported && !ends_program(words) =>
             {
-                self.run_call(words, call, remark, &order)
+                self.run_call(words, call, comment, &order)
             }
             _ => Err(error),
         }
@@ -117,7 +117,7 @@ impl<const N: usize> Interpreter<N> {
         &mut self,
         words: &[u8],
         call: &[u8],
-        remark: &[u8],
+        comment: &[u8],
         order: &OWord,
     ) -> Result<Direction, Error> {
         if order.keyword != Keyword::Then {
@@ -129,7 +129,7 @@ impl<const N: usize> Interpreter<N> {
         if !words.is_empty() {
             held = flow.hold(words, &[], SPARE);
         }
-        if let Err(error) = held.and_then(|()| flow.hold(call, remark, SPARE)) {
+        if let Err(error) = held.and_then(|()| flow.hold(call, comment, SPARE)) {
             flow.text.truncate(from);
             self.refuse_rest();
             return Err(error);
@@ -141,10 +141,10 @@ impl<const N: usize> Interpreter<N> {
 
     /// Appends a line of the host to the held text, where it runs next. If there is no room, refuses all lines that
     /// follow.
-    pub(super) fn run_line(&mut self, line: &[u8], remark: &[u8]) -> Result<Direction, Error> {
+    pub(super) fn run_line(&mut self, line: &[u8], comment: &[u8]) -> Result<Direction, Error> {
         let flow = &mut self.computed.flow;
         let from = flow.text.len() as u16;
-        if let Err(error) = flow.hold(line, remark, SPARE) {
+        if let Err(error) = flow.hold(line, comment, SPARE) {
             self.refuse_rest();
             return Err(error);
         }
@@ -194,7 +194,7 @@ impl<const N: usize> Interpreter<N> {
     /// or the memory is full, refuses the line and all lines that follow. After the end of the program, the number of a
     /// subprogram begins the definition of that subprogram.
     #[inline(never)]
-    fn hold_line(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
+    fn hold_line(&mut self, line: &[u8], comment: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
         let flow = &mut self.computed.flow;
         let has_ended = flow.after_end;
         if has_ended && let Some(label) = subprogram_number(line) {
@@ -205,8 +205,8 @@ impl<const N: usize> Interpreter<N> {
         if is_next || has_program_number(line) || keyword == Some(Keyword::Back) {
             return Err(self.refuse_rest());
         }
-        if let Err(error) = flow.hold_order(line, remark, order) {
-            self.refuse_held(error, line, remark, None);
+        if let Err(error) = flow.hold_order(line, comment, order) {
+            self.refuse_held(error, line, comment, None);
             return Err(error);
         }
         if !line.is_empty() {
@@ -217,20 +217,20 @@ impl<const N: usize> Interpreter<N> {
 
     /// Refuses a line of a held program or of a subprogram, and all lines that follow. `subprogram`: number of the
     /// subprogram to which the line belongs.
-    fn refuse_held(&mut self, error: Error, line: &[u8], remark: &[u8], subprogram: Option<&[u8]>) {
+    fn refuse_held(&mut self, error: Error, line: &[u8], comment: &[u8], subprogram: Option<&[u8]>) {
         let Computed { flow, overflow, .. } = &mut self.computed;
         if REASONS && error == Error::OutOfMemory && flow.waiting.is_some() {
             let number = |label: &[u8]| label.iter().fold(0, |value, digit| value * 10 + u32::from(digit - b'0'));
             let subprogram = subprogram.map(|label| (label, number(label) == flow.missing));
-            overflow.begin(flow, line.len() + remark.len(), subprogram);
+            overflow.begin(flow, line.len() + comment.len(), subprogram);
         }
         self.refuse_rest();
     }
 
     /// Returns by how many bytes, at least, the most recent held program that did not fit was too long; `None` if all
     /// programs have fit.
-    pub fn lacking_bytes(&self) -> Option<usize> {
-        self.computed.overflow.lacking()
+    pub fn excess_bytes(&self) -> Option<usize> {
+        self.computed.overflow.excess()
     }
 
     /// Begins the definition of a subprogram. If a subprogram with this number exists, or there is no room, refuses
@@ -267,7 +267,7 @@ impl<const N: usize> Interpreter<N> {
     fn record_subprogram(
         &mut self,
         line: &[u8],
-        remark: &[u8],
+        comment: &[u8],
         order: Option<OWord>,
         from: u16,
     ) -> Result<Direction, Error> {
@@ -281,11 +281,11 @@ impl<const N: usize> Interpreter<N> {
             _ if ends => {
                 let label = flow.line(from).and_then(OWord::of).map(|opening| opening.label);
                 let end = line_of(label.unwrap_or_default(), b"ENDSUB");
-                flow.hold(&end, remark, 0)
+                flow.hold(&end, comment, 0)
             }
             order => {
                 flow.count_blocks(from, order);
-                flow.hold_order(line, remark, order)
+                flow.hold_order(line, comment, order)
             }
         };
         if let Err(error) = held {
@@ -293,7 +293,7 @@ impl<const N: usize> Interpreter<N> {
             if REASONS && let Some(opening) = self.computed.flow.line(from).and_then(OWord::of) {
                 let _ = label.extend_from_slice(opening.label);
             }
-            self.refuse_held(error, line, remark, Some(&label));
+            self.refuse_held(error, line, comment, Some(&label));
             return Err(error);
         }
         if !ends {
@@ -359,7 +359,7 @@ impl<const N: usize> Interpreter<N> {
     pub(super) fn note_for_modal_call(&mut self, line: &[u8]) {
         if self.computed.flow.modal.is_active() {
             let level = self.computed.level();
-            let (words, _) = split_remark(line);
+            let (words, _) = split_comment(line);
             self.computed.flow.modal.look_at(words, level);
         }
     }
@@ -377,7 +377,7 @@ impl<const N: usize> Interpreter<N> {
     /// Decides on a line of the host while a modal call is active. If the line moves an axis, appends it to the held
     /// text and runs it there, followed by the call. Otherwise the line is checked as usual.
     #[inline(never)]
-    pub(super) fn direct_before_modal_call(&mut self, line: &[u8], remark: &[u8]) -> Result<Direction, Error> {
+    pub(super) fn direct_before_modal_call(&mut self, line: &[u8], comment: &[u8]) -> Result<Direction, Error> {
         self.note_for_modal_call(line);
         if self.computed.flow.modal.take_due().is_none() {
             return Ok(Direction::Check);
@@ -386,9 +386,9 @@ impl<const N: usize> Interpreter<N> {
             && let Some(order) = OWord::of(call)
             && order.keyword == Keyword::CallProgram
         {
-            return self.run_call(words, call, remark, &order);
+            return self.run_call(words, call, comment, &order);
         }
-        self.run_line(line, remark)
+        self.run_line(line, comment)
     }
 
     /// Reads the words of M98, G65 or G66.
@@ -449,12 +449,12 @@ impl<const N: usize> Interpreter<N> {
 impl FlowControl {
     /// Adds a line of a program or of a subprogram to the held text. Refuses O words that are not allowed there.
     #[inline(never)]
-    fn hold_order(&mut self, line: &[u8], remark: &[u8], order: Option<OWord>) -> Result<(), Error> {
+    fn hold_order(&mut self, line: &[u8], comment: &[u8], order: Option<OWord>) -> Result<(), Error> {
         match order {
             Some(order) if !order.is_well_formed() => Err(Error::FlowSyntax),
             Some(OWord { keyword: Keyword::Sub | Keyword::EndSub, .. }) => Err(Error::FlowSyntax),
             None if is_jump(line) => Err(Error::NotSupported),
-            _ => self.hold(line, remark, SPARE),
+            _ => self.hold(line, comment, SPARE),
         }
     }
 

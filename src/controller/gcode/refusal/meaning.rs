@@ -82,7 +82,7 @@ impl<const N: usize> Interpreter<N> {
             }
             Error::ToolLengthAxis => say(out, "G43.1 takes Z and no other axis in Grbl's dialect", &[]),
             Error::ToolNumberTooHigh => {
-                let letter = if line.modal_is_tool_word() { b'Q' } else { b'P' };
+                let letter = if line.has_m61() { b'Q' } else { b'P' };
                 say(out, "% is too high: tools go up to ", &[line.word(letter)]);
                 digits(out, TOOL_MAX as u64, 1);
             }
@@ -197,7 +197,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         letters
     }
 
-    fn modal_is_tool_word(&self) -> bool {
+    fn has_m61(&self) -> bool {
         self.parsed.extended.tool_number
     }
 

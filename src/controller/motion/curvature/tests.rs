@@ -94,12 +94,12 @@ fn limits<const N: usize>(history: &History<N>, new: &Span<N>, rule: &TurnRule<N
         let both_single = new.blocks == 1 && old.blocks == 1;
         if new.straight && old.straight && !(index == 0 && both_single) {
             let all2 = turn2(&old.direction, &new.direction);
-            if let Some((turn2, sine)) = certain(all2, old.noise + new.noise) {
-                let radius = (between + old.half() + new.half()) * radius_of(turn2, sine);
+            if let Some((turn2, half_cosine)) = certain(all2, old.noise + new.noise) {
+                let radius = (between + old.half() + new.half()) * radius_of(turn2, half_cosine);
                 let moving = rule.moving(&old.direction, &new.direction);
                 let bend2 = rule.in_plane(&old.direction, &new.direction, all2, moving) * rule.curve_share * radius;
                 let across = rule.across(&old.direction, &new.direction, square_root(all2));
-                let junction2 = if turn2 > REVERSAL { 0.0 } else { rule.junction2(across, sine, turn2) };
+                let junction2 = if turn2 > REVERSAL { 0.0 } else { rule.junction2(across, half_cosine, turn2) };
                 let single2 = (0.5 * (square_root(junction2) + square_root(junction2 + 4.0 * bend2))).powi(2);
                 let speed2 = if both_single { single2 } else { junction2 + bend2 };
                 if speed2 < fast2 {
@@ -114,7 +114,7 @@ fn limits<const N: usize>(history: &History<N>, new: &Span<N>, rule: &TurnRule<N
 
 /// For many turns, checks that the limits found are those of the complete rule, at speeds close to these limits.
 /// Returns in how many cases a limit was found, and in how many `surely_allows` excluded all limits in advance.
-fn ask<const N: usize>(random: &mut Random, count: u32) -> (u32, u32) {
+fn check_turns<const N: usize>(random: &mut Random, count: u32) -> (u32, u32) {
     let (mut limited, mut left_out) = (0, 0);
     for _ in 0..count {
         let rule = random.rule::<N>();
@@ -173,7 +173,7 @@ fn ask<const N: usize>(random: &mut Random, count: u32) -> (u32, u32) {
 #[test]
 fn no_turn_that_limits_is_left_out_in_advance() {
     let mut random = Random(0x2545_F491_4F6C_DD1D);
-    for (limited, left_out) in [ask::<3>(&mut random, 60_000), ask::<6>(&mut random, 60_000)] {
+    for (limited, left_out) in [check_turns::<3>(&mut random, 60_000), check_turns::<6>(&mut random, 60_000)] {
         assert!(limited > 10_000 && (left_out > 1000 || !LEAVES_OUT), "{limited} {left_out}");
     }
 }

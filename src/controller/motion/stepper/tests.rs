@@ -128,7 +128,7 @@ proptest! {
         let mut waiting = chords.iter().peekable();
         let (mut out, mut undone, mut directions) = ([0; 3], [0; 3], 0);
         for at in 0..done + ahead {
-            if stepper.wants() && let Some((steps_by_axis, directions)) = waiting.next() {
+            if stepper.has_room() && let Some((steps_by_axis, directions)) = waiting.next() {
                 stepper.load(ToStep::Block { steps_by_axis: *steps_by_axis, directions: *directions });
                 let ticks = (Measure::of(steps_by_axis).total >> MAX_LEVEL).max(1) as u16;
                 let flags = Segment::FLAG_NEW_BLOCK | if waiting.peek().is_none() { Segment::FLAG_LAST } else { 0 };

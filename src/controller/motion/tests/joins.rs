@@ -116,7 +116,7 @@ fn a_raster_changes_its_power_where_the_program_does() {
     }
     assert!(motion.queued_blocks() < 80, "{}", motion.queued_blocks());
     motion.start();
-    let mut observed = Observed { segments_begun: 0, step_idle: false, rx_free: 0, received: 1, heard: 0 };
+    let mut observed = Observed { segments_begun: 0, step_idle: false, rx_free: 0, received: 1, activity: 0 };
     let mut units = 0;
     while let Some(message) = motion.next(&observed) {
         let ToStep::Segment(segment) = message else { continue };
@@ -137,18 +137,18 @@ struct Machine {
     scales: [f32; 3],
     core_xy: bool,
     jerk: f32,
-    slack: f32,
+    backlash: f32,
 }
 
 impl Machine {
     fn any() -> impl Strategy<Value = Machine> {
         let scale = || prop::sample::select(vec![40.0_f32, 80.0, 250.0, 400.0, 1000.0]);
         (prop::array::uniform3(scale()), any::<bool>(), any::<bool>(), any::<bool>()).prop_map(
-            |(scales, core_xy, jerk, slack)| Machine {
+            |(scales, core_xy, jerk, backlash)| Machine {
                 scales: if core_xy { [scales[0], scales[0], scales[2]] } else { scales },
                 core_xy,
                 jerk: if jerk { 20_000.0 } else { 0.0 },
-                slack: if slack { 0.05 } else { 0.0 },
+                backlash: if backlash { 0.05 } else { 0.0 },
             },
         )
     }
@@ -158,7 +158,7 @@ impl Machine {
         config.steps_per_mm = PerAxis(self.scales.map(|scale| StepsPerMm::new(scale).unwrap()));
         config.acceleration = PerAxis([500.0, 400.0, 50.0]);
         config.jerk = PerAxis::all(self.jerk);
-        config.backlash = PerAxis::all(self.slack);
+        config.backlash = PerAxis::all(self.backlash);
         if self.core_xy {
             config.arrangement = Arrangement::CoreXy;
         }
@@ -243,7 +243,7 @@ proptest! {
         }
         rig.run();
         prop_assert!(rig.events.is_empty());
-        if machine.slack == 0.0 {
+        if machine.backlash == 0.0 {
             let mut corners = vec![[0.0; 3]];
             corners.extend(points.iter().map(|point| machine.motors(*point)));
             let mut at = [0.0; 3];

@@ -7,9 +7,9 @@ mod arcs;
 #[cfg(feature = "full")]
 mod blends;
 mod bounds;
+mod deferred_pass;
 mod jobs;
 mod joins;
-mod put_off;
 mod ramps;
 mod rig;
 mod single_moves;

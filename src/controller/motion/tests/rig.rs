@@ -139,7 +139,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
             step_idle: self.stepper.is_idle() && self.queue.is_empty(),
             rx_free: 0,
             received: 1,
-            heard: 0,
+            activity: 0,
         }
     }
 
@@ -204,7 +204,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
 
     /// Executes one tick of the step timer; returns `false` at rest.
     pub fn tick(&mut self) -> bool {
-        while self.stepper.wants() {
+        while self.stepper.has_room() {
             let Some(message) = self.queue.pop_front() else { break };
             self.stepper.load(message);
         }

@@ -7,11 +7,11 @@ use crate::protocol::link::tests::Both;
 fn a_host_that_leaves_in_mid_line_leaves_no_half_line() {
     let mut both = Both::<16>::new(8, 100);
     both.usb(b"G0X1\nG1 X");
-    assert!(!both.arbiter.owes_cut());
+    assert!(!both.arbiter.is_host_change_due());
     assert!(both.usb.went(&mut both.arbiter));
-    assert!(both.arbiter.owes_cut());
+    assert!(both.arbiter.is_host_change_due());
     both.usb(b"G4P0\n");
-    assert!(!both.arbiter.owes_cut());
+    assert!(!both.arbiter.is_host_change_due());
     assert_eq!((both.text().as_str(), both.refusals()), ("G0X1\nG1 X|G4P0\n", (0, 0)));
     // The cut ([`HOST_CHANGED`]) contains the number of disconnected hosts, which shows whose lines precede the cut.
     let cuts = |both: &Both<16>| {
@@ -97,9 +97,9 @@ fn a_line_that_another_host_has_cut_is_refused_to_its_end() {
     both.usb(b"?");
     both.uart(b"0\nG5\n");
     assert_eq!((both.text().as_str(), both.refusals()), ("G1 X1|G0 Y1\n|G4\nG1 X10\nG5\n", (1, 0)));
-    assert_eq!(both.arbiter.holder(), 0);
+    assert_eq!(both.arbiter.active_link(), 0);
     both.usb(b"?");
-    assert_eq!(both.arbiter.holder(), 1);
+    assert_eq!(both.arbiter.active_link(), 1);
 }
 
 #[test]

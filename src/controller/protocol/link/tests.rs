@@ -13,7 +13,7 @@ pub struct Depths {
     pub most_lines: usize,
     /// The link being read cannot wait. Its resets always find room, because the serial task keeps them if the queue is
     /// full.
-    owes_resets: bool,
+    defers_resets: bool,
     pub free: bool,
     stops: usize,
     is_grbl: bool,
@@ -21,7 +21,7 @@ pub struct Depths {
 
 impl Queues for Depths {
     fn realtime(&mut self, command: Realtime) -> bool {
-        let room = self.commands.len() < self.most_commands || self.owes_resets && command == Realtime::Reset;
+        let room = self.commands.len() < self.most_commands || self.defers_resets && command == Realtime::Reset;
         if room {
             self.commands.push(command);
         }
@@ -37,7 +37,7 @@ impl Queues for Depths {
     }
 
     fn waits(&self) -> bool {
-        !self.owes_resets
+        !self.defers_resets
     }
 
     fn is_free(&self) -> bool {
@@ -78,11 +78,11 @@ impl<const HELD: usize> Both<HELD> {
     }
 
     pub fn uart(&mut self, text: &[u8]) {
-        self.queues.owes_resets = true;
+        self.queues.defers_resets = true;
         for byte in text {
             self.uart.take(*byte, &mut self.arbiter, &mut self.usb, &mut self.queues);
         }
-        self.queues.owes_resets = false;
+        self.queues.defers_resets = false;
     }
 
     pub fn pass_on(&mut self) -> bool {
@@ -242,7 +242,7 @@ fn a_refusal_is_sent_as_there_is_room() {
 
 /// Outside of a comment, bytes of `Ä` and `à` are commands: they open the door and switch the coolant.
 #[test]
-fn characters_of_a_remark_are_no_commands() {
+fn characters_of_a_comment_are_no_commands() {
     let mut both = Both::<16>::new(8, 100);
     both.usb("(Äußere Kontur à)\nG1 ; Ä\n".as_bytes());
     assert_eq!((both.text().as_str(), both.queues.commands.len()), ("(uere Kontur )\nG1 ; \n", 0));
@@ -256,7 +256,7 @@ fn characters_of_a_remark_are_no_commands() {
 }
 
 /// Returns the text, the commands that were queued at once, and the commands that were queued after a long pause.
-fn heard(bytes: &[u8], is_grbl: bool) -> (String, Vec<Realtime>, Vec<Realtime>) {
+fn received(bytes: &[u8], is_grbl: bool) -> (String, Vec<Realtime>, Vec<Realtime>) {
     let mut both = Both::<16>::new(8, 100);
     both.queues.is_grbl = is_grbl;
     both.usb(bytes);
@@ -267,7 +267,7 @@ fn heard(bytes: &[u8], is_grbl: bool) -> (String, Vec<Realtime>, Vec<Realtime>) 
 }
 
 #[test]
-fn a_hold_in_a_remark_is_text_if_the_line_goes_on() {
+fn a_hold_in_a_comment_is_text_if_the_line_goes_on() {
     use Realtime::{CycleStart, FeedHold, Reset, Status};
     for (bytes, text, at_once, later) in [
         (&b"(slow!)G1\n"[..], "(slow)G1\n", &[][..], &[][..]),
@@ -285,13 +285,13 @@ fn a_hold_in_a_remark_is_text_if_the_line_goes_on() {
         (b"G1!X~1\n", "G1X1\n", &[FeedHold, CycleStart], &[]),
     ] {
         let expected = (text.to_owned(), at_once.to_vec(), later.to_vec());
-        assert_eq!(heard(bytes, false), expected, "{}", bytes.escape_ascii());
+        assert_eq!(received(bytes, false), expected, "{}", bytes.escape_ascii());
     }
-    assert_eq!(heard(b"(slow!)~", true), ("(slow)".into(), vec![FeedHold, CycleStart], vec![]));
+    assert_eq!(received(b"(slow!)~", true), ("(slow)".into(), vec![FeedHold, CycleStart], vec![]));
 }
 
 #[test]
-fn a_hold_in_a_remark_is_a_hold_where_bytes_are_lost_or_the_host_goes() {
+fn a_hold_in_a_comment_is_a_hold_where_bytes_are_lost_or_the_host_goes() {
     for (byte, expected) in [(b'!', &[Realtime::FeedHold][..]), (b'~', &[])] {
         let mut both = Both::<16>::new(8, 100);
         both.uart(&[b'(', byte]);
@@ -367,7 +367,7 @@ enum Event {
 fn event() -> impl Strategy<Value = Event> {
     let byte = prop_oneof![
         8 => Just(b'X'), 3 => Just(b'\n'), 2 => Just(b'\r'), 1 => Just(b'?'), 1 => Just(0x18), 1 => Just(0x85), 1 => Just(9),
-        4 => remark_byte()
+        4 => comment_byte()
     ];
     prop_oneof![
         12 => (any::<bool>(), proptest::collection::vec(byte, 1..20)).prop_map(|(usb, bytes)| Event::Bytes { usb, bytes }),
@@ -380,7 +380,7 @@ fn event() -> impl Strategy<Value = Event> {
 }
 
 /// Generates bytes of comments, and of the characters in them.
-fn remark_byte() -> impl Strategy<Value = u8> {
+fn comment_byte() -> impl Strategy<Value = u8> {
     prop_oneof![
         4 => Just(b'('), 1 => Just(b')'), 1 => Just(b';'), 3 => Just(0xC3), 3 => Just(0xE3), 1 => Just(0xF0), 1 => Just(0xC2),
         8 => 0x80_u8..0xC0
@@ -397,7 +397,7 @@ fn commands_of(bytes: &[u8]) -> Vec<Realtime> {
     };
     let mut left = bytes;
     while let Some(begin) = left.iter().position(|byte| matches!(byte, b'(' | b';')) {
-        let (before, remark) = left.split_at(begin);
+        let (before, comment) = left.split_at(begin);
         give(before);
         let mut depth = 0;
         let ends = |byte: &u8| {
@@ -407,16 +407,16 @@ fn commands_of(bytes: &[u8]) -> Vec<Realtime> {
                 b')' => depth -= 1,
                 _ => {}
             }
-            remark[0] == b'(' && depth == 0
+            comment[0] == b'(' && depth == 0
         };
-        let end = remark.iter().position(ends).unwrap_or(remark.len());
-        for chunk in remark[..end].utf8_chunks() {
+        let end = comment.iter().position(ends).unwrap_or(comment.len());
+        for chunk in comment[..end].utf8_chunks() {
             let acts = |character: &char| *character < '\u{C0}' && !matches!(*character, '!' | '~');
             let kept: String = chunk.valid().chars().filter(acts).collect();
             give(kept.as_bytes());
             give(chunk.invalid());
         }
-        left = &remark[end..];
+        left = &comment[end..];
     }
     give(left);
     commands
@@ -429,7 +429,7 @@ impl Both<40> {
         let Both { queues, arbiter, uart, usb } = self;
         match event {
             Event::Bytes { usb: is_usb, bytes } => {
-                queues.owes_resets = !is_usb;
+                queues.defers_resets = !is_usb;
                 let mut left = bytes.as_slice();
                 while let Some((first, behind)) = left.split_first() {
                     let run = match (by_run, is_usb) {
@@ -464,7 +464,7 @@ proptest! {
     #[test]
     fn a_stop_byte_is_never_lost(
         mut bytes in proptest::collection::vec(
-            prop_oneof![8 => remark_byte(), 3 => Just(b'X'), 1 => Just(b'\n'), 1 => Just(b'!'), 1 => Just(0x18), 1 => Just(0x19),
+            prop_oneof![8 => comment_byte(), 3 => Just(b'X'), 1 => Just(b'\n'), 1 => Just(b'!'), 1 => Just(0x18), 1 => Just(0x19),
                 1 => Just(0x84), 1 => any::<u8>()],
             0..200),
         mut pieces in proptest::collection::vec((1_usize..9, 0_usize..3), 1..40),

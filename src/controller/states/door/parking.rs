@@ -75,7 +75,7 @@ impl<const N: usize> Parking<N> {
         if self.is_away() {
             motion.lend_ring(&mut self.motion);
             self.motion.configure(motion.settings());
-            self.motion.stand_where(motion);
+            self.motion.take_over_position(motion);
         }
         self.is_away()
     }
@@ -140,7 +140,7 @@ impl<const N: usize> Parking<N> {
     pub fn stopped(&mut self, position: &PerAxis<i32, N>, motion: &mut Motion<N>) {
         self.motion.stopped(position);
         if self.is_away() {
-            motion.stand_where(&self.motion);
+            motion.take_over_position(&self.motion);
         }
     }
 }

@@ -119,7 +119,7 @@ impl<const N: usize> Homing<N> {
                 Wait::Stop
             }
             Order::Done(axes) => {
-                m.reference.homed(axes, m.settings.homing_cycles().iter().copied());
+                m.reference.mark_homed(axes, m.settings.homing_cycles().iter().copied());
                 m.pins.drive(GangedMotors::Both);
                 m.interpreter.set_position(m.motion.machine_position());
                 m.interpreter.end_cycles();

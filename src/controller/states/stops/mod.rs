@@ -35,7 +35,7 @@ impl<const N: usize> Controller<N> {
                 if moving && !matches!(self.state, State::Homing(_)) {
                     self.keep_speed();
                 }
-                self.m.stops.happened(stops, moving, self.m.motion.line_number());
+                self.m.stops.record_stop(stops, moving, self.m.motion.line_number());
                 self.stopped_at(&position);
             }
             StepEvent::Probed { position } => {
@@ -44,12 +44,12 @@ impl<const N: usize> Controller<N> {
             }
             StepEvent::Underrun { stops, position } => {
                 self.await_what_brakes(Alarm::Underrun);
-                self.m.stops.failed(stops, Alarm::Underrun);
+                self.m.stops.record_failure(stops, Alarm::Underrun);
                 self.stopped_at(&position);
             }
             StepEvent::Miscounted { stops, position } => {
                 self.await_what_brakes(Alarm::Miscounted);
-                self.m.stops.failed(stops, Alarm::Miscounted);
+                self.m.stops.record_failure(stops, Alarm::Miscounted);
                 self.stopped_at(&position);
             }
         }
@@ -97,7 +97,7 @@ impl<const N: usize> Controller<N> {
                 self.m.motion.discard();
             }
             StopReason::Alarm(alarm) => {
-                self.m.accessories.rests();
+                self.m.accessories.apply_stop_at_rest();
                 if !self.keeps_spindle_on(alarm) {
                     self.switch_off();
                 }

@@ -70,7 +70,7 @@ pub struct Stops {
     seen: u16,
     /// Whether the machine was stepping at any stop since the last [`Stops::finish`].
     moving: bool,
-    /// N word of the move in execution at the last stop reported to [`Stops::happened`], 0 = none.
+    /// N word of the move in execution at the last stop reported to [`Stops::record_stop`], 0 = none.
     line: u32,
     /// A stop order has not been sent to the step task yet.
     ordered: bool,
@@ -105,7 +105,7 @@ impl Stops {
     }
 
     /// Adds the stops that armed inputs have made to the number of expected stops.
-    pub fn count(&mut self, stops: u8) {
+    pub fn add_expected(&mut self, stops: u8) {
         self.expected = self.expected.wrapping_add(u16::from(stops));
     }
 
@@ -118,14 +118,14 @@ impl Stops {
     /// Makes a stop pending that needs no order, because its cause (a reset) has already stopped the step task. Adds it
     /// to the number of expected stops.
     pub fn begin(&mut self, reason: StopReason) {
-        self.count(1);
+        self.add_expected(1);
         self.wait_for(reason);
     }
 
     /// Orders a stop of the step task. An order joins an earlier one that has not been sent yet; both are one stop.
     pub fn order(&mut self, reason: StopReason) {
         if !self.ordered {
-            self.count(1);
+            self.add_expected(1);
         }
         self.ordered = true;
         self.wait_for(reason);
@@ -153,7 +153,7 @@ impl Stops {
 
     /// Records the step task's report of a stop that a command, an input or the controller has caused. `stops` is the
     /// step task's count of stops, `line` the N word of the move in execution.
-    pub fn happened(&mut self, stops: u16, moving: bool, line: u32) {
+    pub fn record_stop(&mut self, stops: u16, moving: bool, line: u32) {
         self.seen = stops;
         self.moving |= moving;
         self.line = line;
@@ -161,8 +161,8 @@ impl Stops {
 
     /// Records the step task's report that it has stopped at speed by itself, because it had no segments or because its
     /// outputs have failed.
-    pub fn failed(&mut self, stops: u16, alarm: Alarm) {
-        self.count(1);
+    pub fn record_failure(&mut self, stops: u16, alarm: Alarm) {
+        self.add_expected(1);
         self.seen = stops;
         self.moving = true;
         if alarm == Alarm::Miscounted {
@@ -199,11 +199,11 @@ mod tests {
     fn an_order_ends_when_it_has_been_obeyed() {
         let mut stops = Stops::NONE;
         stops.order(StopReason::Switch);
-        stops.happened(0, false, 0);
+        stops.record_stop(0, false, 0);
         assert!(stops.finish().is_none(), "it is not out yet");
         assert!(stops.take_order() && !stops.take_order());
         assert!(stops.finish().is_none() && !stops.is_open());
-        stops.happened(1, true, 7);
+        stops.record_stop(1, true, 7);
         assert_eq!(stops.finish(), Some(Finished { reason: StopReason::Switch, moving: true, line: 7 }));
         assert!(!stops.is_idle() && stops.is_open());
         assert_eq!((stops.take_resume(), stops.take_resume()), (Some(1), None));
@@ -221,9 +221,9 @@ mod tests {
             let mut stops = Stops::NONE;
             stops.order(reason);
             assert!(stops.take_order());
-            stops.failed(1, Alarm::Miscounted);
+            stops.record_failure(1, Alarm::Miscounted);
             assert!(stops.finish().is_none(), "{reason:?}: the stop that was asked for comes after it");
-            stops.happened(2, false, 0);
+            stops.record_stop(2, false, 0);
             assert_eq!(stops.finish(), Some(Finished { reason: wanted, moving: true, line: 0 }));
             assert!(stops.is_open());
         }
@@ -235,7 +235,7 @@ mod tests {
         stops.order(StopReason::Switch);
         stops.order(StopReason::Alarm(Alarm::HardLimit));
         assert!(stops.take_order());
-        stops.happened(1, false, 0);
+        stops.record_stop(1, false, 0);
         assert_eq!(stops.finish().map(|f| f.reason), Some(StopReason::Alarm(Alarm::HardLimit)));
     }
 
@@ -266,7 +266,7 @@ mod tests {
         let mut stops = Stops::NONE;
         // The report of the step task arrives before the reset that stopped it, because the two come through different
         // queues.
-        stops.happened(1, true, 0);
+        stops.record_stop(1, true, 0);
         assert!(stops.finish().is_none() && !stops.is_open());
         stops.begin(StopReason::Reset);
         assert_eq!(stops.finish().map(|f| f.moving), Some(true));
@@ -274,18 +274,18 @@ mod tests {
         let mut stops = Stops { expected: u16::MAX, seen: u16::MAX, ..Stops::NONE };
         stops.begin(StopReason::Reset);
         assert!(stops.finish().is_none());
-        stops.happened(0, false, 0);
+        stops.record_stop(0, false, 0);
         assert!(stops.finish().is_some());
     }
 
     #[test]
     fn an_underrun_counts_itself_and_yields_to_what_is_awaited() {
         let mut stops = Stops::NONE;
-        stops.failed(1, Alarm::Underrun);
+        stops.record_failure(1, Alarm::Underrun);
         let reason = StopReason::Alarm(Alarm::Underrun);
         assert_eq!(stops.finish(), Some(Finished { reason, moving: true, line: 0 }));
         stops.begin(StopReason::Nothing);
-        stops.failed(3, Alarm::Underrun);
+        stops.record_failure(3, Alarm::Underrun);
         assert_eq!(stops.finish().map(|f| f.reason), Some(StopReason::Nothing));
     }
 }

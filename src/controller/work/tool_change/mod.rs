@@ -84,9 +84,9 @@ impl<const N: usize> Controller<N> {
         let plan = self.plan_tool_change();
         let outside = self.limits_travel() && plan.corners().iter().any(|corner| self.is_outside_travel(corner));
         let rates = [Key::ToolSetterSeek, Key::ToolSetterLocate, Key::ParkingPullOutRate];
-        let crawls = rates.iter().any(|rate| self.m.settings.crawls(*rate));
+        let is_rate_out_of_range = rates.iter().any(|rate| self.m.settings.is_rate_out_of_range(*rate));
         let is_set_up = plan.is_set_up(self.m.settings.is_on(Key::ZeroAtPullOff));
-        (!is_set_up || outside || crawls).then_some(Error::ToolSetterNotSetUp)
+        (!is_set_up || outside || is_rate_out_of_range).then_some(Error::ToolSetterNotSetUp)
     }
 
     fn plan_tool_change(&self) -> ChangePlan<N> {
@@ -156,7 +156,7 @@ impl<const N: usize> Controller<N> {
             }
             ChangeOrder::Measured(place) => {
                 if self.m.interpreter.tool_measured(self.line.action.spindle_tool(), place) {
-                    self.line.change().is_first_tool();
+                    self.line.change().mark_first_tool();
                 }
                 self.m.replies.offset_changed();
             }

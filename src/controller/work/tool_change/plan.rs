@@ -173,7 +173,7 @@ impl<const N: usize> ToolChange<N> {
     }
 
     /// Marks the tool as the first one that has been measured.
-    pub fn is_first_tool(&mut self) {
+    pub fn mark_first_tool(&mut self) {
         self.is_first = true;
     }
 
@@ -326,7 +326,7 @@ mod tests {
         let mut change = ToolChange::new(plan());
         change.begin();
         while !matches!(change.next(Some(at(-7, -8, -35))), ChangeOrder::Measured(_)) {}
-        change.is_first_tool();
+        change.mark_first_tool();
         change.next(None);
         change.next(None);
         assert_eq!(change.next(None), ChangeOrder::Confirm);

@@ -38,7 +38,7 @@ export class ContinuePanel implements JobPanel {
     const { signal } = (this.running = new AbortController());
     const { name, bytes } = this.page.job;
     try {
-      const rest = await firmware.resume(this.page.order({ resume: wish() }), bytes, signal);
+      const rest = await firmware.resume(this.page.order({ resume: resumeOptions() }), bytes, signal);
       this.draw(`Line ${rest.line.toLocaleString("en")} of ${rest.lines.toLocaleString("en")} and what follows, behind these lines.`, rest.prologue);
       done(`${name.replace(/\.[^.]*$/, "")}-from-${rest.line}.nc`, rest.program);
     } catch (error) {
@@ -65,7 +65,7 @@ export class ContinuePanel implements JobPanel {
 const input = (id: string): HTMLInputElement => $<HTMLInputElement>(id);
 
 /** The typed values; fields left blank are omitted. */
-function wish(): Resume {
+function resumeOptions(): Resume {
   const typed = (id: string) => (input(id).value === "" ? undefined : input(id).valueAsNumber);
   const whole = (id: string) => Math.max(0, Math.trunc(typed(id) ?? 0));
   return { line: whole("from-line"), clearance: typed("clearance"), plunge: typed("plunge"), spin_up: Math.min(600, whole("spin-up")) };

@@ -3,9 +3,9 @@
 // first, and the block with the vector table is written last, after everything else.
 
 /** A range of flash, and the bytes to write there. */
-export interface Stretch { address: number; bytes: Uint8Array }
-/** Contents of a .dfu file: its own name, such as `Oxmill for blackpill_f411`, and its stretches. */
-export interface Firmware { name: string; stretches: Stretch[] }
+export interface FlashRange { address: number; bytes: Uint8Array }
+/** Contents of a .dfu file: its own name, such as `Oxmill for blackpill_f411`, and its ranges. */
+export interface Firmware { name: string; ranges: FlashRange[] }
 /** A sector of flash that can be erased and written. */
 export interface Sector { address: number; size: number }
 /** Progress: what is being done, and how much of it, in bytes. */
@@ -69,23 +69,23 @@ export function parse(file: Uint8Array): Firmware {
   const target = file.subarray(11, -16);
   const broken = new Error("This .dfu file is damaged: an element of it is cut off.");
   if (file[10] !== 1 || text(target.subarray(0, 6)) !== "Target" || target[6] !== 0) throw new Error("This .dfu file is not the firmware of a single board.");
-  const stretches: Stretch[] = [];
+  const ranges: FlashRange[] = [];
   let at = 274;
   for (let left = word(target, 270); left > 0; left--) {
     if (at + 8 > target.length) throw broken;
     const [address, size] = [word(target, at), word(target, at + 4)];
     if (at + 8 + size > target.length || size === 0) throw broken;
-    stretches.push({ address, bytes: target.subarray(at + 8, at + 8 + size) });
+    ranges.push({ address, bytes: target.subarray(at + 8, at + 8 + size) });
     at += 8 + size;
   }
   if (at !== target.length) throw broken;
-  stretches.sort((a, b) => a.address - b.address);
-  stretches.forEach(({ address }, index) => {
-    const before = stretches[index - 1];
+  ranges.sort((a, b) => a.address - b.address);
+  ranges.forEach(({ address }, index) => {
+    const before = ranges[index - 1];
     if (address % 4 !== 0 || (before && before.address + Math.ceil(before.bytes.length / 4) * 4 > address)) throw new Error("This .dfu file is damaged: its elements overlap.");
   });
-  if (!stretches.some(({ address }) => address === FLASH)) throw new Error("This .dfu file has no program: nothing is at the start of the flash.");
-  return { name: text(target.subarray(11, 11 + 255)).replace(/\0.*$/s, ""), stretches };
+  if (!ranges.some(({ address }) => address === FLASH)) throw new Error("This .dfu file has no program: nothing is at the start of the flash.");
+  return { name: text(target.subarray(11, 11 + 255)).replace(/\0.*$/s, ""), ranges };
 }
 
 /** Reads the name of the boot loader's interface, such as `@Internal Flash  /0x08000000/04*016Kg,01*064Kg,03*128Kg`.
@@ -259,9 +259,9 @@ async function nameOf(device: UsbDevice, descriptor: DataView, number: number, a
   return String.fromCharCode(...letters);
 }
 
-/** Cuts stretches into blocks; the last part is filled up to whole words with the value of erased flash. */
-function blocksOf(stretches: Stretch[], size: number): Stretch[] {
-  return stretches.flatMap(({ address, bytes }) => {
+/** Cuts ranges into blocks; the last part is filled up to whole words with the value of erased flash. */
+function blocksOf(ranges: FlashRange[], size: number): FlashRange[] {
+  return ranges.flatMap(({ address, bytes }) => {
     const whole = new Uint8Array(Math.ceil(bytes.length / 4) * 4).fill(0xff);
     whole.set(bytes);
     return Array.from({ length: Math.ceil(whole.length / size) }, (_, index) => ({ address: address + index * size, bytes: whole.subarray(index * size, (index + 1) * size) }));
@@ -272,7 +272,7 @@ function blocksOf(stretches: Stretch[], size: number): Stretch[] {
 const GONE = "The board has no program now and starts nothing: load it again. If it was switched off since, start its boot loader by BOOT0 and NRST.";
 
 /** Returns a function that throws an error again, with a sentence about the board. */
-const told = (about: string) => (error: Error): never => {
+const rethrowWith = (about: string) => (error: Error): never => {
   throw new Error(`${error.message} ${about}`.trim());
 };
 
@@ -290,27 +290,27 @@ async function each<T>(parts: T[], size: (part: T) => number, what: Parameters<P
 
 /** Loads firmware into a board, reads it back, and starts it. Sectors that the firmware does not touch, such as those of
  * the settings, keep their contents. Throws an error that says what has happened, and what the board does now. */
-export async function load(device: UsbDevice, { stretches }: Firmware, progress: Progress): Promise<void> {
+export async function load(device: UsbDevice, { ranges }: Firmware, progress: Progress): Promise<void> {
   const loader = await Loader.open(device);
   try {
-    const end = ({ address, bytes }: Stretch) => address + bytes.length;
-    const overlaps = (sector: Sector) => stretches.some(stretch => stretch.address < sector.address + sector.size && sector.address < end(stretch));
+    const end = ({ address, bytes }: FlashRange) => address + bytes.length;
+    const overlaps = (sector: Sector) => ranges.some(range => range.address < sector.address + sector.size && sector.address < end(range));
     const touched = loader.sectors.filter(overlaps).sort((a, b) => a.address - b.address);
-    const blocks = blocksOf(stretches, loader.block);
+    const blocks = blocksOf(ranges, loader.block);
     const isInside = (at: number) => touched.some(({ address, size }) => address <= at && at < address + size);
     for (const at of blocks.flatMap(({ address, bytes }) => [address, address + bytes.length - 1])) {
       if (!isInside(at)) throw new Error(`This firmware does not fit into the chip: it has no flash at ${hex(at)}. Is the file for another board? Nothing was changed.`);
     }
-    const write = async ({ address, bytes }: Stretch) => {
-      await loader.write(address, bytes).catch(told(GONE));
+    const write = async ({ address, bytes }: FlashRange) => {
+      await loader.write(address, bytes).catch(rethrowWith(GONE));
     };
-    const verify = async ({ address, bytes }: Stretch, otherwise: string) => {
-      const there = await loader.read(address, bytes.length).catch(told(otherwise));
+    const verify = async ({ address, bytes }: FlashRange, otherwise: string) => {
+      const there = await loader.read(address, bytes.length).catch(rethrowWith(otherwise));
       if (there.length !== bytes.length || there.some((byte, index) => byte !== bytes[index])) throw new Error(`What was read back at ${hex(address)} is not what was written. ${otherwise}`.trim());
     };
-    const size = ({ bytes }: Stretch) => bytes.length;
+    const size = ({ bytes }: FlashRange) => bytes.length;
     await each(touched, ({ size }) => size, "erase", progress, async (sector, isFirst) => {
-      await loader.erase(sector).catch(error => told(isFirst && error instanceof Refused ? "Nothing was changed." : GONE)(error));
+      await loader.erase(sector).catch(error => rethrowWith(isFirst && error instanceof Refused ? "Nothing was changed." : GONE)(error));
     });
     // Write the block with the vector table only after everything else has been read back, so that an unverified
     // program cannot start.
@@ -323,7 +323,7 @@ export async function load(device: UsbDevice, { stretches }: Firmware, progress:
         await verify(block, "");
       } catch (error) {
         const isErased = await loader.erase(touched[0]).then(() => true, () => false);
-        throw told(isErased ? GONE : "Do not start the board: load it again.")(error as Error);
+        throw rethrowWith(isErased ? GONE : "Do not start the board: load it again.")(error as Error);
       }
     });
     // The program is complete. Ignore errors of this request: the device leaves the bus.

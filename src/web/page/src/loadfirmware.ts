@@ -231,7 +231,7 @@ export class LoadFirmware {
   }
 
   private describe({ firmware, pins }: Ready): void {
-    const bytes = firmware.stretches.reduce((all, one) => all + one.bytes.length, 0);
+    const bytes = firmware.ranges.reduce((all, one) => all + one.bytes.length, 0);
     const settings = keepsSettings(firmware) ? "" : " It overwrites the settings of the board.";
     const isProjects = pins && this.pins.value !== pinsOf(pins.name) && pinsOf(pins.name) !== undefined;
     const rename = isProjects ? ` ${pins.name} is the name of another pin table: give yours a name of its own.` : "";
@@ -307,7 +307,7 @@ export class LoadFirmware {
 }
 
 /** Whether firmware leaves the sectors of the settings as they are. */
-const keepsSettings = ({ stretches }: Firmware): boolean => stretches.every(({ address, bytes }) => address >= SETTINGS.to || address + bytes.length <= SETTINGS.from);
+const keepsSettings = ({ ranges }: Firmware): boolean => ranges.every(({ address, bytes }) => address >= SETTINGS.to || address + bytes.length <= SETTINGS.from);
 
 /** Checks a pin table. Throws an error with all its faults. */
 function readTable(text: string): Pins {

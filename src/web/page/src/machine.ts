@@ -68,7 +68,7 @@ export class Machine {
   /** Counts presses of Stop and ended connections. A sequence of lines must not continue if the count has changed since
    * its start. */
   stopCalls = 0;
-  private heard = 0;
+  private receivedAt = 0;
   private reported = 0;
   /** Why the connection was lost, if it was. */
   private lostWhy = "";
@@ -96,7 +96,7 @@ export class Machine {
   get phase(): Phase {
     if (!this.sender) return this.lostWhy ? "lost" : "none";
     if (!this.status) return "connecting";
-    const quiet = performance.now() - this.heard;
+    const quiet = performance.now() - this.receivedAt;
     if (quiet > GONE) return "lost";
     if (this.stopping) return "stopping";
     if (quiet > SILENT) return "silent";
@@ -124,7 +124,7 @@ export class Machine {
 
   /** Seconds since the last output of the machine. */
   get silence(): number {
-    return (performance.now() - this.heard) / 1000;
+    return (performance.now() - this.receivedAt) / 1000;
   }
 
   /** Letters of the machine's axes, according to the number of reported positions. */
@@ -280,10 +280,10 @@ export class Machine {
     const sender = (this.sender = new Sender(link));
     [this.status, this.running, this.stopped, this.finished, this.trouble, this.homed] = [undefined, undefined, undefined, undefined, undefined, undefined];
     [this.lostWhy, this.pause, this.firmware, this.boardName, this.modes, this.stored, this.settings] = ["", "", "", "", [], [], {}];
-    this.heard = performance.now();
+    this.receivedAt = performance.now();
     [this.stale, this.asking] = [true, false];
     link.onlost = why => this.link === link && this.lost(why);
-    sender.onstatus = status => this.heardStatus(status);
+    sender.onstatus = status => this.receiveStatus(status);
     sender.onmessage = text => this.message(text);
     sender.onrefused = (line, answer) => this.onsay(`line ${line}: ${answer}`, "wrong");
     sender.onstopped = (line, why) => this.jobStopped(line, why);
@@ -354,10 +354,10 @@ export class Machine {
     return this.link instanceof SerialLink;
   }
 
-  private heardStatus(status: Status): void {
+  private receiveStatus(status: Status): void {
     const now = performance.now();
     const passed = this.reported ? (now - this.reported) / 1000 : 0;
-    [this.heard, this.reported] = [now, now];
+    [this.receivedAt, this.reported] = [now, now];
     const before = this.status?.state.split(":")[0];
     this.status = status;
     const name = status.state.split(":")[0];

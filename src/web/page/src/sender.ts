@@ -75,11 +75,11 @@ export class Sender {
   private silence?: ReturnType<typeof setTimeout>;
   private readonly commands: Command[] = [];
   private flight: Sent[] = [];
-  private heard = "";
+  private received = "";
   private offset: number[] = [];
 
   constructor(private readonly link: Link) {
-    link.onsaid = text => this.hear(text);
+    link.onsaid = text => this.receive(text);
     if (link.greets) this.expectGreeting(LONGEST_START);
   }
 
@@ -218,10 +218,10 @@ export class Sender {
     return this.hasTapeMarks && this.firstWords < index && index < this.lastWords;
   }
 
-  private hear(text: string): void {
-    this.heard += text;
-    const lines = this.heard.split("\n");
-    this.heard = lines.pop() ?? "";
+  private receive(text: string): void {
+    this.received += text;
+    const lines = this.received.split("\n");
+    this.received = lines.pop() ?? "";
     for (const line of lines) {
       try {
         this.line(line.trim());

@@ -1,7 +1,7 @@
-//! `Remark`: tracks whether a received line is within a comment, `(..)` or `; ..`, and assembles the UTF-8 characters
-//! of the comment. Within a comment, the bytes of a multi-byte character are text and not realtime commands. For
-//! example, 0x84 opens the door elsewhere, but the `Ä` of `(Äußere Kontur)` is 0xC3 0x84. Runs in the serial task, one
-//! instance per link.
+//! `CommentTracker`: tracks whether a received line is within a comment, `(..)` or `; ..`, and assembles the UTF-8
+//! characters of the comment. Within a comment, the bytes of a multi-byte character are text and not realtime commands.
+//! For example, 0x84 opens the door elsewhere, but the `Ä` of `(Äußere Kontur)` is 0xC3 0x84. Runs in the serial task,
+//! one instance per link.
 //!
 //! ```text
 //!  C3 84            text: the character Ä
@@ -19,7 +19,7 @@ const MOST_BEGUN: usize = 3;
 
 /// The part of the line to which the next byte belongs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum RemarkPlace {
+enum LinePart {
     Words,
     /// A comment in parentheses. The number counts the nested `(` that are still open: each of them needs its own `)`
     /// before another `)` can end the comment.
@@ -30,20 +30,20 @@ enum RemarkPlace {
 
 /// The comment in the line being received.
 #[derive(Clone, Debug)]
-pub struct Remark {
-    place: RemarkPlace,
+pub struct CommentTracker {
+    part: LinePart,
     /// The bytes received so far of a UTF-8 character that is not complete.
     begun: Vec<u8, MOST_BEGUN>,
 }
 
-impl Remark {
+impl CommentTracker {
     /// The state at the start of a line: outside of a comment, and no character is incomplete.
-    pub const NONE: Remark = Remark { place: RemarkPlace::Words, begun: Vec::new() };
+    pub const NONE: CommentTracker = CommentTracker { part: LinePart::Words, begun: Vec::new() };
 
     /// Returns whether the line is within a comment.
     #[inline]
     pub fn is_inside(&self) -> bool {
-        self.place != RemarkPlace::Words
+        self.part != LinePart::Words
     }
 
     /// Returns whether the bytes of a UTF-8 character have begun to arrive and are not complete.
@@ -55,21 +55,22 @@ impl Remark {
     /// Tracks, after each `byte`, whether the line is within a comment. `nests` returns whether nested parentheses are
     /// counted, as the line filter does; it is called only for a `(` within a comment.
     pub fn follow(&mut self, byte: u8, nests: impl FnOnce() -> bool) {
-        self.place = match (self.place, byte) {
-            (_, b'\n' | b'\r') => RemarkPlace::Words,
-            (RemarkPlace::Words, b'(') => RemarkPlace::Parentheses(0),
-            (RemarkPlace::Words, b';') => RemarkPlace::Semicolon,
-            (RemarkPlace::Parentheses(depth), b'(') if nests() => RemarkPlace::Parentheses(depth.saturating_add(1)),
-            (RemarkPlace::Parentheses(0), b')') => RemarkPlace::Words,
-            (RemarkPlace::Parentheses(depth), b')') => RemarkPlace::Parentheses(depth - 1),
-            (place, _) => place,
+        self.part = match (self.part, byte) {
+            (_, b'\n' | b'\r') => LinePart::Words,
+            (LinePart::Words, b'(') => LinePart::Parentheses(0),
+            (LinePart::Words, b';') => LinePart::Semicolon,
+            (LinePart::Parentheses(depth), b'(') if nests() => LinePart::Parentheses(depth.saturating_add(1)),
+            (LinePart::Parentheses(0), b')') => LinePart::Words,
+            (LinePart::Parentheses(depth), b')') => LinePart::Parentheses(depth - 1),
+            (part, _) => part,
         };
     }
 
     /// Leaves the comment, because the line has ended, or because bytes were lost and the end of the comment may be
-    /// among them. After that, the bytes of an incomplete character count as single bytes: see [`Remark::break_off`].
+    /// among them. After that, the bytes of an incomplete character count as single bytes: see
+    /// [`CommentTracker::break_off`].
     pub fn leave(&mut self) {
-        self.place = RemarkPlace::Words;
+        self.part = LinePart::Words;
     }
 
     /// Removes and returns the bytes of the incomplete character if `byte` does not continue it. They form no
@@ -78,8 +79,9 @@ impl Remark {
         if self.is_inside() && continues(&self.begun, byte) { Vec::new() } else { core::mem::take(&mut self.begun) }
     }
 
-    /// Takes a byte that starts or continues a UTF-8 character of a comment. Call it after [`Remark::break_off`].
-    /// Returns `false` for any other byte. `reads`: whether the dialect recognises such characters at all.
+    /// Takes a byte that starts or continues a UTF-8 character of a comment. Call it after
+    /// [`CommentTracker::break_off`]. Returns `false` for any other byte. `reads`: whether the dialect recognises such
+    /// characters at all.
     pub fn takes(&mut self, byte: u8, reads: impl FnOnce() -> bool) -> bool {
         let Some(lead) = self.begun.first() else {
             let begins = matches!(byte, 0xC3..=0xF4) && self.is_inside() && reads();
@@ -122,20 +124,20 @@ mod tests {
 
     /// Returns the bytes that do not belong to UTF-8 characters in comments, as a link passes them on.
     fn alone(bytes: &[u8]) -> std::vec::Vec<u8> {
-        let mut remark = Remark::NONE;
+        let mut comment = CommentTracker::NONE;
         let mut alone = std::vec::Vec::new();
         for byte in bytes {
-            alone.extend(remark.break_off(*byte));
-            if !remark.takes(*byte, || true) {
+            alone.extend(comment.break_off(*byte));
+            if !comment.takes(*byte, || true) {
                 alone.push(*byte);
-                remark.follow(*byte, || true);
+                comment.follow(*byte, || true);
             }
         }
         alone
     }
 
     #[test]
-    fn characters_of_a_remark_are_text() {
+    fn characters_of_a_comment_are_text() {
         assert_eq!(alone("(Äußere Kontur é 切削 😀)".as_bytes()), b"(uere Kontur   )");
         assert_eq!(alone("G1 ; Größe à\nÄ".as_bytes()), b"G1 ; Gre \n\xC3\x84");
         assert_eq!(alone("(a)Ä(Ä)".as_bytes()), b"(a)\xC3\x84()");
@@ -164,13 +166,13 @@ mod tests {
     }
 
     #[test]
-    fn a_character_ends_with_its_remark() {
-        let mut remark = Remark::NONE;
-        remark.follow(b'(', || true);
-        assert!(remark.takes(0xE3, || true) && remark.takes(0x84, || true) && remark.has_begun_character());
-        remark.leave();
-        assert_eq!(remark.break_off(0x84), [0xE3, 0x84]);
-        assert!(!remark.takes(0x84, || true) && !remark.has_begun_character());
+    fn a_character_ends_with_its_comment() {
+        let mut comment = CommentTracker::NONE;
+        comment.follow(b'(', || true);
+        assert!(comment.takes(0xE3, || true) && comment.takes(0x84, || true) && comment.has_begun_character());
+        comment.leave();
+        assert_eq!(comment.break_off(0x84), [0xE3, 0x84]);
+        assert!(!comment.takes(0x84, || true) && !comment.has_begun_character());
     }
 
     proptest! {

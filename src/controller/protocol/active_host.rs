@@ -1,30 +1,30 @@
-//! `Floor`: arbitrates between two hosts. One of them is the active host: its lines are read, and it gets the replies.
-//! A host claims this role, seizes it by a reset, and leaves it when it disconnects. A `weak` active host does not keep
-//! the other host out.
+//! `ActiveHost`: arbitrates between two hosts. One of them is the active host: its lines are read, and it gets the
+//! replies. A host claims this role, takes it over by a reset, and leaves it when it disconnects. A `weak` active host
+//! does not keep the other host out.
 
 /// The active host: its lines are read, and it gets the replies. Realtime commands are accepted from any host.
 #[derive(Clone, Debug)]
-pub(super) struct Floor {
-    holder: usize,
+pub(super) struct ActiveHost {
+    link: usize,
     /// The active host has disconnected or has only sent realtime commands, or no host has sent anything yet.
     weak: bool,
 }
 
-impl Floor {
+impl ActiveHost {
     /// No host has claimed to be the active one. Replies go to link 0, and the first claim succeeds.
     pub const fn new() -> Self {
-        Self { holder: 0, weak: true }
+        Self { link: 0, weak: true }
     }
 
     /// Returns the link that gets the replies.
-    pub fn holder(&self) -> usize {
-        self.holder
+    pub fn link(&self) -> usize {
+        self.link
     }
 
     /// Returns whether the host of `link` is the active host and keeps the other host out.
     #[inline]
     pub fn is_held_by(&self, link: usize) -> bool {
-        self.holder == link && !self.weak
+        self.link == link && !self.weak
     }
 
     /// Claims the role of the active host for the host of `link`. Returns whether that host is the active one
@@ -32,16 +32,16 @@ impl Floor {
     /// or sends a line. A host that sends only a realtime command gets the reply, but does not keep the other host out.
     pub fn claim(&mut self, link: usize, free: bool, firm: bool) -> bool {
         if self.weak || free {
-            self.holder = link;
+            self.link = link;
             self.weak = !firm;
         }
-        self.holder == link
+        self.link == link
     }
 
     /// Makes the host of `link` the active host, because it has reset the machine and so cancelled all work of the
     /// other host.
-    pub fn seize(&mut self, link: usize) -> bool {
-        self.holder = link;
+    pub fn take_over(&mut self, link: usize) -> bool {
+        self.link = link;
         self.weak = false;
         true
     }
@@ -49,11 +49,11 @@ impl Floor {
     /// Records that the host of `link` has disconnected. If it is the active host, it no longer keeps the other host
     /// out.
     pub fn leave(&mut self, link: usize) {
-        self.weak |= self.holder == link;
+        self.weak |= self.link == link;
     }
 }
 
-impl Default for Floor {
+impl Default for ActiveHost {
     fn default() -> Self {
         Self::new()
     }
@@ -64,32 +64,32 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_host_at_a_time_has_the_floor() {
-        let mut floor = Floor::new();
-        assert_eq!(floor.holder(), 0);
-        assert!(floor.claim(1, false, true));
-        assert!(!floor.claim(0, false, true));
-        assert_eq!(floor.holder(), 1);
+    fn one_host_at_a_time_is_active() {
+        let mut active = ActiveHost::new();
+        assert_eq!(active.link(), 0);
+        assert!(active.claim(1, false, true));
+        assert!(!active.claim(0, false, true));
+        assert_eq!(active.link(), 1);
         // While the machine is idle, any host can become the active one.
-        assert!(floor.claim(0, true, true));
-        assert!(floor.claim(0, false, true) && !floor.claim(1, false, true));
-        floor.leave(1);
-        assert!(!floor.claim(1, false, true));
-        floor.leave(0);
-        assert!(floor.claim(1, false, true));
-        floor.seize(0);
-        assert!(!floor.claim(1, false, true));
+        assert!(active.claim(0, true, true));
+        assert!(active.claim(0, false, true) && !active.claim(1, false, true));
+        active.leave(1);
+        assert!(!active.claim(1, false, true));
+        active.leave(0);
+        assert!(active.claim(1, false, true));
+        active.take_over(0);
+        assert!(!active.claim(1, false, true));
     }
 
     #[test]
     fn a_question_keeps_nobody_out() {
-        let mut floor = Floor::new();
-        assert!(floor.claim(1, false, true));
+        let mut active = ActiveHost::new();
+        assert!(active.claim(1, false, true));
         // A realtime command of the active host does not let the other host in.
-        assert!(floor.claim(1, false, false) && !floor.claim(0, false, false));
-        floor.leave(1);
-        assert!(floor.claim(0, false, false));
-        assert!(floor.claim(1, false, true));
-        assert!(!floor.claim(0, false, true));
+        assert!(active.claim(1, false, false) && !active.claim(0, false, false));
+        active.leave(1);
+        assert!(active.claim(0, false, false));
+        assert!(active.claim(1, false, true));
+        assert!(!active.claim(0, false, true));
     }
 }

@@ -8,9 +8,9 @@ use crate::messages::Realtime;
 /// serial task puts no further command into the queue. So the stored commands act after all commands queued before
 /// them, and before all commands received later.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Owed(pub u32);
+pub struct DeferredCommands(pub u32);
 
-impl Owed {
+impl DeferredCommands {
     const DOOR: u32 = 1 << 16;
     const HOLD: u32 = 1 << 17;
     /// Mask of the number of resets that are kept. The serial task has also requested a stop of the step task for each
@@ -22,11 +22,11 @@ impl Owed {
     /// and one door command are kept. A reset removes the hold and the door command before it. 0x19 and a jog cancel
     /// are kept as resets, because each opens an epoch, with which later line bytes are marked (see
     /// [`LineByte`](crate::messages::LineByte)).
-    pub fn with(self, command: Realtime) -> Option<Owed> {
+    pub fn with(self, command: Realtime) -> Option<DeferredCommands> {
         match command {
-            Realtime::FeedHold => Some(Owed(self.0 | Self::HOLD)),
-            Realtime::SafetyDoor => Some(Owed(self.0 | Self::DOOR)),
-            _ if command.opens_epoch() => Some(Owed((self.0 & Self::RESETS) + 1)),
+            Realtime::FeedHold => Some(DeferredCommands(self.0 | Self::HOLD)),
+            Realtime::SafetyDoor => Some(DeferredCommands(self.0 | Self::DOOR)),
+            _ if command.opens_epoch() => Some(DeferredCommands((self.0 & Self::RESETS) + 1)),
             _ => None,
         }
     }
@@ -53,18 +53,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_owed_keeps_its_order() {
+    fn deferred_commands_keep_their_order() {
         use Realtime::{CycleStart, FeedHold, JogCancel, Reset, SafetyDoor, Stop};
-        let owed = |commands: &[Realtime]| {
-            let add = |owed: Owed, command: &Realtime| owed.with(*command).unwrap_or(owed);
-            let mut all = commands.iter().fold(Owed::default(), add);
+        let order = |commands: &[Realtime]| {
+            let add = |all: DeferredCommands, command: &Realtime| all.with(*command).unwrap_or(all);
+            let mut all = commands.iter().fold(DeferredCommands::default(), add);
             core::iter::from_fn(|| all.pop()).collect::<Vec<_>>()
         };
-        assert_eq!(owed(&[FeedHold, SafetyDoor]), [SafetyDoor, FeedHold]);
-        assert_eq!(owed(&[FeedHold, Reset]), [Reset], "void by it");
-        assert_eq!(owed(&[Reset, FeedHold]), [Reset, FeedHold], "and not undone by it");
-        assert_eq!(owed(&[Reset, SafetyDoor, JogCancel, Stop, FeedHold]), [Reset, Reset, Reset, FeedHold]);
-        assert_eq!(owed(&[CycleStart]), []);
-        assert_eq!(owed(&[Reset; 6000]).len(), 6000);
+        assert_eq!(order(&[FeedHold, SafetyDoor]), [SafetyDoor, FeedHold]);
+        assert_eq!(order(&[FeedHold, Reset]), [Reset], "void by it");
+        assert_eq!(order(&[Reset, FeedHold]), [Reset, FeedHold], "and not undone by it");
+        assert_eq!(order(&[Reset, SafetyDoor, JogCancel, Stop, FeedHold]), [Reset, Reset, Reset, FeedHold]);
+        assert_eq!(order(&[CycleStart]), []);
+        assert_eq!(order(&[Reset; 6000]).len(), 6000);
     }
 }
