@@ -22,7 +22,7 @@ pub struct UsbHost {
     configured: bool,
 }
 
-/// Result of [`UsbHost::look`].
+/// What [`UsbHost::look`] has found since the last call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Look {
     /// A host has left: discard the bytes received from it and the bytes queued for it.

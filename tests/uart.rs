@@ -193,7 +193,7 @@ proptest! {
         for step in steps {
             let room = MOST_WAITING - (sent.len() - out.0.len()).min(MOST_WAITING);
             let next = |sent: &mut Vec<u8>| {
-                // A text whose characters count up.
+                // Neighbouring characters differ, so a lost or a doubled one is noticed.
                 let byte = b'A' + (sent.len() % 50) as u8;
                 sent.push(byte);
                 byte

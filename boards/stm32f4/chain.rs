@@ -158,8 +158,8 @@ struct Streams {
     on: usize,
     /// Number of the stream that ends the pulse; `None` for a port with directions alone.
     off: Option<usize>,
-    /// Bits for DIER of the pulses' timer, or of TIM8 for a port with directions alone: they enable the DMA requests of
-    /// these streams.
+    /// Bits of DIER that enable the DMA requests of these streams: in the timer of the step pulses or, if the port has
+    /// only direction pins, in TIM8.
     requests: u32,
 }
 

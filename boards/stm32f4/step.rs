@@ -20,7 +20,7 @@ const DEFAULT_PWM_HZ: u32 = 5_000;
 /// static instead of a task's resource, because a panic may occur in any task.
 pub static SAFE: [AtomicU32; PORTS] = [const { AtomicU32::new(0) }; PORTS];
 
-/// Records the level at which a pin is safe.
+/// Records the level to which `safe_state` sets a pin.
 pub fn note_safe_level(place: Place, high: bool) {
     if let Some(safe) = SAFE.get(place.port()) {
         let both = 0x1_0001 << place.pin();

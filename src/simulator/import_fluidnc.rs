@@ -8,7 +8,7 @@ use oxmill_controller::units::Decimal;
 
 /// Why an entry about hardware is not taken if an Oxmill board itself determines that hardware.
 const OF_THE_BOARD: &str = "pins and parts of another board";
-/// Name of a pin that is not connected.
+/// FluidNC's configurations write this for a pin that is not connected.
 const NO_PIN: &str = "NO_PIN";
 /// FluidNC's types of spindles whose speed is a PWM or a switched output.
 const SPINDLES: [&str; 7] = ["PWM", "Laser", "10V", "BESC", "DAC", "Relay", "HBridge"];

@@ -442,8 +442,8 @@ impl JobText {
         }
     }
 
-    /// Returns the line that ended the program (M2, M30, or a tape mark after words), and the number of lines with
-    /// words after it that were answered `ok`; `None` if there were no such lines.
+    /// Returns the line that ended the program (M2, M30, or a tape mark after words), and the number of later lines that
+    /// have words and were answered `ok`; `None` if there were no such lines.
     pub fn behind_end(&self) -> Option<(ProgramEnd, u64)> {
         self.ended_at.filter(|_| self.behind_end > 0).map(|end| (end, self.behind_end))
     }
@@ -683,7 +683,7 @@ mod tests {
         assert_eq!(job.said(), [Said::Error { line: 1, code: 2, text: "G1 X?".into(), reason: None }]);
     }
 
-    /// If the state of the machine causes an error, the message before that error is not about the line.
+    /// The exception: if the state of the machine causes an error, the message before that error is not about the line.
     #[test]
     fn the_message_in_front_of_an_error_says_what_is_wrong_with_its_line() {
         let mut job = JobText::new(&b"G1 X\nG1\nG2\n"[..]);

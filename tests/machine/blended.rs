@@ -389,8 +389,8 @@ impl Space {
         let mut most = 0.0_f64;
         for point in points {
             let [x, y, z] = Self::cube(point);
-            // For most points, a piece that passes the point's own cube is already nearer than the maximum found so
-            // far.
+            // If a piece in the point's own cube is nearer than the maximum found so far, the point cannot raise the
+            // maximum, and the neighbouring cubes need no search. This is so for most points.
             let nearest = |cube: [i32; AXES]| {
                 let pieces = self.cubes.get(&cube).map_or(&[][..], Vec::as_slice);
                 pieces.iter().map(|piece| from_line(*point, self.pieces[*piece as usize])).fold(Self::CUBE, f64::min)

@@ -353,7 +353,8 @@ fn assert_same_place(mill: &Mill, alone: &Mill, seed: u64) {
     let (motors, motors_alone) = (mill.bench.place(), alone.bench.place());
     for axis in 0..AXES {
         let apart = f64::from((motors[axis] - motors_alone[axis]).abs());
-        let same = (place[axis] - expected[axis]).abs() < 0.01 && apart < backlash_of(mill.settings)[axis] * STEPS + 0.01;
+        let same =
+            (place[axis] - expected[axis]).abs() < 0.01 && apart < backlash_of(mill.settings)[axis] * STEPS + 0.01;
         assert!(same, "{seed}: tool {place:?}, alone {expected:?}; motors {motors:?}, {motors_alone:?}: {}", mill.log);
     }
 }

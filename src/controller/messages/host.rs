@@ -5,8 +5,8 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs, reason = "Grbl's own names; bytes in protocol::realtime")]
 pub enum Realtime {
-    /// 0x18. Before this command, the serial task has requested a stop of the step task, which does not wait in a
-    /// queue.
+    /// 0x18. The serial task has already made the step task stop: that request does not wait in the queue with this
+    /// command.
     Reset,
     /// 0x19, as in grblHAL: brakes and discards the queue, but keeps position and modal state.
     Stop,

@@ -317,7 +317,7 @@ impl<const N: usize> Arc<N> {
         Some(self.point(share))
     }
 
-    /// Rotates the direction to the end of the next chord.
+    /// Rotates the direction from the centre (`self.unit`) by one chord.
     #[inline(always)]
     fn turn(&mut self) {
         let [x, y] = self.unit;

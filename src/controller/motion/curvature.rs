@@ -152,7 +152,7 @@ pub(super) struct Span<const N: usize> {
 /// Maximum speed² in the turn from one span to a later one, and the size of this turn.
 struct Limit {
     speed2: f32,
-    /// q² of the part of the turn that rounding of the coordinates cannot explain.
+    /// q² (see the head of this file) of the part of the turn that rounding of the coordinates cannot explain.
     turn2: f32,
     /// Path length of the turn divided by its angle, mm.
     radius: f32,
@@ -689,9 +689,9 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Call for a piece that is long enough to be a span of its own on more scales than the last piece (`self.whole` to
-    /// `whole`). On each of these scales, ends the unfinished span where the piece begins, and compares the piece with
-    /// the previous spans.
+    /// Call for a piece that is a whole span on scales on which the last piece was too short for one: the scales
+    /// `self.whole` to `whole`. On each of these scales, ends the unfinished span where the piece begins, and compares
+    /// the piece with the previous spans.
     #[inline(never)]
     fn end_before(&mut self, piece: &PathPiece<'_, N>, new: &Span<N>, whole: usize, finder: &mut Finder<'_, N>) {
         let (mut path, mut fast2, mut attainable2, mut blocks) = (0.0, 0.0, 0.0, 0);

@@ -61,8 +61,8 @@ struct Path<const N: usize> {
     straight: f32,
     /// Length of the move alone, mm.
     own: f32,
-    /// `own`, plus the length of the preceding moves without a step, minus the length by which the last block was too
-    /// long, mm.
+    /// `own`, plus the length of the preceding moves that were too short for a step, minus the length that the last
+    /// block had beyond its own path, mm.
     length: f32,
 }
 

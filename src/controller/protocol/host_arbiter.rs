@@ -64,7 +64,7 @@ impl HostArbiter {
         !self.host_change_due && self.active.is_held_by(link)
     }
 
-    /// Requires a [`HOST_CHANGED`] before the next line byte.
+    /// Makes the arbiter send a [`HOST_CHANGED`] before the next byte of a line.
     #[inline]
     pub(super) fn require_host_change(&mut self) {
         self.host_change_due = true;

@@ -11,7 +11,7 @@ use crate::protocol::queues::Queues;
 pub enum Received {
     /// A command that acts immediately.
     Realtime(Realtime),
-    /// Part of a line.
+    /// No realtime command: the byte belongs to a line.
     Line(u8),
     /// Neither: bytes from 0x80 up that are no command are dropped, as in Grbl.
     Nothing,

@@ -211,7 +211,7 @@ impl Replies {
         self.rare_fields.next(busy)
     }
 
-    /// Stores why the machine was restarted.
+    /// Stores why the machine was restarted, for the message after the welcome line.
     pub fn restarted(&mut self, restart: Restart) {
         self.restart = restart;
     }

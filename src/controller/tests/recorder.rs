@@ -19,7 +19,7 @@ const SOFTWARE: Restart = Restart { cause: ResetCause::Software, crash: None, is
 
 fn board() -> Box<Board> {
     let mut board = started(PROFILE, 16);
-    // Takes the welcome line and the startup lines, as a pump does.
+    // Takes and drops the welcome line and the startup lines.
     while board.output(Instant::from_ticks(0), Room { step: true, reply: true }).is_some() {}
     board
 }

@@ -203,9 +203,9 @@ impl Step {
         self.call_again();
     }
 
-    /// Delays the motion by `by` ticks: all ticks to come, and the times noted for the segments that have not begun.
-    /// (Events already queued have been delayed by [`StepOutput::begin`].) If the first tick, due at `moment`, would
-    /// then be too late for the motors, aborts the motion instead.
+    /// Delays the motion by `by` counts of the step clock: all steps to come, and the times noted for the segments that
+    /// have not begun. ([`StepOutput::begin`] has delayed the events that are already queued.) If the next step, due at
+    /// `moment`, would then come later than `self.latest`, at which the motors may lose steps, aborts the motion instead.
     fn delay(&mut self, moment: u32, by: u32) {
         if self.latest.is_some_and(|latest| (latest.wrapping_sub(moment.wrapping_add(by)) as i32) < 0) {
             self.ran_dry();
