@@ -263,7 +263,7 @@ fn a_held_program_that_is_too_long_is_measured() {
     let last = errors.last().expect("an error")["text"].as_str().expect("a text").to_owned();
     assert_eq!(
         last,
-        format!("M99 finds no room either: {lacking} bytes of the program are too many so far; $X ends this")
+        format!("M99 does not fit either: the program is {lacking} bytes too long so far; send $X to drop it")
     );
 }
 
