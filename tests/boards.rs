@@ -132,7 +132,7 @@ fn said(board: oxmill_boards::profiles::Board, line: &str) -> String {
 #[test]
 fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
     for board in profiles::ALL {
-        let lock = "[MSG:Motion is locked until this setting is mended: $915]";
+        let lock = "[MSG:Motion is locked until you correct this setting: $915]";
         for value in [1, 2] {
             let is_locked = said(board, &format!("$915={value}")).contains(lock);
             assert_eq!(is_locked, !board.has_at_speed, "{} {value}", board.name);

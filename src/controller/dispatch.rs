@@ -471,7 +471,7 @@ impl<const N: usize> Controller<N> {
     /// made the change.
     fn stored(&mut self, done: bool) {
         if self.m.records.answered(done) {
-            self.say(|out| reply_texts::message(out, "The setting holds but could not be stored"));
+            self.say(|out| reply_texts::message(out, "Change active but not stored: lost at power-off"));
         }
     }
 

@@ -97,14 +97,14 @@ codes! {
     NotInRotatedPlane = 126, "arcs, cycles and a second rotation need the plane in which the coordinates are rotated";
     RotationActs = 127, "coordinates cannot be set while G68 rotates them";
     RotationLeftOut = 128, "this board has no room for rotated coordinates";
-    DamagedLine = 129, "the line is damaged or out of its order, or not checked: $LC=OFF ends the check of lines";
+    DamagedLine = 129, "line damaged, out of order or without checksum: send it again, or end line checks with $LC=OFF";
     ToolChangeNeedsHoming = 130, "a tool change with a tool setter ($918=2) needs a machine that is homed";
     ToolSetterNotSetUp = 131, "G30, G59.3 or $342 to $344 are not set for tool changes, or lead out of the machine's travel";
     ToolChangeNotAlone = 132, "with $918=2 the line of M6 takes no axis words and no tool offset: write them on the next line";
     NoSuchPin = 133, "this board has no such output or input for programs (M62 to M68)";
     BlendingLeftOut = 134, "this board has no room for rounded corners";
     RecorderLeftOut = 136, "this board has no room for a recording of what comes in";
-    SplineOutsideXy = 140, "G12 and G13 need G17; so does a spline (G5 to G5.3), which has no axis words but X and Y";
+    SplineOutsideXy = 140, "G12, G13 and splines (G5 to G5.3) need G17; splines move X and Y only";
     SplinesLeftOut = 141, "this board has no room for splines (G5 to G5.3)";
     UnequalScaling = 142, "the factors of G51 in the plane of the arc are not equal";
     ScalingActs = 143, "coordinates cannot be set while G51 scales them";
@@ -127,7 +127,7 @@ codes! {
     Alarm;
     HardLimit = 1, "a limit switch tripped; the position may be lost";
     SoftLimit = 2, "the target exceeds the machine's travel; the position is kept";
-    AbortInMotion = 3, "a reset came in motion, or the host went; the position may be lost";
+    AbortInMotion = 3, "reset during motion, or connection lost; the position may be lost";
     ProbeInitialState = 4, "the probe was not in the expected state before the cycle";
     ProbeNoContact = 5, "the probe made no contact within its travel";
     HomingReset = 6, "a reset came during homing";

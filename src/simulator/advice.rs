@@ -164,7 +164,7 @@ pub fn for_error(error: Error) -> &'static str {
         }
         Error::SoftLimitNeedsHoming => "Switch homing on ($22=1) before the soft limits ($20=1).",
         Error::LineTooLong => {
-            "Compute a part of a long expression in a line above (#<part>=[..]), and write M, S, T and F there; X, Y, Z, I, J, K and R belong in one line. 256 characters fit, 79 in the dialect of Grbl, 80 behind the = of $I, $N and $M."
+            "Split the line. Put M, S, T, F and parts of long expressions (#<part>=[..]) on a line above; keep X, Y, Z, I, J, K and R together. Limit: 256 characters; 79 in Grbl's dialect; 80 after the = of $I, $N and $M."
         }
         Error::DoorOpen => "Close the door; $903=0 if the machine has none.",
         Error::JogOutsideTravel => "Jog less far, or let jogs end at the soft limits with $40=1.",

@@ -166,8 +166,8 @@ impl Outcome {
         let is_of_memory = |error: &&mut LineError| error.code == Error::OutOfMemory.code();
         if let Some(error) = self.errors.iter_mut().rfind(is_of_memory) {
             error.advice = format!(
-                "{board} lacks {excess} bytes for what it has to hold, from the first call on: a line takes its words and a byte. \
-                 Subprograms as o1001 sub .. o1001 endsub above the program hold less."
+                "{board} lacks {excess} bytes: it must store the program from its first call on (words plus one byte per line). \
+                 Write the subprograms above the program, as o1001 sub .. o1001 endsub: less is stored."
             );
         }
     }
@@ -196,10 +196,9 @@ fn without_length(source: &str) -> String {
     let number = word.and_then(|word| word.get(1..)).unwrap_or("1");
     let tool = word.map_or(String::new(), |word| format!(" {word}"));
     format!(
-        "no length of any tool is known, so G43 does nothing, with this tool{tool} and with all others. That is right only if \
-         you zero Z anew with each tool. Otherwise insert G10 L1 P{number} Z<difference> above this line, and the same for \
-         each other tool: how much longer it is than the tool that Z is zeroed with, in the unit of the program, negative if \
-         it is shorter. Or send these lines once to the machine, which keeps them"
+        "G43 does nothing, with this tool{tool} and with all others: no tool length is stored. If you zero Z with each tool, \
+         ignore this. If not, insert a line G10 L1 P{number} Z<difference> above, one for each tool. The difference is its \
+         length minus that of the tool that zeroes Z, in program units. Or send these lines to the machine once: it keeps them"
     )
 }
 

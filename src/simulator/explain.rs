@@ -120,8 +120,8 @@ const ONCE: [(Key, &str); Key::COUNT] = [
         Key::SquaringShare,
         "How far one motor may move alone when homing squares an axis, in percent of the axis's travel. More is ALARM:10.",
     ),
-    (Key::SquaringLeast, "Minimum of this distance, for an axis where the percentage ($347) gives less."),
-    (Key::SquaringMost, "Maximum of this distance, for an axis where the percentage ($347) gives more."),
+    (Key::SquaringLeast, "Minimum for squaring: how far one motor may move alone if $347 gives less."),
+    (Key::SquaringMost, "Maximum for squaring: how far one motor may move alone if $347 gives more."),
     (
         Key::DoorSpindleDelay,
         "How long to wait for the spindle after the door was closed, before the coolant is turned on. The spindle must reach its speed in this time.",

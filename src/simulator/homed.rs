@@ -200,7 +200,7 @@ mod tests {
         let refused = |settings: &[&str], place| home(&mut machine(settings, Fittings::default()), place).unwrap_err();
         assert!(refused(&[], [0.0; LINEAR]).contains("$22=1"));
         let locked = refused(&["22=1", "110=1000000"], [0.0; LINEAR]);
-        assert!(locked.contains("error:9") && locked.contains("mended: $110"), "{locked}");
+        assert!(locked.contains("error:9") && locked.contains("correct this setting: $110"), "{locked}");
         assert!(refused(&["22=1"], [1e9, 0.0, 0.0]).contains("G10 was refused"));
         let plate = r#"{"steps_per_mm": [250, 250, 250], "switch": [{"axis": "x", "at_mm": 7, "side": "positive"}]}"#;
         let mill = Fittings::new(serde_json::from_str(plate).unwrap()).unwrap();

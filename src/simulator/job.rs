@@ -306,7 +306,7 @@ pub fn resume(options: &ResumeJob) -> Result<Ending> {
     .context("cannot write the program")?;
     let (line, lines) = (resumed.line, resumed.lines);
     files::eprint_line(&format!(
-        "oxmill: for a machine that has been reset and homed: line {line} of {lines} and what follows, behind:"
+        "oxmill: reset and home the machine first. The program runs these lines, then line {line} of {lines} and the rest:"
     ));
     for line in &resumed.prologue {
         files::eprint_line(&format!("  {line}"));

@@ -11,7 +11,7 @@ fn effect(command: Realtime) -> Option<&'static str> {
         Realtime::Status | Realtime::FullStatus | Realtime::ParserState => return None,
         Realtime::Reset => "resets the machine",
         Realtime::Stop => "stops the machine and drops the lines behind",
-        Realtime::CycleStart => "goes on where the machine is held",
+        Realtime::CycleStart => "resumes the held machine",
         Realtime::FeedHold => "holds the machine",
         Realtime::SafetyDoor => "opens the safety door",
         Realtime::JogCancel => "ends a jog",
@@ -62,8 +62,8 @@ pub fn warning(line: &[u8]) -> Option<String> {
     }
     let places = ["in every dialect", "in dialect grbl", "in dialects oxmill, seed and grblhal", "in dialect grblhal"];
     let listed = acts.iter().zip(places).filter(|(acts, _)| !acts.is_empty());
-    let listed: Vec<_> = listed.map(|(acts, place)| format!("{} {place}", acts.join(", "))).collect();
-    (!listed.is_empty()).then(|| format!("sent as it is, {}", listed.join("; ")))
+    let listed: Vec<_> = listed.map(|(acts, place)| format!("{place}: {}", acts.join(", "))).collect();
+    (!listed.is_empty()).then(|| format!("if sent unchanged {}", listed.join("; ")))
 }
 
 /// Returns for each byte whether it is text of a comment. Such a byte can be a command in dialect grbl only.
@@ -118,31 +118,31 @@ mod tests {
     fn what_a_line_would_do_is_told_by_dialect() {
         let warned = |line: &str| warning(line.as_bytes());
         assert_eq!(warned("G1 X1 (plain, really?) ; µm ° ß ü é 切"), None);
-        assert_eq!(warned("(wow! good!)").unwrap(), "sent as it is, `!` holds the machine in dialect grbl");
-        assert_eq!(warned("(wow) !").unwrap(), "sent as it is, `!` holds the machine in every dialect");
+        assert_eq!(warned("(wow! good!)").unwrap(), "if sent unchanged in dialect grbl: `!` holds the machine");
+        assert_eq!(warned("(wow) !").unwrap(), "if sent unchanged in every dialect: `!` holds the machine");
         assert_eq!(
             warned("(Äußere Kontur)").unwrap(),
-            "sent as it is, byte 0x84 of `Ä` opens the safety door in dialect grbl"
+            "if sent unchanged in dialect grbl: byte 0x84 of `Ä` opens the safety door"
         );
         assert_eq!(
             warned("G1 X1 ; à (Ö ~").unwrap(),
-            "sent as it is, byte 0xA0 of `à` switches flood coolant on or off, byte 0x96 of `Ö` sets rapids to 50 %, `~` goes on \
-             where the machine is held in dialect grbl"
+            "if sent unchanged in dialect grbl: byte 0xA0 of `à` switches flood coolant on or off, byte 0x96 of `Ö` sets rapids \
+             to 50 %, `~` resumes the held machine"
         );
         assert_eq!(
             warned("Ä(20\u{A0}mm \u{1F604})").unwrap(),
-            "sent as it is, byte 0x84 of `Ä` opens the safety door, byte 0xA0 of U+00A0 switches flood coolant on or off in \
-             every dialect; byte 0x84 of `😄` opens the safety door in dialect grbl"
+            "if sent unchanged in every dialect: byte 0x84 of `Ä` opens the safety door, byte 0xA0 of U+00A0 switches flood \
+             coolant on or off; in dialect grbl: byte 0x84 of `😄` opens the safety door"
         );
         assert_eq!(
             warned("É \u{A1}").unwrap(),
-            "sent as it is, byte 0x89 of `É` switches single block on or off, byte 0xA1 of `¡` switches mist coolant on or off in dialects oxmill, seed and grblhal"
+            "if sent unchanged in dialects oxmill, seed and grblhal: byte 0x89 of `É` switches single block on or off, byte 0xA1 of `¡` switches mist coolant on or off"
         );
         // The bytes are Windows-1252 text and a control character.
         assert_eq!(
             warning(b"(\x84a\x93\x18)").unwrap(),
-            "sent as it is, byte 0x84 opens the safety door, byte 0x93 raises the feed by 1 %, byte 0x18 resets the machine \
-             in every dialect"
+            "if sent unchanged in every dialect: byte 0x84 opens the safety door, byte 0x93 raises the feed by 1 %, byte 0x18 \
+             resets the machine"
         );
     }
 }

@@ -299,8 +299,8 @@ impl Walk {
             if place.get(axis) != there.get(axis) {
                 let letter = char::from(axis.letter());
                 return Err(format!(
-                    "where {letter} is in front of this line depends on where the machine was when the job began: take a \
-                     line behind one that has {letter} with G90"
+                    "{letter} at this line depends on where the machine stood when the job started: choose a line after \
+                     one that has {letter} with G90"
                 ));
             }
         }
@@ -312,7 +312,7 @@ impl Walk {
             (meaning(self) != meaning(other), "a modal state is in force"),
         ] {
             if differs {
-                return Err(format!("{what} that depends on where the machine was when the job began"));
+                return Err(format!("{what} that depends on where the machine stood when the job started"));
             }
         }
         if self.waits_for_motion {
@@ -340,7 +340,7 @@ impl Walk {
     /// Returns the highest Z of the job so far. Fails if the job has travelled at a height that is not known in the
     /// present coordinate system, or if the spindle would be higher at this Z than it was in the job.
     fn clearance(&self, other: &Walk) -> Result<Coordinate, String> {
-        const WISH: &str = "say at which Z the tool may travel (--clearance)";
+        const WISH: &str = "give a safe height to travel at (--clearance)";
         let system = self.state().modal().coordinate_system;
         let is_known = |end: &&End| {
             let there = other.ends.binary_search_by_key(&end.line, |there| there.line);
@@ -354,8 +354,8 @@ impl Walk {
         let highest = highest.max(self.place().get(Axis::Z).unwrap_or_default());
         if let Some(end) = self.ends.iter().find(|end| end.travels && !is_known(end)) {
             return Err(format!(
-                "line {} travels at a Z that is not known in {} (from where the job began, by G53 or G28, or in another coordinate \
-                 system), and which may be higher than the highest known one, Z{}: {WISH}",
+                "line {} travels at a Z that is not known in {} (relative to the start, by G53 or G28, or in another coordinate \
+                 system) and may exceed the highest known, Z{}: {WISH}",
                 end.line + 1,
                 system.word(),
                 exact(highest.0)

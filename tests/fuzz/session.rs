@@ -237,7 +237,7 @@ pub fn back_to_idle(mill: &mut Simulator, history: &str) {
     mill.take_output();
     mill.send("\n$X\n");
     mill.run_for(Duration::from_millis(100));
-    if mill.take_output().contains("settings were damaged") {
+    if mill.take_output().contains("settings damaged") {
         ask_all(mill, ["$$"]);
         mill.run_for(Duration::from_secs(3));
         ask_all(mill, ["$X"]);

@@ -53,7 +53,7 @@ fn tenths_are_kept_over_a_power_cycle() {
     assert_eq!(pulse_tenths(&mill), 5);
     // A board that cannot make the stored pulse reports this and does not move.
     let mut mill = power_up(boards::BLACKPILL_F411, mill.store().power_cycled().unwrap());
-    let refused = "[MSG:Motion is locked until this setting is mended: $0]\r\nerror:9\r\n";
+    let refused = "[MSG:Motion is locked until you correct this setting: $0]\r\nerror:9\r\n";
     assert_eq!(ask(&mut mill, "G91 G0 X1"), refused);
     assert_eq!((ask(&mut mill, "$0=1"), ask(&mut mill, "G91 G0 X1")), ("ok\r\n".into(), "ok\r\n".into()));
 }

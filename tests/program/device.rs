@@ -107,7 +107,7 @@ fn a_damaged_store_is_told_and_locks() {
         drop(input);
         let output = program.wait_with_output().expect("the device ends with its input");
         let said = String::from_utf8_lossy(&output.stdout).into_owned();
-        let told = "[MSG:Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms]\r\n";
+        let told = "[MSG:Stored settings damaged, some may be lost: send $$, correct them, wait 2 s, send $X]\r\n";
         let refused = format!("\r\nGrbl 1.1h ['$' for help]\r\n{told}{told}error:7\r\nerror:9\r\n$0=10\r\n");
         assert!(said.starts_with(&refused), "byte {address}: {said}");
         assert!(said.contains("$101=81.000\r\n"), "byte {address}: {said}");

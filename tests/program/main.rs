@@ -252,7 +252,7 @@ fn a_held_program_that_is_too_long_is_measured() {
     let lacking = 700 * 9 + 6 + 4 + 6 + 3 + 64 - 6144;
     assert_eq!(error["code"], 83);
     let advice = error["advice"].as_str().expect("advice");
-    assert!(advice.starts_with(&format!("nucleo_f401re lacks {lacking} bytes")), "{advice}");
+    assert!(advice.starts_with(&format!("nucleo_f401re lacks {lacking} bytes: ")), "{advice}");
     // A board with more RAM has room for the program.
     assert_eq!(
         json(&run(&["check", text(&job), "--json", "--board", "nucleo_f446re"]))["errors"],
@@ -263,7 +263,7 @@ fn a_held_program_that_is_too_long_is_measured() {
     let last = errors.last().expect("an error")["text"].as_str().expect("a text").to_owned();
     assert_eq!(
         last,
-        format!("M99 finds no room either: {lacking} bytes of the program are too many so far; $X ends this")
+        format!("M99 does not fit either: the program is {lacking} bytes too long so far; send $X to drop it")
     );
 }
 
@@ -284,9 +284,9 @@ fn lines_are_named_that_do_what_may_not_be_meant() {
             [
                 (
                     2,
-                    "sent as it is, byte 0x9C of `Ü` raises the spindle by 1 %, byte 0xA0 of `à` switches flood coolant on or off in dialect grbl"
+                    "if sent unchanged in dialect grbl: byte 0x9C of `Ü` raises the spindle by 1 %, byte 0xA0 of `à` switches flood coolant on or off"
                 ),
-                (4, "sent as it is, `!` holds the machine, `~` goes on where the machine is held in dialect grbl"),
+                (4, "if sent unchanged in dialect grbl: `!` holds the machine, `~` resumes the held machine"),
             ]
         );
         // Grbl's dialect raises the feed of 0.05 mm/min to 1 mm/min, so there the line takes only minutes.
@@ -295,7 +295,7 @@ fn lines_are_named_that_do_what_may_not_be_meant() {
     }
     let said = String::from_utf8(run(&["check", text(&job)]).stdout).expect("text");
     assert!(
-        said.contains("every line is accepted, with 3 warnings") && said.contains("line 4: sent as it is"),
+        said.contains("every line is accepted, with 3 warnings") && said.contains("line 4: if sent unchanged"),
         "{said}"
     );
 }

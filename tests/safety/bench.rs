@@ -24,7 +24,7 @@ pub struct Bench {
 /// Returns the setting that a lock message names.
 #[track_caller]
 pub fn locking(message: &str) -> String {
-    let name = message.strip_prefix("[MSG:Motion is locked until this setting is mended: ");
+    let name = message.strip_prefix("[MSG:Motion is locked until you correct this setting: ");
     name.and_then(|name| name.strip_suffix(']')).unwrap_or_else(|| panic!("{message}")).to_string()
 }
 

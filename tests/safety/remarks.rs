@@ -14,7 +14,7 @@ const TEXT: [&str; 22] = [
 ];
 const WORDS: [&str; 8] = ["G1 X0.5", "G0 Y1", "G21", "", "G90", "N20 G1 Z-0.1", "F600", "S100"];
 /// Message that the machine sends once for nested parentheses.
-const NESTED: &str = "[MSG:Parentheses within a remark are part of it; Grbl ends it at the first one]";
+const NESTED: &str = "[MSG:Nested parentheses: the comment ends at the matching ) here, at the first ) in Grbl]";
 /// Realtime commands. They act anywhere, with two exceptions in a comment: `~` is text there, and `!` is text if
 /// another byte follows within 20 ms.
 const STOPS: [u8; 5] = [0x84, b'!', 0x18, 0x19, b'~'];

@@ -236,7 +236,8 @@ fn a_startup_line_does_not_move_a_locked_machine() {
     bench.wait(0.5);
     let said = bench.read();
     assert!(
-        said.iter().any(|l| l.ends_with("mended: $110]")) && said.contains(&">G91G1X1F100:error:9".to_string()),
+        said.iter().any(|l| l.ends_with("correct this setting: $110]"))
+            && said.contains(&">G91G1X1F100:error:9".to_string()),
         "{said:?}"
     );
     assert_eq!(bench.place()[0], 250);

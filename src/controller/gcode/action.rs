@@ -107,16 +107,16 @@ impl Notice {
     pub const fn text(self) -> &'static str {
         match self {
             Notice::NoTools => {
-                "No tool is in the table: G43 acts with length 0. G10 L1 P and Z, above the line, enter a tool and its length"
+                "No tool is in the table: G43 uses length 0. Write G10 L1 P<tool> Z<length> above G43 for each tool"
             }
             // Only the full image sends the other messages.
             _ if !FULL_IMAGE => "",
             Notice::LookAhead => "Switches of the look-ahead (G5.1 Q, G8 P, G187) do nothing: G64 P sets a tolerance",
             Notice::RigidTapping => "M29 does nothing: there is no rigid tapping",
-            Notice::NestedComment => "Parentheses within a remark are part of it; Grbl ends it at the first one",
-            Notice::CircleOfMach => {
-                "I of G12 and G13 is the radius of the tool's path, as on Mach; on Haas it is the wall's"
+            Notice::NestedComment => {
+                "Nested parentheses: the comment ends at the matching ) here, at the first ) in Grbl"
             }
+            Notice::CircleOfMach => "G12, G13: I is the radius of the tool's path (Mach), not of the wall (Haas)",
             Notice::SystemOfSetter => "P3 is G59.3, where tool changes with $918=2 look for the tool setter",
         }
     }

@@ -174,7 +174,7 @@ impl<const N: usize> Controller<N> {
 
     #[inline(never)]
     pub(crate) fn tell_damage(&mut self) {
-        let text = "Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms";
+        let text = "Stored settings damaged, some may be lost: send $$, correct them, wait 2 s, send $X";
         self.say(|out| reply_texts::message(out, text));
     }
 
@@ -281,7 +281,7 @@ impl<const N: usize> Controller<N> {
 
     /// Asks whether the work zero was set with the first tool. The operator confirms by `~`.
     pub(crate) fn tell_first_tool(&mut self) {
-        self.say(|out| reply_texts::message(out, "First tool measured: is the work zero set with it?"));
+        self.say(|out| reply_texts::message(out, "First tool measured: send ~ if it set work zero, else reset"));
     }
 
     /// Reports whether single block is on.

@@ -66,7 +66,7 @@ impl<const N: usize> Controller<N> {
         } else {
             self.task = Task::None;
             if listing == Listing::Settings && self.m.records.listed(self.m.now) {
-                self.say(|out| reply_texts::message(out, "Compare with your notes; 2 s later $X confirms"));
+                self.say(|out| reply_texts::message(out, "Compare with your notes, wait 2 s, then send $X"));
             }
             self.say_ok();
         }

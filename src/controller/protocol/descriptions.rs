@@ -221,12 +221,10 @@ const fn beyond_a_switch(number: u16) -> &'static [u8] {
     match number {
         ENABLE_INVERT => b", for all drivers",
         LIMIT_INVERT => b", for all limit inputs; single ones are turned round by $908",
-        HARD_LIMITS => b"; of grblHAL's bits 2 (strict mode) does not exist, and 4 (not for A) is $133=0",
-        HOMING => {
-            b"; of grblHAL's bits 2, 4 and 128 always act, 8 is $932=1, 64 is $X, and 16, 32, 256 and 512 do not exist"
-        }
+        HARD_LIMITS => b"; grblHAL's bits 2 (strict mode): not supported; 4 (not for A): $133=0",
+        HOMING => b"; grblHAL's bits 2, 4, 128: always on; 8: $932=1; 64: $X; 16, 32, 256, 512: not supported",
         LASER => b"; there is no lathe mode (2)",
-        PARKING => b"; of grblHAL's bits 2 (M56) always acts, and 4 does not exist",
+        PARKING => b"; grblHAL's bits 2 (M56): always on; 4: not supported",
         _ => b"",
     }
 }

@@ -191,7 +191,7 @@ impl<const N: usize> Controller<N> {
         }
         self.enter(if locked { State::Alarm(None) } else { State::Normal });
         if locked {
-            self.say(|out| reply_texts::message(out, "Job stopped at an error, $X to go on"));
+            self.say(|out| reply_texts::message(out, "Job ended at an error, unlock with $X"));
         }
     }
 

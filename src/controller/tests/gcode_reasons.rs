@@ -58,10 +58,15 @@ const ROWS: &[Row] = &[
     ("F100", "G1 X10-2.5", 1, "write 10-2.5 in brackets behind X"),
     ("F100 | #101=5", "G1 X#101+2", 1, "write #101+2 in brackets behind X"),
     ("F100 | #101=5", "G1 X#101*2 Y3", 1, "write #101*2 in brackets behind X"),
-    ("F100 | #101=5", "G1 X[#101]+2", 1, "X is computed behind its bracket: write brackets around all of it"),
+    (
+        "F100 | #101=5",
+        "G1 X[#101]+2",
+        1,
+        "X continues after its bracket: put one pair of brackets around the whole value",
+    ),
     ("F100 | #101=5", "G1 X-#101-2", 1, "write -#101-2 in brackets behind X"),
     ("F100", "#101=5+2", 1, "write 5+2 in brackets behind #101="),
-    ("F100", "#101=[5]*2", 1, "#101 is computed behind its bracket: write brackets around all of it"),
+    ("F100", "#101=[5]*2", 1, "#101 continues after its bracket: put one pair of brackets around the whole value"),
     ("F100", "#101", 75, "#101 has no letter in front, or no = behind"),
     ("F100", "#101 5", 75, "#1015 has no letter in front, or no = behind"),
     ("F100", "#=5", 75, "no number and no name behind #"),
@@ -133,12 +138,7 @@ const ROWS: &[Row] = &[
     ("F100", "G200", 20, "G200 is no G word that is known"),
     ("F100", "G999", 20, "G999 is no G word that is known"),
     ("F100", "G-1", 20, "G-1 is no G word that is known"),
-    (
-        "F100",
-        "M100",
-        20,
-        "M100 runs the macro of its number ($M0=o150 sub for M150), if there is one, and alone in its line",
-    ),
+    ("F100", "M100", 20, "M100 needs a macro of its number ($M0=o150 sub for M150) and a line of its own"),
     ("F100", "M3.5", 23, "M3.5 is not known: M words have whole numbers up to 255"),
     ("F100", "M99999", 20, "M99999 is no M word that is known"),
     ("F100", "G59.4", 29, "G59.4 is no coordinate system: there are G54 to G59, G59.1, G59.2 and G59.3"),
@@ -178,7 +178,7 @@ const ROWS: &[Row] = &[
         "F100",
         "M10",
         20,
-        "M10 runs the macro o10 sub or o11 sub, if $M0= has it, and alone in its line. M64 and M65 switch outputs",
+        "M10 needs a macro (o10 sub or o11 sub in $M0=) and a line of its own. For outputs use M64, M65",
     ),
     (
         "F100",
@@ -203,7 +203,12 @@ const ROWS: &[Row] = &[
     ("F100", "G13 I5 K10 Q2", 36, "K10 in G13 is a word of Haas, where I is the wall: let CAM write G2 and G3"),
     ("F100", "G13 Z-1 I5", 36, "Z-1 in G13 is a word of Haas, where I is the wall: let CAM write G2 and G3"),
     ("F100", "G12 X1 I5", 36, "X1 does not go with G12: its circle is round the tool"),
-    ("F100 | D3", "G12 I5", 121, "on Haas, D makes I of G12 the wall: write D0 above it if I is the tool's path"),
+    (
+        "F100 | D3",
+        "G12 I5",
+        121,
+        "G12 after a D word: I could mean the wall (Haas). Write D0 above it if I is the tool's path",
+    ),
     ("F100", "G93 G12 I5 F2", 120, "G12 needs G94: G93 is active"),
     ("F100", "G18 G13 I5", 140, "G13 needs G17: the plane is G18"),
     ("F100", "G16", 121, "G16 is not supported: write X and Y instead of angle and radius"),
@@ -239,20 +244,20 @@ const ROWS: &[Row] = &[
         "F100",
         "M99",
         203,
-        "M99 without a call: lines above it may have run as the program. Subprograms come behind M30; $X ends this",
+        "M99 without a call: lines above may have run. Write subprograms after M30; stop the sender, send $X",
     ),
     (
         "F100",
         "G0 X1 M99",
         203,
-        "M99 without a call: lines above it may have run as the program. Subprograms come behind M30; $X ends this",
+        "M99 without a call: lines above may have run. Write subprograms after M30; stop the sender, send $X",
     ),
-    ("M98 P1001 | M30", "G0 X1", 203, "G0X1 is in no program or subprogram that can run; $X ends this"),
+    ("M98 P1001 | M30", "G0 X1", 203, "G0X1 belongs to no program that can run: stop the sender, then send $X"),
     (
         "M98 P1 | M30 | O1",
         "O2",
         203,
-        "O2 is no subprogram here: M99 ends the one before it, and each number is there once; $X ends this",
+        "O2 cannot start here: end the subprogram above with M99, use each number once, then send $X",
     ),
     ("M30 | O1", "M30", 203, "M30 is no end of a subprogram: M99 is; for the next program send $X first"),
     ("M30 | O1", "M99 P20", 121, "M99 with other words is not supported: it returns behind the call"),
@@ -376,10 +381,11 @@ const ROWS: &[Row] = &[
         33,
         "the radius of G2 is 10.160 mm at its start, 15.240 at its end. Correct I, J or the end",
     ),
-    ("F100", "G2 X10 R4", 34, "R4 is too small for G2: half of its way is 5.000 mm"),
-    ("F100", "G2 X10 R0", 34, "R0 is too small for G2: half of its way is 5.000 mm"),
+    ("F100", "G2 X10 R4", 34, "R4 is too small for G2: at least 5.000 mm (half the chord)"),
+    ("F100", "G2 X10 R0", 34, "R0 is too small for G2: at least 5.000 mm (half the chord)"),
+    ("F100", "G2 X10.0005 R4", 34, "R4 is too small for G2: at least 5.001 mm (half the chord)"),
     ("F100", "G2 X0 Y0 R5", 33, "G2 with R ends where it begins: write I and J for a full circle"),
-    ("F100 | G20", "G2 X1 R.4", 34, "R.4 is too small for G2: half of its way is 12.700 mm"),
+    ("F100 | G20", "G2 X1 R.4", 34, "R.4 is too small for G2: at least 12.700 mm (half the chord)"),
     ("F100", "G2 X5 R2.5 P1.5", 23, "P1.5 has to be a whole number"),
     ("F100", "G2 X5 R2.5 P0", 23, "P0 in G2 is the number of turns: 1 to 1000000"),
     ("F100", "G2 X5 I2.5 R2.5", 36, "I2.5 does not go with R2.5 in an arc: write one of them"),
@@ -465,7 +471,7 @@ const ROWS: &[Row] = &[
         "F100 | M30",
         "O1001 X5",
         203,
-        "O1001X5 is no subprogram here: M99 ends the one before it, and each number is there once; $X ends this",
+        "O1001X5 cannot start here: end the subprogram above with M99, use each number once, then send $X",
     ),
     ("", "$J=X5", 22, "F is missing: each jog needs its own"),
     ("", "$J=G91 X5", 22, "F is missing: each jog needs its own"),
@@ -503,7 +509,7 @@ const ROWS: &[Row] = &[
     ("F100 | #<w>=5", "G1 X[#<w>+2*#<H>]", 74, "#<H> is not set above this line: set it, or correct the name"),
     ("F100", "G0 X1 #<y>=#<z>", 74, "#<Z> is not set above this line: set it, or correct the name"),
     ("F100", "G1 X[2*[3+4]", 75, "a bracket is not closed in X"),
-    ("F100", "G02 X5 Y5 R2", 34, "R2 is too small for G2: half of its way is 3.536 mm"),
+    ("F100", "G02 X5 Y5 R2", 34, "R2 is too small for G2: at least 3.536 mm (half the chord)"),
     (
         "F100",
         "G2 X10 Y10 J5",
@@ -621,6 +627,21 @@ fn a_wrong_sentence_is_found() {
     let rows =
         [("F100", "G1 X", 2, "no number behind Y"), ("F100", "G1 X", 1, "no number behind X"), ("", "G0 X1", 2, "")];
     assert_eq!(wrong(Dialect::Oxmill, &rows).len(), rows.len());
+}
+
+/// A radius that a sentence names is rounded up, so it is not refused again.
+#[test]
+fn the_least_radius_is_accepted() {
+    for dialect in [Dialect::Oxmill, Dialect::Grbl] {
+        let program = after(dialect, "F100");
+        for ends in ["X10", "X10.0005", "X10.0001 Y0.0001", "X0.0001", "X5 Y5", "X7.0712 Y-7.0711", "Y-30000 X0.0003"] {
+            let (_, reason) = refusal(&program, &format!("G2 {ends} R0")).expect("a refusal");
+            let least =
+                reason.strip_prefix("R0 is too small for G2: at least ").and_then(|text| text.split_once(" mm"));
+            let (least, _) = least.unwrap_or_else(|| panic!("{ends}: {reason}"));
+            assert_eq!(refusal(&program, &format!("G2 {ends} R{least}")), None, "{ends}: {reason}");
+        }
+    }
 }
 
 /// Each sentence about a refused line fits into a `[MSG:...]`, and differs from the texts of all errors.

@@ -311,7 +311,7 @@ fn lines_that_waited_for_room_for_answers_are_read() {
     assert_eq!((scribe.lines.len(), scribe.said.matches("ok").count()), (0, 30));
 }
 
-const NOT_STORED: &str = "[MSG:The setting holds but could not be stored]\r\n";
+const NOT_STORED: &str = "[MSG:Change active but not stored: lost at power-off]\r\n";
 
 #[test]
 fn a_failure_to_store_is_told_with_the_command_that_it_belongs_to() {

@@ -187,7 +187,7 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     fn name_locking(&mut self, setting: u16) {
         self.say(|out| {
-            reply_texts::message_number(out, "Motion is locked until this setting is mended: $", setting.into())
+            reply_texts::message_number(out, "Motion is locked until you correct this setting: $", setting.into())
         });
     }
 

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::Duration;
 
 /// Sent after the welcome line, and before the error if `$X` or `$H` is rejected.
-const DAMAGED: &str = "[MSG:Stored settings were damaged and some may be lost: check $$, 2 s later $X confirms]\r\n";
+const DAMAGED: &str = "[MSG:Stored settings damaged, some may be lost: send $$, correct them, wait 2 s, send $X]\r\n";
 const WELCOME: &str = "\r\nGrbl 1.1h ['$' for help]\r\n";
 
 fn power_up(path: &Path) -> (Simulator, String) {
@@ -44,7 +44,7 @@ fn stored(path: &Path, lines: &[&str]) -> Vec<u8> {
 fn listing(mill: &mut Simulator) -> Vec<String> {
     let mut lines = Vec::new();
     for list in ["$#", "$N", "$I", "$$"] {
-        let text = say(mill, list).replace("[MSG:Compare with your notes; 2 s later $X confirms]\r\n", "");
+        let text = say(mill, list).replace("[MSG:Compare with your notes, wait 2 s, then send $X]\r\n", "");
         let volatile = ["[G92", "[TLO", "[PRB", "[OPT", "ok"];
         lines.extend(text.lines().filter(|l| !volatile.iter().any(|v| l.starts_with(v))).map(str::to_owned));
     }
@@ -120,7 +120,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
         // `$X` less than 2 s after `$$` is rejected: it can come from a program, without a user who has read the list.
         let list = say(&mut mill, "$$");
         assert!(list.contains("$100=80.000\r\n") && list.contains("$110=600.000\r\n"), "{list}");
-        assert!(list.ends_with("[MSG:Compare with your notes; 2 s later $X confirms]\r\nok\r\n"), "{list}");
+        assert!(list.ends_with("[MSG:Compare with your notes, wait 2 s, then send $X]\r\nok\r\n"), "{list}");
         wait(&mut mill, 1_900);
         assert_eq!(say(&mut mill, "$X"), refused);
         // A reset makes the list count as unread, because another user may be present who has not seen it.

@@ -46,7 +46,7 @@ impl<const N: usize> Interpreter<N> {
                 );
             }
             (None, _) if is_refused_block => {
-                say(out, "the sub or loop of this line is refused as a whole: correct its first refused line", &[]);
+                say(out, "this line is in a refused sub or loop: correct the first refused line of that block", &[]);
             }
             (None, Error::FlowSyntax) => say(out, "a sub, loop or condition was not ended before this line", &[]),
             (None, _) => return false,
@@ -58,14 +58,14 @@ impl<const N: usize> Interpreter<N> {
     #[inline(never)]
     fn explain_place(&self, line: &[u8], order: Option<OWord>, out: &mut Reason) {
         if let Some(excess) = self.computed.overflow.so_far() {
-            say(out, "% finds no room either: ", &[line]);
-            let _ = write!(out, "{excess} bytes of the program are too many so far; $X ends this");
+            say(out, "% does not fit either: ", &[line]);
+            let _ = write!(out, "the program is {excess} bytes too long so far; send $X to drop it");
             return;
         }
         match order.map(|order| order.keyword) {
             _ if has_m_word(line, &[b"99"]) => say(
                 out,
-                "M99 without a call: lines above it may have run as the program. Subprograms come behind M30; $X ends this",
+                "M99 without a call: lines above may have run. Write subprograms after M30; stop the sender, send $X",
                 &[],
             ),
             Some(Keyword::CallProgram | Keyword::CallMacro | Keyword::BeginModalCall)
@@ -76,13 +76,13 @@ impl<const N: usize> Interpreter<N> {
             _ if line.first() == Some(&b'%') => self.say_missing("no subprogram O% above its call or behind M30", out),
             _ if has_program_number(line) => say(
                 out,
-                "% is no subprogram here: M99 ends the one before it, and each number is there once; $X ends this",
+                "% cannot start here: end the subprogram above with M99, use each number once, then send $X",
                 &[line],
             ),
             None if ends_program(line) => {
                 say(out, "% is no end of a subprogram: M99 is; for the next program send $X first", &[line])
             }
-            _ => say(out, "% is in no program or subprogram that can run; $X ends this", &[line]),
+            _ => say(out, "% belongs to no program that can run: stop the sender, then send $X", &[line]),
         }
     }
 
@@ -202,7 +202,7 @@ impl<const N: usize> Interpreter<N> {
                 );
             }
             error if error.code() < Error::UnknownOperation.code() && error != Error::NotIdle => {
-                say(out, "% belongs to what is refused as a whole: correct its first refused line", &[name]);
+                say(out, "% is part of a refused sub or loop: correct the first refused line of it", &[name]);
             }
             error => {
                 say(out, "%: ", &[name]);

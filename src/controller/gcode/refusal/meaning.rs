@@ -99,7 +99,7 @@ impl<const N: usize> Interpreter<N> {
             Error::NothingSaved => say(out, "M72 has nothing to restore: M70 or M73 keeps a state before it", &[]),
             Error::TooDeep => {
                 let keep = text.code(b'M', &[700, 730]).unwrap_or_default();
-                say(out, "% keeps one state too many: M72 or M71 comes before the next", &[keep]);
+                say(out, "% saves one state too many: at most 8 levels of calls can save one", &[keep]);
             }
             Error::SplineOutsideXy => {
                 let aside = line.axes().find(|axis| axis.index() > 1);
@@ -296,7 +296,9 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
                 return lacks("L", b"G10", ": L2 P1 sets the origin of G54, L20 P1 the place of the tool in it");
             }
             Some(NonModal::SetSystem) if !has(b'P') => return lacks("P", b"G10", ": the number of the tool"),
-            Some(NonModal::SetSystem) => return lacks("P", b"G10", ": that of the line belongs to another word"),
+            Some(NonModal::SetSystem) => {
+                return lacks("P", b"G10", ": this P belongs to another word, write two lines");
+            }
             _ => {}
         }
         if self.parsed.tool_length == Some(ToolLength::Add) && !has(b'H') {
@@ -390,7 +392,11 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
     #[inline(never)]
     fn not_supported(&self, out: &mut Reason) {
         if self.parsed.extended.circle.is_some() {
-            say(out, "on Haas, D makes I of % the wall: write D0 above it if I is the tool's path", &[self.motion()]);
+            say(
+                out,
+                "% after a D word: I could mean the wall (Haas). Write D0 above it if I is the tool's path",
+                &[self.motion()],
+            );
         } else if let Some(word) = self.text.code(b'M', &[520, 530]) {
             say(out, "% is not supported with this P: nothing adapts the feed, and the hold always acts", &[word]);
         } else if let Some(word) = self.text.code(b'G', &[80]) {
@@ -483,7 +489,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         } else if of_table && !self.parsed.axes.is_empty() && self.has_no_room(number) {
             say(
                 out,
-                "% finds no room in the table of tools: G10 L1 P and a number without axes takes one out",
+                "% does not fit, the tool table is full: remove a tool with G10 L1 P<number> without axes",
                 &[self.word(b'P')],
             );
         } else if number == 0 {
@@ -718,11 +724,11 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
     fn radius(&self, out: &mut Reason) {
         say(out, "% is too small for %: ", &[self.word(b'R'), self.motion()]);
         if self.is_turned() {
-            return say(out, "half of the way from start to end at least", &[]);
+            return say(out, "at least half the distance from start to end", &[]);
         }
-        say(out, "half of its way is ", &[]);
-        millimetres(out, length(self.chord(self.modal.plane.axes())) / 2);
-        say(out, " mm", &[]);
+        say(out, "at least ", &[]);
+        millimetres(out, rounded_up(length(self.chord(self.modal.plane.axes())) / 2));
+        say(out, " mm (half the chord)", &[]);
     }
 }
 
@@ -730,6 +736,13 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
 fn length([x, y]: [i64; 2]) -> i64 {
     let square = |part: i64| u128::from(part.unsigned_abs()) * u128::from(part.unsigned_abs());
     i64::try_from(integer_root(square(x).saturating_add(square(y)))).unwrap_or(i64::MAX)
+}
+
+/// Rounds a length up to whole micrometres, because a message prints no smaller digits.
+#[inline(never)]
+fn rounded_up(length: i64) -> i64 {
+    const MICROMETRE: i64 = DECIMAL_ONE / 1000;
+    (length + MICROMETRE - 1) / MICROMETRE * MICROMETRE
 }
 
 /// Returns the letter of the arc centre along an axis.

@@ -126,10 +126,7 @@ const INSTEAD_OF_G: [(&[u16], &str); 12] = [
     (&[380], "% lacks its digit: G38.2 to G38.5 are probing moves"),
 ];
 const INSTEAD_OF_M: [(&[u16], &str); 5] = [
-    (
-        &[100, 110],
-        "% runs the macro o10 sub or o11 sub, if $M0= has it, and alone in its line. M64 and M65 switch outputs",
-    ),
+    (&[100, 110], "% needs a macro (o10 sub or o11 sub in $M0=) and a line of its own. For outputs use M64, M65"),
     (&[980, 990], "% must be written as a plain number: M98 P1001, M99"),
     (&[970], "% is not supported: write O1000 .. M99 behind M30, and call it with M98 P1000"),
     (&[190], "% is not supported: the spindle cannot be turned to an angle"),
@@ -304,7 +301,7 @@ impl<const N: usize> Interpreter<N> {
                         if written.contains(&b'[') {
                             say(
                                 out,
-                                "% is computed behind its bracket: write brackets around all of it",
+                                "% continues after its bracket: put one pair of brackets around the whole value",
                                 &[word_name(word)],
                             );
                         } else {
@@ -511,11 +508,7 @@ fn explain_unknown<const N: usize>(text: &Text, word: &[u8], before: &[u8], erro
             say(out, "a computed M word is none that is supported: write its number, such as M98 P1001", &[]);
         }
         _ if letter == b'M' && !grbl && matches!(tenths, Some(1000..=1990)) => {
-            say(
-                out,
-                "% runs the macro of its number ($M0=o150 sub for M150), if there is one, and alone in its line",
-                &[word],
-            );
+            say(out, "% needs a macro of its number ($M0=o150 sub for M150) and a line of its own", &[word]);
         }
         _ if letter == b'M' => say(out, "% is no M word that is known", &[word]),
         _ => say(out, "% is no G word that is known", &[word]),

@@ -39,7 +39,7 @@ export class ContinuePanel implements JobPanel {
     const { name, bytes } = this.page.job;
     try {
       const rest = await firmware.resume(this.page.order({ resume: resumeOptions() }), bytes, signal);
-      this.draw(`Line ${rest.line.toLocaleString("en")} of ${rest.lines.toLocaleString("en")} and what follows, behind these lines.`, rest.prologue);
+      this.draw(`First the lines shown above, then line ${rest.line.toLocaleString("en")} to line ${rest.lines.toLocaleString("en")}.`, rest.prologue);
       done(`${name.replace(/\.[^.]*$/, "")}-from-${rest.line}.nc`, rest.program);
     } catch (error) {
       if (!signal.aborted) this.draw((error as Error).message, []);

@@ -325,7 +325,7 @@ export class Machine {
     if (running) this.end(running, "the connection was lost");
     this.detach();
     this.lostWhy = why;
-    this.onnote(`The machine is gone${moves ? " in motion, and is held if it still hears that" : ""}: ${why}`);
+    this.onnote(`Connection lost${moves ? " in motion (a hold was sent; check that it stops)" : ""}: ${why}`);
     this.changed();
   }
 
@@ -423,7 +423,7 @@ export class Machine {
   private jobStopped(line: number, why: string): void {
     this.onsay(`The job has ended: ${why}. Its lines up to ${line} have been sent.`, "wrong");
     if (this.running) this.end(this.running, why);
-    this.onnote(/refused/.test(why) ? `The job has ended: ${why}. The machine is held: Stop drops what it has received, Resume carries it out.` : `The job has ended: ${why}.`);
+    this.onnote(/refused/.test(why) ? `The job has ended: ${why}. The machine is in Hold: press Stop to drop the lines it has received, Resume to run them.` : `The job has ended: ${why}.`);
   }
 
   /** Ends a job before its last line. */

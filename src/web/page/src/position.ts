@@ -52,7 +52,7 @@ export class PositionPanel {
 
   private build(letters: string[]): void {
     this.rows = letters.map(letter => {
-      const work = el("input", { type: "text", inputMode: "decimal", "aria-label": `Work ${letter}: type a value to give this place another name`, id: `work-${"XYZABC".indexOf(letter)}` });
+      const work = el("input", { type: "text", inputMode: "decimal", "aria-label": `Work ${letter}: type a value to set the work position here`, id: `work-${"XYZABC".indexOf(letter)}` });
       const zero = el("button", { type: "button", className: "btn mc", textContent: `Zero ${letter}`, "aria-label": `Zero ${letter}: set work zero of ${letter} here` });
       zero.addEventListener("click", () => this.zero([letter]));
       work.addEventListener("change", () => {
@@ -81,7 +81,7 @@ export class PositionPanel {
       const value = shown(status?.work[axis]);
       if (document.activeElement !== row.work && row.work.value !== value) row.work.value = value;
       say(row.at, shown(status?.machine[axis]));
-      allow(row.work, machine.whyNotAtRest, "Type a value to give this place another name");
+      allow(row.work, machine.whyNotAtRest, "Type a value to set the work position here");
       allow(row.zero, machine.whyNotAtRest);
     }
     press(document.querySelectorAll("[data-unit]"), button => button.dataset.unit === units.name);

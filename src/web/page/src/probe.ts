@@ -90,7 +90,7 @@ export class ProbePanel {
     const tried = this.closed && this.opened && !touching;
     this.contact.className = tried ? "finding good" : "finding warn";
     this.contact.textContent = touching ? "The probe is in contact: take it off."
-      : tried ? "The probe answers: it was closed, and is open again." : "Touch the plate to the cutter once, to see that the circuit closes. Probing without that is possible, but nobody has seen then that the cable is whole.";
+      : tried ? "The probe answers: it was closed, and is open again." : "Touch the plate to the cutter once to test the circuit. You can probe without this test, but a broken cable then goes unnoticed.";
     const turning = /[SC]/.test(machine.accessories) ? "Stop the spindle first." : undefined;
     allow(this.go, machine.whyNotAtRest ?? turning ?? (touching ? "The probe is in contact already." : undefined));
   }

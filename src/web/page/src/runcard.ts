@@ -113,7 +113,7 @@ export class RunCard {
     allow(resume, phase === "hold" || phase === "door" ? undefined : machine.isConnected ? "Nothing is held." : "Connect a machine first.", "Space");
     resume.classList.toggle("go", phase === "hold");
     const turning = /[SC]/.test(machine.accessories);
-    $("hold-why").textContent = phase === "hold" && machine.pause ? `${machine.pause}: do it, then press Resume.`
+    $("hold-why").textContent = phase === "hold" && machine.pause ? duty(machine.pause)
       : phase === "hold" ? turning ? "The spindle is still turning: keep your hands away." : "Held. Resume goes on; Stop ends the job."
         : phase === "door" ? "The safety door is open: close it, then press Resume." : going ? "Space holds and resumes. The spindle keeps turning in Hold." : "";
     $("hold-row").hidden = !going && !["run", "hold", "door", "jog", "stopping"].includes(phase) && machine.isConnected;
@@ -194,7 +194,7 @@ export class RunCard {
     }
     const go = button(`Continue from line ${stopped.line.toLocaleString("en")}…`, () => this.continuing.from(stopped.line), position ? "btn" : "btn go");
     if (phase === "hold" || phase === "stopping") allow(go, "Resume or stop the machine first.");
-    actions.append(go, button("Leave it", () => {
+    actions.append(go, button("Dismiss", () => {
       machine.stopped = undefined;
       this.update();
     }));
@@ -230,6 +230,12 @@ export class RunCard {
       el("li", { className: done ? "done" : index === now ? "now" : "" }, el("b", { textContent: text }), ...(index === now && more ? [el("small", { textContent: more })] : []), ...(index === now ? buttons : []))));
     return [...(trouble.code === undefined ? [] : [el("p", { className: "title", textContent: `Alarm ${trouble.code}: ${trouble.text}` })]), list];
   }
+}
+
+/** Returns what the user has to do in a pause. T0 is no tool: the spindle stays empty. */
+function duty(pause: string): string {
+  if (pause.startsWith("First tool measured")) return "First tool measured. Work zero set with it? Yes: Resume. No: Stop, set zero, start again.";
+  return `${pause}: ${pause.endsWith(" T0") ? "take it out" : "put it in"}, then press Resume.`;
 }
 
 const keyOf = (findings: Finding[]): string => findings.map(({ text }) => text).join();

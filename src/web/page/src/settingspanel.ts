@@ -218,7 +218,7 @@ export class SettingsPanel {
   private tellPlace(): void {
     for (const [axis, input] of this.place.entries()) if (document.activeElement !== input) input.value = this.settings.zero[axis] === undefined ? "" : String(this.settings.zero[axis]);
     $("work-zero-note").textContent = this.settings.workZero() ? "The machine is homed before the job: soft limits ($20) act. Homing has to be on ($22)."
-      : this.place.some(input => input.value !== "") ? "Not homed: X, Y and Z are needed." : "Not homed: soft limits do not act. Give a place to have it homed before the job.";
+      : this.place.some(input => input.value !== "") ? "Not homed: X, Y and Z are needed." : "Not homed: soft limits do not act. Enter X, Y and Z to home before the job.";
   }
 
   // Import, backup

@@ -283,7 +283,7 @@ export async function a_setting_out_of_reach_is_named(browser) {
   const found = await openJob(page, "reach.nc", text);
   const expected = run("reach.nc", text, { settings: { ...MILL, 110: 1e6 } });
   same(found, expected);
-  const why = "Motion is locked until this setting is mended: $110";
+  const why = "Motion is locked until you correct this setting: $110";
   assert(expected.messages.some(message => message.includes(why)), `${expected.messages}`);
   assert((await page.locator("#messages").innerText()).includes(why));
   assert.match(await page.locator("#errors button").first().innerText(), /error:9[^]*line 2/);

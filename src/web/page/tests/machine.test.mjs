@@ -376,7 +376,7 @@ export async function a_board_at_a_serial_port_does_the_job(browser) {
     await start(page);
     await page.waitForFunction(() => [...document.querySelectorAll("#console .wrong")].some(line => line.textContent === "line 3: error:133"));
     await state(page, "^Hold");
-    assert.match(await page.locator("#machine-note").innerText(), /The job has ended: line 3 was refused .*Stop drops what it has received/);
+    assert.match(await page.locator("#machine-note").innerText(), /The job has ended: line 3 was refused .*press Stop to drop the lines it has received/);
     const sent = await page.evaluate(() => oxmill.app.machine.sender.lines.length);
     assert(sent < 203, `${sent} lines were sent`);
     assert(await page.locator("#start").isDisabled());
@@ -464,7 +464,7 @@ export async function a_board_obeys_with_full_buffers_and_may_be_unplugged(brows
     await start(page);
     await state(page, "^Run");
     await page.evaluate(() => __unplug());
-    await page.waitForFunction(() => /gone/.test(document.getElementById("machine-note").textContent) && __port.closed);
+    await page.waitForFunction(() => /^Connection lost/.test(document.getElementById("machine-note").textContent) && __port.closed);
     await page.click("#connect");
     await state(page, "^(Run|Hold)");
     await page.click("#stop");
@@ -539,7 +539,7 @@ export async function a_board_that_cannot_be_heard_any_more_is_held(browser) {
     await page.evaluate(() => __unplug("FramingError"));
     await page.waitForFunction(() => __port.closed);
     assert.equal(wire.realtime.at(-1), 0x21);
-    assert.match(await page.locator("#machine-note").innerText(), /is gone in motion, and is held if it still hears that: FramingError/);
+    assert.match(await page.locator("#machine-note").innerText(), /Connection lost in motion \(a hold was sent; check that it stops\): FramingError/);
     await page.click("#connect");
     await state(page, "^Hold");
   });

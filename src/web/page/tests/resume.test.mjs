@@ -16,7 +16,7 @@ export async function the_rest_of_a_job_is_that_of_the_program(browser) {
   const [name, text] = await written({ "from-line": "200" });
   assert.equal(name, "pocket_mm-from-200.nc");
   assert.equal(text, resumed("pocket_mm.nc", example("pocket_mm.nc"), ["--line", "200"]));
-  assert.match(await page.textContent("#continue-note"), /^Line 200 of 465 /);
+  assert.match(await page.textContent("#continue-note"), /^First the lines shown above, then line 200 to line 465\.$/);
   assert.match(await page.textContent("#prologue"), /^G21 G90 G94 G17 G54\nM5 M9\n/);
   const [, other] = await written({ "from-line": "300", clearance: "12.5", plunge: "60", "spin-up": "2" });
   assert.equal(other, resumed("pocket_mm.nc", example("pocket_mm.nc"), ["--line", "300", "--clearance", "12.5", "--plunge", "60", "--spin-up", "2"]));
@@ -34,6 +34,6 @@ export async function the_rest_of_a_job_is_that_of_the_program(browser) {
   assert.equal(await page.textContent("#continue-note"), "");
   await page.fill("#from-line", "3");
   await page.click("#write-rest");
-  await page.waitForFunction(() => document.getElementById("continue-note").textContent.includes("where X is"));
+  await page.waitForFunction(() => document.getElementById("continue-note").textContent.includes("X at this line depends"));
   assert.deepEqual(faults, []);
 }
