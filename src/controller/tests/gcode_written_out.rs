@@ -3,6 +3,7 @@
 #![cfg(feature = "full")]
 
 use crate::subprogram_sender::Sender;
+use oxmill_controller::error::Error;
 use proptest::prelude::*;
 
 /// A subprogram of a random program: its moves and calls.
@@ -182,6 +183,9 @@ proptest! {
             (sender.acts.unwrap(), position, sender.errors, sender.ends)
         };
         let (called, written) = (acts(&text), acts(&format!("{}\nM30", lines.join("\n"))));
+        // Many relative moves can lead beyond 50 m. There a line is refused, which ends a call with all of its callers, but
+        // does not end lines that are written out.
+        prop_assume!(!written.2.contains(&Error::InvalidTarget.code()));
         prop_assert_eq!(called, written, "{}\n---\n{}", text, lines.join("\n"));
     }
 
