@@ -146,21 +146,27 @@ mod chosen {
     }
 
     /// Returns whether the boot loader could switch on a device of this board, such as the spindle or the coolant. The
-    /// boot loader enables pull-ups at the pins of its UARTs and of CAN (AN2606). Only the F407 and F446 are checked:
-    /// the pins that the other chips' boot loaders use for this are not on their packages.
+    /// boot loader enables pull-ups at the pins of its UARTs and of CAN, and may drive its outputs of SPI (AN2606). The
+    /// F401 and F411 are not checked: on Black Pills, the only boards with them and USB, no load is on such a pin.
     fn starts_in_loader(table: &PinTable) -> bool {
-        /// Port B: 5, 10, 11 and 13. Port C: 10 and 11. Port D of the F412: 5 and 6.
-        const PULLED_UP: [(u8, u16); 3] =
-            [(1, 0x2C20), (2, 0x0C00), (3, if cfg!(feature = "stm32f412") { 0x0060 } else { 0 })];
+        /// Pulled up: B5, B10, B11, B13, C10, C11, on an F412 also D5 and D6. Driven, if the pin that selects the
+        /// boot loader's SPI is low: A6, B14, E13.
+        const MAY_BE_HIGH: [(u8, u16); 5] = [
+            (0, 0x0040),
+            (1, 0x6C20),
+            (2, 0x0C00),
+            (3, if cfg!(feature = "stm32f412") { 0x0060 } else { 0 }),
+            (4, 0x2000),
+        ];
         use Role::{
             Flood, Mist, MotorPower, ProgramOutput, SecondProgramOutput, SpindleDirection, SpindleOn, SpindlePwm,
         };
         let loads =
             [SpindleOn, SpindleDirection, SpindlePwm, Flood, Mist, ProgramOutput, SecondProgramOutput, MotorPower];
-        let is_pulled_up =
-            |pin: Pin| PULLED_UP.iter().any(|(port, pins)| pin.port == *port && pins >> pin.number & 1 != 0);
+        let may_be_high =
+            |pin: Pin| MAY_BE_HIGH.iter().any(|(port, pins)| pin.port == *port && pins >> pin.number & 1 != 0);
         cfg!(any(feature = "stm32f407", feature = "stm32f412", feature = "stm32f446"))
-            && loads.into_iter().filter_map(|role| table.pin(role)).any(is_pulled_up)
+            && loads.into_iter().filter_map(|role| table.pin(role)).any(may_be_high)
     }
 }
 #[cfg(feature = "stm32f4")]

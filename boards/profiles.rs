@@ -209,7 +209,7 @@ pub const ROBIN_NANO_V3: Board = Board { name: "robin_nano_v3", ..SKR2_F407 };
 /// JZ-F407VET6.
 pub const JZ_F407: Board = Board { name: "jz_f407", ..SKR2_F407 };
 /// Sienci SuperLongBoard EXT.
-pub const SLB_EXT: Board = Board { name: "slb_ext", has_at_speed: true, program_pins: [2, 2], ..CONTROL_F412 };
+pub const SLB_EXT: Board = Board { name: "slb_ext", program_pins: [2, 2], ..CONTROL_F412 };
 /// WeAct Black Pill, STM32F411CE, with the pins of grblHAL.
 pub const BLACKPILL_F411_GRBLHAL: Board = Board { name: "blackpill_f411_grblhal", ..BLACKPILL_F411 };
 

@@ -27,9 +27,8 @@
 //!
 //! ```text
 //!                                         step on, directions    step off
-//!  the only port with steps               TIM8 CC1, S2           TIM8 CC3, S4
-//!  the first of two ports with steps      TIM8 CC1, S2           TIM8 CC2, S3
-//!  the second of two ports with steps     TIM8 CC3, S4           TIM8 CC4, S7
+//!  the first port with steps              TIM8 CC1, S2           TIM8 CC2, S3
+//!  the second port with steps             TIM8 CC3, S4           TIM8 CC4, S7
 //! ```
 //! Event times are absolute, so errors do not accumulate. The ring entry after the last committed event holds a time
 //! one tick before that event. When DMA1 loads this time, it has just passed, and the counter reaches it again only
@@ -168,7 +167,6 @@ struct Streams {
 /// flash is written.
 const fn streams<M: Map>(port: usize, step_ports: usize) -> Streams {
     match (port, step_ports) {
-        (0, 1) if M::TIM8_MAKES_PULSES => Streams { on: 2, off: Some(4), requests: 1 << 9 | 1 << 11 },
         (0, _) if M::TIM8_MAKES_PULSES => Streams { on: 2, off: Some(3), requests: 1 << 9 | 1 << 10 },
         (1, 2) if M::TIM8_MAKES_PULSES => Streams { on: 4, off: Some(7), requests: 1 << 11 | 1 << 12 },
         (0, 1) => Streams { on: 1, off: Some(4), requests: 1 << 9 | 1 << 12 },
@@ -360,6 +358,16 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
             // `await_served` cannot derive the time of this request from CCR3, so wait here.
             cortex_m::asm::delay(SERVED_CYCLES);
         }
+        if self.waiting.is_some() && read(M::TIM5 + SR) & Due::MARK.0 != 0 {
+            // `moment` has passed, so the power is not left until the next call.
+            self.keep_power();
+        }
+    }
+
+    /// Cancels the change of power that [`Chain::mark_at`] has scheduled, even if its time has come.
+    pub(super) fn drop_power(&mut self) {
+        self.waiting = None;
+        self.keep_power();
     }
 
     /// Ends the change of power that [`Chain::mark_at`] has scheduled: if its time has come, the power is written,
@@ -709,9 +717,11 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         // waits for the request for power, more than one request for an event time could arise.
         self.await_served(CCR1);
         write(M::TIM5 + DIER, read(M::TIM5 + DIER) & ASKS_FOR_POWER | CALLS);
-        self.keep_power();
         if dark {
+            self.drop_power();
             write(self.pwm.compare, 0);
+        } else {
+            self.keep_power();
         }
         cortex_m::asm::delay(SERVED_CYCLES);
         let tail = self.tail();

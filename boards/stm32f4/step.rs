@@ -373,7 +373,7 @@ impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M,
 
     #[inline(never)]
     fn set_power(&mut self, power: u16) {
-        self.chain.keep_power();
+        self.chain.drop_power();
         write(self.pwm.compare, self.compare(power));
     }
 

@@ -1,5 +1,5 @@
 //! The chips that a board's file may name, and the pins of their packages. Sources: the data sheets' tables "Pin and
-//! ball definitions" of STM32F401xB/C, F401xD/E, F405xx and F407xx, F411xC/E, F412xE/G and F446xC/E.
+//! ball definitions" of STM32F401xB/C, F401xD/E, F405xx and F407xx, F411xC/E, F412xG and F446xC/E.
 
 use oxmill_boards::pin_table::Pin;
 
@@ -29,7 +29,7 @@ const LQFP100: [u16; 8] = [ALL, ALL, ALL, ALL, ALL, NONE, NONE, H0_1];
 const LQFP144: [u16; 8] = [ALL, ALL, ALL, ALL, ALL, ALL, ALL, H0_1];
 
 /// All chips.
-pub const CHIPS: [Chip; 12] = [
+pub const CHIPS: [Chip; 11] = [
     Chip { name: "STM32F401CC", probe_name: "STM32F401CCUx", pins: UFQFPN48 },
     Chip { name: "STM32F411CE", probe_name: "STM32F411CEUx", pins: UFQFPN48 },
     Chip { name: "STM32F401RE", probe_name: "STM32F401RETx", pins: LQFP64 },
@@ -37,7 +37,6 @@ pub const CHIPS: [Chip; 12] = [
     Chip { name: "STM32F407VE", probe_name: "STM32F407VETx", pins: LQFP100 },
     Chip { name: "STM32F407VG", probe_name: "STM32F407VGTx", pins: LQFP100 },
     Chip { name: "STM32F407ZE", probe_name: "STM32F407ZETx", pins: LQFP144 },
-    Chip { name: "STM32F412RE", probe_name: "STM32F412RETx", pins: LQFP64 },
     Chip { name: "STM32F412VG", probe_name: "STM32F412VGTx", pins: LQFP100_NO_11 },
     Chip { name: "STM32F446RE", probe_name: "STM32F446RETx", pins: LQFP64 },
     Chip { name: "STM32F446VE", probe_name: "STM32F446VETx", pins: LQFP100 },

@@ -205,7 +205,7 @@ class Board:
             fit(base, Usart(name, self, base, clock, irq, bus))
         fit(0x4001_4800, ClockMeter("TIM11", self))
         slaves = self.peripherals["TIM5"].slaves
-        if self.wiring.pwm_timer == "TIM1":
+        if self.wiring.pulse_timer == "TIM8":
             fit(0x4001_0000, AdvancedPwm("TIM1", self))
         else:
             slaves.append(fit(0x4001_0000, PulseTimer("TIM1", self)))
@@ -422,8 +422,8 @@ class Board:
         self._at(address).write(address & 0x3FC, value)
 
     def puts_out_steps(self):
-        """Returns whether TIM1 listens to its trigger, so that DMA2 may write to a port at any time."""
-        return bool(self.peripherals["TIM1"].values[SMCR] & 7)
+        """Returns whether the timer of the pulses listens to its trigger, so that DMA2 may write to a port at any time."""
+        return bool(self.peripherals[self.wiring.pulse_timer].values[SMCR] & 7)
 
     def store_by_dma(self, address, value, at):
         """Writes a word for a DMA stream, at cycle `at`, which can be up to one instruction before now."""

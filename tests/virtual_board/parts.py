@@ -231,7 +231,7 @@ BOARDS = {
         on("monster8_f407", STM32F407, 8 * MHZ, 168 * MHZ, **USB),
         on("robin_nano_v3", STM32F407, 8 * MHZ, 168 * MHZ, **USB),
         on("jz_f407", STM32F407, 25 * MHZ, 168 * MHZ, **USB),
-        on("slb_ext", STM32F412, 25 * MHZ, 96 * MHZ, **USB),
+        on("slb_ext", STM32F412, 25 * MHZ, 96 * MHZ, starts_in_loader=True, **USB),
         on("blackpill_f411_grblhal", STM32F411, 25 * MHZ, 96 * MHZ, **USB),
     )
 }

@@ -10,7 +10,7 @@ use std::sync::Mutex;
 use std::thread;
 
 /// Boards whose chips are modelled, each with the cases that a run of all boards includes: a case runs on the board
-/// where it is hardest, and a few on one board of each chip. A board without cases runs only if it is named, as in
+/// where it is hardest, and a few on several chips. A board without cases runs only if it is named, as in
 /// `.ci/nightly`. A named board runs all cases.
 const BOARDS: [(&str, &[&str]); 14] = [
     ("blackpill_f411", ON_F411),
@@ -119,21 +119,33 @@ const ON_CONTROL_F446: &[&str] = &[
 
 /// Cases for the image of control boards with an F407. On `robin_nano_v3`, two ports have direction outputs but no step
 /// outputs; TIM8 drives such ports.
-const ON_CONTROL_F407: &[&str] =
-    &["boot", "safe rate", "turns at full rate", "zigzag", "stops in a zigzag", "fourth axis", "settings write", "usb"];
+const ON_CONTROL_F407: &[&str] = &[
+    "boot",
+    "tasks",
+    "safe rate",
+    "turns at full rate",
+    "zigzag",
+    "stops in a zigzag",
+    "fourth axis",
+    "settings write",
+    "usb",
+];
 
 /// Cases for the image of control boards with an F412, in which TIM8 makes the pulses and TIM1 the spindle's PWM.
 const ON_CONTROL_F412: &[&str] = &[
     "boot",
     "crystals",
+    "tasks",
     "pulses",
     "turns",
     "stops on the ring",
-    "raster",
     "spindle PWM",
+    "settings write",
+    "brown-out of a beam",
     "usb",
     "fault",
     "lost clock",
+    "restart on request",
 ];
 
 /// Cases for a board that has the same image as another board, and only another pin table. The other board runs more

@@ -156,7 +156,7 @@ def raster_starts(bench):
         changes = [*beam.changes[known:], (1 << 62, 0.0)]
         powers, shown = [], 0.0
         for at in steps:
-            while changes[0][0] < at + BEAM_S * hz:
+            while changes[0][0] < at + beam_s(bench) * hz:
                 shown = changes.pop(0)[1]
             powers.append(shown)
         return (steps[0] - first) / hz, (beam.changes[known][0] - steps[0]) / hz, powers

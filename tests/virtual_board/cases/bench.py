@@ -165,6 +165,9 @@ def duty(board):
     """Returns the share of time for which the spindle's PWM is high; 0 if the timer does not drive its pin."""
     if board.shown(board.wiring.pwm) != "AF":
         return 0
+    gpio, pin = board.pin(board.wiring.pwm)
+    if gpio.function(pin) != {"TIM1": 1, "TIM3": 2}[board.wiring.pwm_timer]:
+        raise Failure(f"the spindle's pin has alternate function {gpio.function(pin)}")
     share = board.peripherals[board.wiring.pwm_timer].duty(board.wiring.pwm_channel)
     if share is None:
         raise Failure("the spindle's pin belongs to the timer, which does not drive it")
