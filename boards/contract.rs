@@ -149,9 +149,10 @@ pub trait StepOutput<const N: usize> {
     /// kind that has been scheduled before.
     fn call_at(&mut self, moment: u32);
     /// Calls the step task with [`Due::MARK`] at `moment`. With `power`, hardware also changes the power of the laser
-    /// at that time, independently of the CPU; where hardware cannot, [`StepOutput::take`] does. If `moment` has passed, the call and the change come at once. Replaces a
-    /// call of this kind that has been scheduled before, with its change of power. A [`StepOutput::set_power`] or
-    /// [`StepOutput::halt`] before `moment` cancels the power change, but not the call.
+    /// at that time, independently of the CPU. If the board's hardware cannot, [`StepOutput::take`] changes it. If
+    /// `moment` has passed, the call and the change come at once. Replaces a call of this kind that has been scheduled
+    /// before, with its change of power. A [`StepOutput::set_power`] or [`StepOutput::halt`] before `moment` cancels
+    /// the power change, but not the call.
     fn mark_at(&mut self, moment: u32, power: Option<u16>);
 
     /// Sets the directions of all events committed from now on; a set bit means negative.

@@ -146,27 +146,25 @@ mod chosen {
     }
 
     /// Returns whether the boot loader could switch on a device of this board, such as the spindle or the coolant. The
-    /// boot loader enables pull-ups at the pins of its UARTs and of CAN, and may drive its outputs of SPI (AN2606). The
-    /// F401 and F411 are not checked: on Black Pills, the only boards with them and USB, no load is on such a pin.
+    /// boot loader enables pull-ups at the pins of its UARTs and of CAN, and may drive its outputs of SPI (AN2606).
     fn starts_in_loader(table: &PinTable) -> bool {
-        /// Pulled up: B5, B10, B11, B13, C10, C11, on an F412 also D5 and D6. Driven, if the pin that selects the
-        /// boot loader's SPI is low: A6, B14, E13.
-        const MAY_BE_HIGH: [(u8, u16); 5] = [
-            (0, 0x0040),
-            (1, 0x6C20),
-            (2, 0x0C00),
-            (3, if cfg!(feature = "stm32f412") { 0x0060 } else { 0 }),
-            (4, 0x2000),
-        ];
+        /// The boot loaders of the F401 and F411 have no CAN, and their pulled-up UART pins are not on a Black Pill.
+        const HAS_PULL_UPS: bool = cfg!(any(feature = "stm32f407", feature = "stm32f412", feature = "stm32f446"));
+        /// B5, B10, B11, B13, C10 and C11, on an F412 also D5 and D6.
+        const PULLED_UP: [(u8, u16); 3] =
+            [(1, 0x2C20), (2, 0x0C00), (3, if cfg!(feature = "stm32f412") { 0x0060 } else { 0 })];
+        /// A6, B14, C11 and E13: driven if the pin that selects the boot loader's SPI is low.
+        const DRIVEN: [(u8, u16); 4] = [(0, 0x0040), (1, 0x4000), (2, 0x0800), (4, 0x2000)];
         use Role::{
             Flood, Mist, MotorPower, ProgramOutput, SecondProgramOutput, SpindleDirection, SpindleOn, SpindlePwm,
         };
         let loads =
             [SpindleOn, SpindleDirection, SpindlePwm, Flood, Mist, ProgramOutput, SecondProgramOutput, MotorPower];
-        let may_be_high =
-            |pin: Pin| MAY_BE_HIGH.iter().any(|(port, pins)| pin.port == *port && pins >> pin.number & 1 != 0);
-        cfg!(any(feature = "stm32f407", feature = "stm32f412", feature = "stm32f446"))
-            && loads.into_iter().filter_map(|role| table.pin(role)).any(may_be_high)
+        let is_in = |pins: &[(u8, u16)], pin: Pin| {
+            pins.iter().any(|(port, pins)| pin.port == *port && pins >> pin.number & 1 != 0)
+        };
+        let may_be_high = |pin| is_in(&DRIVEN, pin) || HAS_PULL_UPS && is_in(&PULLED_UP, pin);
+        loads.into_iter().filter_map(|role| table.pin(role)).any(may_be_high)
     }
 }
 #[cfg(feature = "stm32f4")]

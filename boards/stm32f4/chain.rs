@@ -107,6 +107,7 @@ const MOMENTS_CHANNEL: u32 = 6 << 25;
 /// Stream of DMA1 that writes the laser's power, and its channel. Its priority is lower than that of [`MOMENTS`].
 const BEAM: usize = 0;
 const BEAM_CHANNEL: u32 = 6 << 25;
+
 /// An advanced timer, TIM1 or TIM8, that TIM5 starts.
 struct Slave {
     /// Address of its registers.

@@ -124,7 +124,7 @@ class Wiring:
     usb: bool = False
     """Whether OTG_FS is the first link to the host."""
     starts_in_loader: bool = False
-    """Whether the boot loader switches a pull-up on at an output that starts a load; then `$DFU` is refused."""
+    """Whether the boot loader could make an output high that starts a load; then `$DFU` is refused."""
     left_out: tuple = ()
     """Features that this board's image lacks for want of space; all other boards have them."""
 

@@ -53,6 +53,7 @@ const ON_F411: &[&str] = &[
     "probe",
     "flood of realtime commands",
     "second motor",
+    "spindle PWM",
     "torn line",
     "waiting line",
     "fault",
@@ -161,7 +162,7 @@ const ON_SKR2: &[&str] =
 const LOOPBACK: [(&str, bool); 3] = [("blackpill_f411", true), ("nucleo_f446re", true), ("blackpill_f401", false)];
 
 /// Alternative readings of facts that the manuals leave open (`tests/virtual_board/models/readings.py`), each with a
-/// board and the cases that depend on the fact. `.ci/nightly` runs all cases of two boards under each reading.
+/// board and the cases that depend on the fact. `.ci/nightly` runs all cases of three boards under each reading.
 const READINGS: [(&str, &str, &[&str]); 6] = [
     ("counted-at-fetch", "blackpill_f411", &["hold", "turns"]),
     ("compare-on-count", "nucleo_f446re", &["probe"]),

@@ -493,11 +493,11 @@ def miscounts(bench):
 
         pulses.trigger = once
 
-    pulses = bench.wiring.pulse_timer
+    pulses, stream = bench.wiring.pulse_timer, bench.wiring.pulse_stream
     faults = {
         "a trigger is missed": lambda board: miss(board.peripherals[pulses]),
         "a request too many": lambda board: board.dma[1].ask(f"{pulses}_CH1", board.now + 1),
-        "a stream's error": lambda board: board.dma[1].values.__setitem__(0, board.dma[1].values[0] | 1 << 9),
+        "a stream's error": lambda board: board.dma[1].values.__setitem__(0, board.dma[1].values[0] | {1: 1 << 9, 2: 1 << 19}[stream]),
         "an error of the moments": lambda board: board.dma[0].values.__setitem__(0, board.dma[0].values[0] | 1 << 19),
     }
     for what, inject in faults.items():
