@@ -682,10 +682,7 @@ fn fail(way: u8) {
         _ => {
             cortex_m::interrupt::disable();
             loop {
-                // The watchdog expires after more than a thousand million instructions. In QEMU a jump takes much
-                // longer than another instruction, so the loop is long.
-                // SAFETY: unsafe because the compiler cannot check assembly; safe because `nop` does nothing.
-                unsafe { core::arch::asm!(".rept 256", "nop", ".endr", options(nomem, nostack, preserves_flags)) }
+                cortex_m::asm::nop();
             }
         }
     }

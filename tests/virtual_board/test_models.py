@@ -925,6 +925,29 @@ class ChainTraces(unittest.TestCase):
             self.assertEqual(tuple(at for at, _, _, _ in self.bench.edges), edges)
 
 
+class AdvancedPwmTraces(unittest.TestCase):
+    """TIM1 as the PWM of a spindle: 100 counts, half of them high."""
+
+    def setUp(self):
+        self.tim1 = timer.AdvancedPwm("TIM1", Bench())
+        for offset, value in ((timer.CCMR1, 6 << 4), (timer.CCER, 1), (timer.ARR, 99), (timer.CCR1, 50), (timer.CR1, 1)):
+            self.tim1.write(offset, value)
+
+    def test_the_output_needs_moe(self):
+        self.assertIsNone(self.tim1.duty(1))
+        self.tim1.write(timer.BDTR, timer.MOE)
+        self.assertEqual(self.tim1.duty(1), 0.5)
+        self.assertIsNone(self.tim1.duty(2), "a channel that is not switched on")
+
+    def test_dma_does_not_reach_it(self):
+        with self.assertRaises(Misuse):
+            self.tim1.store_by_dma(timer.CCR1, 10, 0)
+
+    def test_interrupts_are_not_modelled(self):
+        with self.assertRaises(Unmodelled):
+            self.tim1.write(timer.DIER, 1)
+
+
 class BeamTraces(unittest.TestCase):
     """The laser's power, set up as by an image: TIM5's channel 3 makes DMA1 write TIM3's compare value. At 96 MHz both
     timers count core cycles."""

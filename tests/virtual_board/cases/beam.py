@@ -232,6 +232,9 @@ def raster_stops(bench):
         off = next((at for at, share in after if share == 0), None)
         if off is None or after[-1][0] > off:
             raise Failure(f"{what} {k + 1}: after it power is {after}")
+        # DMA may still serve a request that came before the stop; the program must not write the next power any more.
+        if bench.wiring.pwm_timer == "TIM1" and any(share and at > watch.halted_at for at, share in after):
+            raise Failure(f"{what} {k + 1}: power after the last edge: {after}")
         if what == "0x18":
             takes = min(takes or off - seen, off - seen)
         near.append(off - moment)
