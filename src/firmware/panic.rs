@@ -51,7 +51,8 @@ extern "C" fn NonMaskableInt() -> ! {
         fail(CrashKind::Clock, format_args!("no external clock"));
     }
     loop {
-        core::hint::spin_loop();
+        // `spin_loop` would leave QEMU's fast path, and the seconds until the reset would take minutes.
+        cortex_m::asm::nop();
     }
 }
 
