@@ -3,7 +3,7 @@
 //! QEMU executes the program `count` of `tests/on_target` and logs the address of every instruction. The addresses give
 //! the instruction counts; the instructions at these addresses give the cycles (`thumb.rs` explains the estimate).
 //! Nothing is timed, so the figures are the same on every machine. A row that costs more than its limit fails. Limits
-//! are the costs reached, plus a small margin for changes of the compiler.
+//! are the costs reached plus about 2%, because the compiler arranges the same code differently after other changes.
 
 use crate::elf::{self, Function};
 use crate::paths::cargo_for_boards;
@@ -67,30 +67,30 @@ const ROWS: [Row; 23] = [
     row("batch_1", "32 events, 1 axis stepping", Figure::Mean, None, (765, 1_070)).beside("2656 / 3808", "3520 / 5440"),
     // Flash wait states add a tenth, so 1.1 times this limit must not exceed `run_cycles` in boards/profiles.rs.
     row("segment", "longest run: another direction, other power, both messages", Figure::Worst, None, (2_500, 3_590)),
-    row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (505, 810)),
-    row("stop", "stop with a full ring, 96 events undone, with its report", Figure::Worst, None, (4_615, 5_985)),
+    row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (512, 820)),
+    row("stop", "stop with a full ring, 96 events undone, with its report", Figure::Worst, None, (4_710, 6_090)),
     row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
-    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (585, 955)).beside("205 / 329", "196 / 313"),
-    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (1_750, 2_820))
+    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (585, 966)).beside("205 / 329", "196 / 313"),
+    row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (1_770, 2_860))
         .beside("723 / 1210", "727 / 1200"),
     row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (36, 49))
         .beside("56 / 72", "41 / 55"),
-    row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_060, 2_080)),
-    row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (2_320, 3_760)),
-    row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (182, 250)),
+    row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_060, 2_090)),
+    row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (2_350, 3_810)),
+    row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (186, 250)),
     row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_445, 2_170))
         .beside("1092 / 1588", "1930 / 2868"),
     row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (197, 297)).beside("138 / 241", "644 / 919"),
-    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (5_840, 9_480))
+    row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (5_940, 9_660))
         .beside("2800 / 4400", "4100 / 6500"),
-    row("relief_line", "tight line: a relief of 0.1 mm at F2000", Figure::Mean, Some((5800, 9500)), (8_000, 12_980)),
-    row("spiral_line", "tight line: a spiral of 0.1 mm at F9000", Figure::Mean, Some((5800, 9500)), (9_200, 14_940)),
+    row("relief_line", "tight line: a relief of 0.1 mm at F2000", Figure::Mean, Some((5800, 9500)), (8_150, 13_200)),
+    row("spiral_line", "tight line: a spiral of 0.1 mm at F9000", Figure::Mean, Some((5800, 9500)), (9_370, 15_200)),
     row(
         "uneven_line",
         "tight line: a relief in uneven chords at F3000",
         Figure::Mean,
         Some((5800, 9500)),
-        (11_740, 19_300),
+        (11_950, 19_640),
     ),
     row("recorded_line", "recording, a line of 15 bytes", Figure::Mean, None, (320, 510)),
     row("recorded_block", "recording, per message to the step task", Figure::Mean, None, (35, 52)),

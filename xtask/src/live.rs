@@ -42,9 +42,10 @@ pub fn all() -> Result<(), Failure> {
     let mut failed = 0;
     let mut deepest = Stack { used: 0, size: 0 };
     for (name, test) in tests {
+        let begin = Instant::now();
         match converse(&image.path, test) {
             Ok(stack) => {
-                println!("conversation {name} ... ok");
+                println!("conversation {name} ... ok ({:.1} s)", begin.elapsed().as_secs_f32());
                 if stack.used > deepest.used {
                     deepest = stack;
                 }
