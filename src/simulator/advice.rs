@@ -3,6 +3,9 @@
 
 use oxmill_controller::error::{Alarm, Error};
 
+/// Advice for words of 3-D printers. It is about the whole program.
+pub const PRINTER: &str = "The program was made for a 3-D printer. Do not repair it: make the part's program with CAM software for mills, with a post-processor for Grbl.";
+
 /// Rejected words, and what to write instead.
 const INSTEAD: [(&[&str], &str); 11] = [
     (
@@ -26,12 +29,16 @@ const INSTEAD: [(&[&str], &str); 11] = [
         "Write the lines from N1000 on as a subprogram behind M30: O1000, the lines, M99. Call it with M98 P1000.",
     ),
     (&["G87"], "Write the back boring cycle as single moves."),
-    (
-        &["M82", "M83", "M84", "M104", "M106", "M107", "M109", "M117", "M140", "M190"],
-        "The program was made for a 3D printer. Do not repair it: make it again for a mill, with a post-processor for Grbl.",
-    ),
+    (&["M82", "M83", "M84", "M104", "M106", "M107", "M109", "M117", "M140", "M190"], PRINTER),
     (&["M19"], "Remove the word: the spindle cannot be turned to an angle."),
 ];
+
+/// Advice for a line of a job that is too long.
+pub const LONG_LINE: &str =
+    "Split the line: put M, S, T and F on a line above, and keep X, Y, Z, I, J, K and R together.";
+
+/// Advice for a line that is too long because of its expressions.
+pub const LONG_EXPRESSION: &str = "Calculate a part of the expression on a line above: #<part>=[20/3+1.5], then use it as X[#<part>+4]. Cut where a + or - is outside the inner brackets.";
 
 /// Advice for a word of the axis A on a machine without that axis.
 const WORD_OF_A: &str =
@@ -164,7 +171,7 @@ pub fn for_error(error: Error) -> &'static str {
         }
         Error::SoftLimitNeedsHoming => "Switch homing on ($22=1) before the soft limits ($20=1).",
         Error::LineTooLong => {
-            "Split the line. Put M, S, T, F and parts of long expressions (#<part>=[..]) on a line above; keep X, Y, Z, I, J, K and R together. Limit: 256 characters; 79 in Grbl's dialect; 80 after the = of $I, $N and $M."
+            "Split the line: put M, S, T, F and parts of long expressions (#<part>=[..]) on a line above, and keep X, Y, Z, I, J, K and R together. At most 256 characters fit; 79 in Grbl's dialect; 80 after the = of $I, $N and $M."
         }
         Error::DoorOpen => "Close the door; $903=0 if the machine has none.",
         Error::JogOutsideTravel => "Jog less far, or let jogs end at the soft limits with $40=1.",
@@ -333,8 +340,8 @@ mod tests {
     fn a_sentence_that_says_what_to_write_needs_no_general_advice() {
         for sentence in [
             "#<DEPTH> is not set above this line: set it, or correct the name",
-            "Q is missing in G83: the step of a peck, above 0, such as Q2",
-            "the radius of G2 is 4.000 mm at its start, 6.000 at its end. Write I5.000 with J0.000",
+            "Q is missing in G83: the depth of each peck, above 0, such as Q2",
+            "the radius of G2 is 4.000 mm at its start, 6.000 at its end. Write I5.000 J0.000",
         ] {
             assert_eq!(beside(sentence, 33, "G2 X10 I4"), "", "{sentence}");
         }

@@ -83,6 +83,16 @@ impl Outcome {
             self.more_errors += 1;
             return;
         }
+        // The controller quotes a wrong line that it had stored, and the answer is to the line that ran it.
+        let within = text.strip_prefix("in ").and_then(|quoted| quoted.split_once(": "));
+        let stored = within.and_then(|(quoted, fault)| Some((job.stored_line(quoted)?, fault)));
+        if let Some(((number, stored), fault)) = stored {
+            let column = column::of_word(fault, stored);
+            let (text, advice) = self.explained(number, code, fault, stored, job);
+            let advice = format!("{advice} Line {line} ran this line.").trim_start().to_owned();
+            self.errors.push(LineError { line: number, code, column, text, advice, source: stored.into() });
+            return;
+        }
         let column = column::of_word(text, &source);
         let (text, advice) = self.explained(line, code, text, &source, job);
         self.errors.push(LineError { line, code, column, text, advice, source });
@@ -110,6 +120,10 @@ impl Outcome {
         }
         if code == Error::LineTooLong.code() && advice::count(source, 'X') > 1 {
             return ("several moves have run together in this line: begin a new line for each".into(), String::new());
+        }
+        if code == Error::LineTooLong.code() {
+            let advice = if source.contains('[') { advice::LONG_EXPRESSION } else { advice::LONG_LINE };
+            return (text.into(), advice.into());
         }
         let unset = text.strip_prefix("#<").and_then(|rest| rest.split_once("> is not set"));
         if let Some(name) = unset.and_then(|(name, _)| job.name_like(name)) {
@@ -194,11 +208,11 @@ fn without_length(source: &str) -> String {
     let words = advice::words(source);
     let word = ['H', 'T'].iter().find_map(|letter| words.iter().find(|word| word.starts_with(*letter)));
     let number = word.and_then(|word| word.get(1..)).unwrap_or("1");
-    let tool = word.map_or(String::new(), |word| format!(" {word}"));
+    let tool = word.filter(|word| word.starts_with('H')).map_or(String::new(), |word| format!(" {word}"));
     format!(
-        "G43 does nothing, with this tool{tool} and with all others: no tool length is stored. If you zero Z with each tool, \
-         ignore this. If not, insert a line G10 L1 P{number} Z<difference> above, one for each tool. The difference is its \
-         length minus that of the tool that zeroes Z, in program units. Or send these lines to the machine once: it keeps them"
+        "no tool lengths are stored, so G43{tool} adds 0. If you zero Z with each tool, ignore this. If not, the tool cuts \
+         too deep or too shallow: insert G10 L1 P{number} Z<difference> above this line, and one such line for each other \
+         tool. The difference is the length of the tool minus the length of the tool with which you zero Z, in program units"
     )
 }
 
@@ -209,13 +223,17 @@ fn missing(number: &str, more: &str, present: &[&str]) -> String {
         [] => format!("{number} is called here{more} and is not in the file: write it after M30, from {number} to M99"),
         [only] => {
             let word = only.replace(['O', 'o'], "P");
-            format!("{number} is called here{more}, but the file has {only}: write {word}, or add {number}")
+            format!(
+                "{number} is called here{more}, but the only subprogram in the file is {only}: write {word} if you mean that one, \
+                 or write the missing one after M30, from {number} to M99"
+            )
         }
         [others @ .., last] => {
             let (few, rest) = others.split_at(others.len().min(MOST_NAMED));
             let (few, dots) = (few.join(", "), if rest.is_empty() { "" } else { ", .." });
             format!(
-                "{number} is called here{more}, but the file has {few}{dots} and {last}: correct the number, or add {number}"
+                "{number} is called here{more}, but the file has only {few}{dots} and {last}: correct the number, or write the \
+                 missing one after M30, from {number} to M99"
             )
         }
     }
@@ -352,7 +370,6 @@ impl Check {
                 self.outcome
                     .warn(Warning { line: job.file_line(line), text: format!("takes {}", clock_time(seconds)) });
             }
-            self.outcome.warnings.sort_by_key(|warning| warning.line);
             if let Some((end, behind)) = job.behind_end() {
                 let word = if end.is_tape_mark { "%" } else { "M2 or M30" };
                 let (lines, were) = if behind == 1 { ("line", "was") } else { ("lines", "were") };
@@ -365,6 +382,7 @@ impl Check {
         }
         self.compare_with_travel();
         self.look_for_feeds_in_inches();
+        self.outcome.warnings.sort_by_key(|warning| warning.line);
     }
 
     /// Notes a small job in millimetres whose comments mention inches, and whose feeds are as slow as those of a program
@@ -401,27 +419,37 @@ impl Check {
         }
     }
 
-    /// Notes an axis whose moves cover several times its travel. The usual cause: the numbers are millimetres, but the
-    /// program runs in inches.
+    /// Warns of a job whose moves cover several times the travel of an axis. The usual cause: the numbers are
+    /// millimetres, but the program runs in inches.
     fn compare_with_travel(&mut self) {
         /// Jobs for a larger machine than the settings describe are common, so smaller ratios are not noted.
         const MUCH: f64 = 5.0;
         let settings = self.simulator.controller().settings();
         let (low, high) = self.simulator.machine().extents();
         let [low, high] = [low, high].map(|steps| self.simulator.meter().carriages_mm(steps));
-        let mut notes = Vec::new();
+        let (mut axes, mut travels) = (Vec::new(), Vec::new());
         for axis in Axis::ALL.into_iter().take(LINEAR) {
             let Some([from, to]) = settings.ends_of_travel(axis) else { continue };
             let (travel, covered) = (f64::from(to - from), high[axis.index()] - low[axis.index()]);
             if covered > MUCH * travel && travel > 0.0 {
-                notes.push(format!(
-                    "{} moves over {covered:.0} mm, and its travel (${}) is {travel:.0} mm: write G21 if these are millimetres",
-                    char::from(axis.letter()),
-                    130 + axis.index()
-                ));
+                axes.push(format!("{} over {covered:.0} mm", char::from(axis.letter())));
+                travels.push(format!("{travel:.0} mm (${})", 130 + axis.index()));
             }
         }
-        notes.into_iter().for_each(|note| self.outcome.note(note));
+        if axes.is_empty() {
+            return;
+        }
+        let too_far = format!("the job moves {}, but the travel is {}", axes.join(" and "), travels.join(" and "));
+        match self.simulator.job().and_then(JobText::inches_at) {
+            Some(line) => self.outcome.warn(Warning {
+                line,
+                text: format!(
+                    "G20 makes the numbers inches, so {too_far}. If the numbers are millimetres, replace G20 by G21. If they \
+                     are inches, the job does not fit the machine"
+                ),
+            }),
+            None => self.outcome.note(format!("{too_far}: the job does not fit the machine")),
+        }
     }
 
     /// Marks the job as incomplete. Call if its text could not be read to the end.
@@ -583,29 +611,35 @@ mod tests {
             [wrong[0].advice.as_str(), wrong[1].advice.contains("depth").to_string().as_str()],
             ["The file sets #<depth>: is that the name?", "false"]
         );
+        let looped =
+            checked("oxmill", "G21\n#<step>=2\no100 repeat [2]\n  G91 G1 Y#<setp> F400 (up)\no100 endrepeat\n").errors;
+        assert_eq!(
+            looped.iter().map(|error| (error.line, error.column, &*error.advice)).collect::<Vec<_>>(),
+            [(4, Some(9), "The file sets #<step>: is that the name? Line 5 ran this line.")]
+        );
         let calls = "O1 (MAIN)\nG21 G90\nM98 P20\nM98 P20\nM30\nO21\nG1 X1 F100\nM99\n";
         let summary = checked("oxmill", calls);
         assert_eq!((summary.errors.len(), summary.errors[0].line), (1, 3), "{:?}", summary.errors);
-        let text = "O20 is called here, also in line 4, but the file has O21: write P21, or add O20";
+        let text = "O20 is called here, also in line 4, but the only subprogram in the file is O21: write P21 if you mean that one, or write the missing one after M30, from O20 to M99";
         assert_eq!(summary.errors[0].text, text);
         assert!(!summary.messages.iter().any(|message| message.starts_with(AWAITS)), "{:?}", summary.messages);
         let one: String = (0..40).map(|at| format!("G1X{at}.123")).collect();
         let text = Box::leak(format!("G21 G90 F100\n{one}\n").into_boxed_str());
         assert!(checked("oxmill", text).errors[0].text.starts_with("several moves have run together"));
         let warned = checked("oxmill", "G21 G90\nT7 M6\nG43 H7\n").warnings;
-        assert!(
-            warned[0].text.contains("with this tool H7 and") && warned[0].text.contains("G10 L1 P7 Z"),
-            "{warned:?}"
-        );
+        assert!(warned[0].text.contains("so G43 H7 adds 0") && warned[0].text.contains("G10 L1 P7 Z"), "{warned:?}");
     }
 
     #[test]
     fn a_missing_program_is_told_with_those_that_exist() {
         let text = |present: &[&str]| missing("O7", ", also in line 8", present);
-        assert!(text(&["O1"]).ends_with("is called here, also in line 8, but the file has O1: write P1, or add O7"));
-        assert!(text(&["O1", "O2"]).contains("the file has O1 and O2:"));
+        assert!(
+            text(&["O1"])
+                .contains("is called here, also in line 8, but the only subprogram in the file is O1: write P1 if")
+        );
+        assert!(text(&["O1", "O2"]).contains("the file has only O1 and O2:"));
         let many = ["O1", "O2", "O3", "O4", "O5", "O6", "O8"];
-        assert!(text(&many).contains("the file has O1, O2, O3, O4, O5, .. and O8:"), "{}", text(&many));
+        assert!(text(&many).contains("the file has only O1, O2, O3, O4, O5, .. and O8:"), "{}", text(&many));
     }
 
     fn checked(dialect: &str, text: &'static str) -> Summary {

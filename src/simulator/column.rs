@@ -13,6 +13,11 @@ pub fn of_word(reason: &str, line: &str) -> Option<u64> {
     })
 }
 
+/// Returns a line as the controller reads it: in upper case, without blanks and comments.
+pub fn as_read(line: &str) -> String {
+    without_comments(line).into_iter().map(|(_, character)| character).collect()
+}
+
 /// Returns the characters of a line outside comments and blanks, in upper case, with their columns.
 fn without_comments(line: &str) -> Vec<(u64, char)> {
     let mut depth = 0_usize;
@@ -66,7 +71,7 @@ mod tests {
     fn the_word_is_found_as_it_was_written() {
         for (reason, line, column) in [
             ("comma in X1,5: write a decimal point", "g1 (X1) x 1,5 f100", Some(9)),
-            ("Q is missing in G83: the step of a peck, above 0, such as Q2", "N10  G83 X1 Z-5 R1", Some(6)),
+            ("Q is missing in G83: the depth of each peck, above 0, such as Q2", "N10  G83 X1 Z-5 R1", Some(6)),
             ("the radius of G2 is 4.000 mm at its start", "G21 G02 X10 I4", Some(5)),
             ("G0 and G1 in one line: write one of them, or two lines", "G10 G01 G0 X1", Some(9)),
             ("no number behind X", "X1 Y2 X", Some(7)),

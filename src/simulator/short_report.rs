@@ -1,6 +1,7 @@
 //! The report of `check` on one screen: verdict, first rejected lines with advice, alarm, messages, times by tool, and
 //! extents. Long lists are truncated, with the number of further entries.
 
+use crate::advice::PRINTER;
 use crate::boards;
 use crate::check::NO_TOOLS;
 use crate::summary::{Summary, clock_time, counted};
@@ -33,6 +34,11 @@ impl fmt::Display for ShortReport<'_> {
             counted(summary.lines, "line")
         )?;
         let mut shown: Vec<&str> = Vec::new();
+        // This advice is about the whole program, so it comes first.
+        if summary.errors.iter().any(|error| error.advice == PRINTER) {
+            writeln!(f, "  {PRINTER}")?;
+            shown.push(PRINTER);
+        }
         for error in summary.errors.iter().take(SHOWN_ERRORS) {
             writeln!(f, "  line {}: {}", error.line, error.source)?;
             writeln!(f, "    {BAD}error:{}{BAD:#} {}", error.code, error.text)?;
@@ -67,8 +73,13 @@ impl fmt::Display for ShortReport<'_> {
             let place = if *line > 0 { format!("line {line}: ") } else { String::new() };
             writeln!(f, "  {place}{message}")?;
         }
-        let skipped = if summary.errors.is_empty() { "" } else { ", with the refused lines left out" };
-        writeln!(f, "  time     {}{skipped}", clock_time(summary.forecast_s))?;
+        if !summary.errors.is_empty() {
+            writeln!(
+                f,
+                "  {FAINT}The rest is about the job without the refused lines. The corrected job will differ.{FAINT:#}"
+            )?;
+        }
+        writeln!(f, "  time     {}", clock_time(summary.forecast_s))?;
         writeln!(f, "           {}", summary.parts())?;
         for tool in summary.several_tools().iter().take(SHOWN_ERRORS) {
             writeln!(f, "           {tool}")?;
@@ -78,7 +89,7 @@ impl fmt::Display for ShortReport<'_> {
         }
         for (axis, ends) in summary.extents_mm.rows() {
             let title = if axis == Axis::X { "extents" } else { "" };
-            writeln!(f, "  {title:<9}{ends} of machine coordinates")?;
+            writeln!(f, "  {title:<9}{ends} (machine coordinates)")?;
         }
         Ok(())
     }
@@ -121,7 +132,7 @@ mod tests {
         assert!(text.contains("1000 lines refused") && text.contains("and 992 more"), "{text}");
         assert!(text.contains("line 3") && text.contains("and 992 more warnings"), "{text}");
         assert!(text.lines().count() <= 50, "{text}");
-        assert!(text.contains("with the refused lines left out"));
+        assert!(text.contains("without the refused lines"));
     }
 
     #[test]

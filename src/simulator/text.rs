@@ -6,6 +6,7 @@
 //! exactly one answer, in order, as with any sender.
 
 use crate::advice;
+use crate::column;
 use crate::realtime_bytes;
 use crate::small_board;
 use crate::summary::Warning;
@@ -20,6 +21,10 @@ const LONGEST_LINE: usize = 1 << 20;
 const MOST_NAMES: usize = 100;
 /// Maximum number of letters by which a suggested name differs.
 const MOST_DIFFERENT: usize = 2;
+/// Maximum number of lines that are kept because the controller may have stored them.
+const MOST_STORED: usize = 20_000;
+/// Maximum number of characters that the controller quotes of a stored line.
+const QUOTED: usize = 24;
 /// Number of characters of a line that reports show.
 const SHOWN_LINE: usize = 120;
 /// Number of bytes that are kept ready for the controller, as in the full receive queue of a board.
@@ -66,6 +71,8 @@ pub struct JobText {
     mentions_inches: bool,
     /// Line number of the most recent line with G21.
     metric_at: Option<u64>,
+    /// Line number of the most recent line with G20.
+    inches_at: Option<u64>,
     /// Unanswered lines: line number in the file, text, and the error with which the board rejects the line if it does
     /// not support all words (see `small_board`).
     unanswered: VecDeque<(u64, String, Option<Error>)>,
@@ -95,6 +102,9 @@ pub struct JobText {
     given_marks: Vec<u64>,
     /// Answered lines that may have opened a block of O words.
     openers: Vec<Opener>,
+    /// Answered lines from the first opener on, with their line numbers in the file. The controller may have stored them
+    /// for a subroutine, loop or macro.
+    stored: VecDeque<(u64, String)>,
     /// Whether a line with words has been given to the controller.
     has_words: bool,
     /// The line that ended the program.
@@ -150,6 +160,7 @@ impl JobText {
             names: Vec::new(),
             mentions_inches: false,
             metric_at: None,
+            inches_at: None,
             unanswered: VecDeque::new(),
             has_all_words: true,
             has_tape_marks: true,
@@ -165,6 +176,7 @@ impl JobText {
             between: None,
             given_marks: Vec::new(),
             openers: Vec::new(),
+            stored: VecDeque::new(),
             has_words: false,
             ended_at: None,
             behind_end: 0,
@@ -254,6 +266,23 @@ impl JobText {
     /// Line number of the most recent line with G21 so far.
     pub fn metric_at(&self) -> Option<u64> {
         self.metric_at
+    }
+
+    /// Line number of the most recent line with G20 so far.
+    pub fn inches_at(&self) -> Option<u64> {
+        self.inches_at
+    }
+
+    /// Returns the line number and the text of the stored line that the controller quotes as `quoted`; `None` if no line
+    /// or more than one line of the file begins like this.
+    pub fn stored_line(&self, quoted: &str) -> Option<(u64, &str)> {
+        let is_quoted = |text: &str| {
+            let read = column::as_read(text);
+            read == quoted || quoted.len() == QUOTED && read.starts_with(quoted)
+        };
+        let mut found = self.stored.iter().filter(|(_, text)| is_quoted(text));
+        let (number, text) = found.next()?;
+        found.next().is_none().then_some((*number, text))
     }
 
     /// Line number in the file of the oldest line that has not been answered.
@@ -397,6 +426,9 @@ impl JobText {
         if text.contains("G21") || text.contains("g21") {
             self.metric_at = Some(self.lines);
         }
+        if text.contains("G20") || text.contains("g20") {
+            self.inches_at = Some(self.lines);
+        }
         self.unanswered.push_back((self.lines, shown, left_out));
     }
 
@@ -475,7 +507,14 @@ impl JobText {
             if let Some(code) = code.or(left_out.map(Error::code)) {
                 self.said.push(Said::Error { line, code, text: text.clone(), reason });
             }
-            if text.contains(['o', 'O']) || is_call(&text) {
+            let is_opener = text.contains(['o', 'O']) || is_call(&text);
+            if is_opener || !self.stored.is_empty() {
+                self.stored.push_back((line, text.clone()));
+                if self.stored.len() > MOST_STORED {
+                    self.stored.pop_front();
+                }
+            }
+            if is_opener {
                 self.openers.push(Opener { given: self.answers, number: line, text });
             }
         } else if !reply.is_empty() {

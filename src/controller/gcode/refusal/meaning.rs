@@ -264,11 +264,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
                 say(out, "% and % are missing in %: where the arc ends", &[&[first], &[second], command]);
             }
             _ if self.text.word(b'E').is_some() => {
-                say(
-                    out,
-                    "% is for the extruder of a 3-D printer: choose a post-processor for Grbl",
-                    &[self.word(b'E')],
-                );
+                say(out, "% is for the extruder of a 3-D printer: make the program for a mill", &[self.word(b'E')]);
             }
             _ => say(out, "no axis word in %: add X, Y or Z", &[command]),
         }
@@ -332,7 +328,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
                 } else if !has(b'R') {
                     lacks("R", motion, ": where the feed begins");
                 } else if kind.pecks() && !has(b'Q') {
-                    lacks("Q", motion, ": the step of a peck, above 0, such as Q2");
+                    lacks("Q", motion, ": the depth of each peck, above 0, such as Q2");
                 } else {
                     lacks("P", motion, ": how many seconds to wait");
                 }
@@ -472,7 +468,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             }
             MotionMode::Spline(_) => say(out, "% in % is no order that there is", &[self.word(b'L'), self.motion()]),
             _ if value(b'Q').is_some_and(|peck| peck <= Decimal::ZERO) => {
-                say(out, "% in % must be above 0: the step of a peck", &[self.word(b'Q'), self.motion()]);
+                say(out, "% in % must be above 0: the depth of each peck", &[self.word(b'Q'), self.motion()]);
             }
             _ => say(out, "% in % has to be 1 to 1000000: how many holes", &[self.word(b'L'), self.motion()]),
         }
@@ -561,9 +557,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             (Some(b'R'), _) if !is_arc => {
                 say(out, "% belongs to an arc or a cycle, but % is active", &[word, motion]);
             }
-            (Some(b'E'), _) => {
-                say(out, "% is for the extruder of a 3-D printer: choose a post-processor for Grbl", &[word])
-            }
+            (Some(b'E'), _) => say(out, "% is for the extruder of a 3-D printer: make the program for a mill", &[word]),
             (Some(b'H'), _) => say(out, "% is used by nothing: G43 is missing", &[word]),
             (Some(b'D'), _) => say(out, "% is used by nothing: there is no cutter compensation", &[word]),
             (Some(letter @ (b'P' | b'Q')), _)
@@ -698,20 +692,25 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         // (i, j) is equally far from both ends if x * i + y * j is half the square of the chord (x, y).
         let [first, second] = [axes.first, axes.second].map(centre_letter);
         let square = x as f32 * x as f32 + y as f32 * y as f32;
-        let mut before = "Write ";
-        for (letter, across, kept, along, centre) in [(second, y, first, x, i), (first, x, second, y, j)] {
-            let value = Coordinate(((square / 2.0 - along as f32 * centre as f32) / across as f32) as i64);
+        let other = |across: i64, along: i64, kept: i64| {
+            let value = Coordinate(((square / 2.0 - along as f32 * kept as f32) / across as f32) as i64);
             // If the chord is nearly at right angles to this word's axis, the value would be far off.
-            if across as f32 * across as f32 * FLATTEST < square || !value.in_range() {
-                continue;
-            }
+            (across as f32 * across as f32 * FLATTEST >= square && value.in_range()).then_some(value.0)
+        };
+        let (other_i, other_j) = (other(x, y, j), other(y, x, i));
+        let mut centres = [other_j.map(|j| [i, j]), other_i.map(|i| [i, j])];
+        if other_i.is_some_and(|other| is_slip(i, other)) {
+            centres.swap(0, 1);
+        }
+        let mut before = "Write ";
+        for [i, j] in centres.into_iter().flatten() {
             let length = out.len();
             say(out, before, &[]);
-            let _ = out.push(letter);
-            millimetres(out, value.0);
-            say(out, " with ", &[]);
-            let _ = out.push(kept);
-            millimetres(out, centre);
+            let _ = out.push(first);
+            millimetres(out, i);
+            say(out, " ", &[]);
+            let _ = out.push(second);
+            millimetres(out, j);
             // There is no room for the whole suggestion. Remove it, because a truncated number would be a wrong one.
             if out.is_full() {
                 return out.truncate(length);
@@ -730,6 +729,16 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         millimetres(out, rounded_up(length(self.chord(self.modal.plane.axes())) / 2));
         say(out, " mm (half the chord)", &[]);
     }
+}
+
+/// Returns whether `written` becomes `meant` by a slip of the hand: a digit or the decimal point in the wrong place
+/// (2 instead of 20), or a wrong sign.
+fn is_slip(written: i64, meant: i64) -> bool {
+    const MICROMETRE: i64 = DECIMAL_ONE / 1000;
+    [-1, 10, 100].iter().any(|factor| {
+        (written.saturating_mul(*factor) - meant).abs() <= MICROMETRE
+            || (meant.saturating_mul(*factor) - written).abs() <= MICROMETRE
+    })
 }
 
 #[inline(never)]

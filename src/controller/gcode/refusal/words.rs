@@ -122,7 +122,7 @@ const INSTEAD_OF_G: [(&[u16], &str); 12] = [
     (&[650, 660], "% calls a subprogram only at the beginning of its line, as a plain number: G65 P1001"),
     (&[870], "% is not supported: it needs a spindle that stops at an angle. Write the back boring as single moves"),
     (&[682], "% is not supported: tilted planes need five axes"),
-    (&[290], "% is a word of 3-D printers: choose a post-processor for Grbl"),
+    (&[290], "% is a word of 3-D printers: make the program for a mill"),
     (&[380], "% lacks its digit: G38.2 to G38.5 are probing moves"),
 ];
 const INSTEAD_OF_M: [(&[u16], &str); 5] = [
@@ -136,7 +136,7 @@ const INSTEAD_OF_M: [(&[u16], &str); 5] = [
             1120, 1130, 1140, 1150, 1170, 1180, 1190, 1400, 1410, 1900, 2010, 2030, 2040, 2050, 2200, 2210, 2800, 3000,
             3010, 3030, 3040, 4000, 4120, 4200, 5000, 5010, 5020, 8510, 9000, 9060, 9070,
         ],
-        "% is a word of 3-D printers: choose a post-processor for Grbl",
+        "% is a word of 3-D printers: make the program for a mill",
     ),
 ];
 
