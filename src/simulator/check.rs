@@ -121,6 +121,9 @@ impl Outcome {
         if code == Error::LineTooLong.code() && advice::count(source, 'X') > 1 {
             return ("several moves have run together in this line: begin a new line for each".into(), String::new());
         }
+        if text.contains("3-D printer") {
+            return (text.into(), advice::PRINTER.into());
+        }
         if code == Error::LineTooLong.code() {
             let advice = if source.contains('[') { advice::LONG_EXPRESSION } else { advice::LONG_LINE };
             return (text.into(), advice.into());
