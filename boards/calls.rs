@@ -1,10 +1,11 @@
-//! Limits how often the serial task is called for received bytes that are not urgent: at most once per 500 us. If its
-//! last such call is longer ago, it is called at once. So even if bytes arrive without pause, from a host or as noise
-//! on a wire, the control task gets CPU time to prepare the motion. Commands that stop the machine bypass this limit.
+//! Limits how often received bytes call the serial task: at most once per 500 us. If the last such call is longer ago,
+//! the next byte calls the task at once. Without this limit, a host that sends without pause, or noise on a wire,
+//! would leave the control task too little CPU time to prepare the motion. Commands that stop the machine bypass the
+//! limit.
 
-/// Minimum time between two calls of the serial task, in samples of the inputs: 500 us. This must be well below the
-/// 2.55 ms in which a host at 1 Mbaud sends the 255 bytes that it can have in flight. If the first line among these
-/// bytes is not delivered, executed and answered within that time, the host has to pause.
+/// Minimum time between two calls of the serial task: 10 samples of the inputs, or 500 us. A host can have 255 bytes
+/// in flight, which take 2.55 ms at 1 Mbaud. If the first line among these bytes is not delivered, executed and
+/// answered within that time, the host has to pause. So `REST` must be well below 2.55 ms.
 pub const REST: u8 = 10;
 
 /// Rate limiter for calls of the serial task.
@@ -20,8 +21,8 @@ impl Calls {
         Calls { rests: 0 }
     }
 
-    /// Counts one sample of the inputs. Returns whether to call the serial task; evaluates `has_news` only if a call is
-    /// allowed.
+    /// Counts one sample of the inputs. Returns true if the serial task must be called now: the pause is over, and
+    /// `has_news` returns true. Does not call `has_news` during the pause.
     #[inline(always)]
     pub fn sample(&mut self, has_news: impl FnOnce() -> bool) -> bool {
         self.rests = self.rests.saturating_sub(1);

@@ -1,10 +1,9 @@
 //! Interface between a board and the program on it. A board provides step outputs (`StepOutput`), links to the host
-//! (`Port`), inputs, slow outputs, flash and a watchdog. It calls the program only in the cases listed below. The
-//! module `held` makes the compiler check that the chosen board provides all this.
+//! (`Port`), inputs, slow outputs, flash and a watchdog. The first table lists all that a board provides. The module
+//! `held` makes the compiler check that the chosen board provides it.
 //!
-//! A board consists of pins, clocks and registers. It contains nothing about motion, tasks or the protocol. Of the
-//! program's functions, a board calls only those listed under "What a board may call". The root of this crate
-//! re-exports the board's items.
+//! A board consists of pins, clocks and registers. It contains nothing about motion, tasks or the protocol. It calls
+//! the program only in the cases of the second table. The root of this crate re-exports the items of the chosen board.
 //!
 //! # What each board provides
 //!
@@ -13,15 +12,15 @@
 //! | `pac` | the device crate: registers and interrupt numbers, for RTIC |
 //! | `vectors!(app)` | calls the macro `app` with the names of the interrupt vectors of the tasks; if there is a vector `uart`, `serial` is the vector of an unused peripheral |
 //! | `PROFILE` | the numbers of the image, from its entry of [`profiles`](crate::profiles) |
-//! | `AXES`, `BLOCKS` | of the same entry, as const generics: axes, and blocks of the look-ahead |
-//! | `HELD_BYTES` | likewise: bytes for subroutines, loops and macros |
+//! | `AXES`, `BLOCKS` | number of axes, and blocks of the look-ahead, from the same entry; used as const generics |
+//! | `HELD_BYTES` | bytes of memory for subroutines, loops and macros, from the same entry |
 //! | `profile()` | the profile of the board: `PROFILE` with the name and the pins of the [pin table](mod@crate::pin_table) |
 //! | `PORTS` | number of GPIO ports that have pins in use |
 //! | `RECORDING_PAGES` | pages of 256 bytes for the recording of inputs and received bytes; 0 = no recording |
 //! | `CLOCK_TICKS_PER_US`, `clock_ticks()` | a free-running 32-bit counter, the program's clock |
 //! | `CORE_HZ`, `SAMPLE_HZ` | clock of SysTick, and the rate at which SysTick samples the inputs |
 //! | `RUN_CYCLES` | maximum duration, in CPU cycles, of a run of the step task that generates events |
-//! | `WATCHES_CLOCK` | whether the non-maskable interrupt means that the processor's clock has failed, and nothing else |
+//! | `WATCHES_CLOCK` | `true` if the non-maskable interrupt has only one cause: the processor's clock has failed |
 //! | `setup(device, low_voltage) -> Parts` | sets up everything below, once; outputs are off |
 //! | `USUAL_BAUD` | default baud rate of the UART |
 //! | `UartInput` | receives from the UART and sends messages to the serial task; on a board with a vector `uart` it also has `on_interrupt` |
@@ -63,16 +62,16 @@ pub struct SlowLevels {
     pub spindle: bool,
     /// Spindle direction is counter-clockwise.
     pub spindle_reversed: bool,
-    /// Flood coolant.
+    /// Flood coolant (M8).
     pub flood: bool,
-    /// Mist coolant.
+    /// Mist coolant (M7).
     pub mist: bool,
     /// Outputs for programs (M62 to M65), bit 0 for P0.
     pub program: u8,
 }
 
-/// Reasons for a call of the step task. The bits are those of the compare channels in the status register of an
-/// STM32F4's timer.
+/// Reasons for a call of the step task, one bit each. An STM32F4 has the compare flags of its step timer (status
+/// register) at the same bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Due(pub u32);
 
@@ -93,14 +92,15 @@ impl Due {
     }
 }
 
-/// Number of combinations of stepped axes; bit 0 of a combination is X.
+/// Number of combinations of axes that step together: 8 with three axes. A combination is a bit mask; bit 0 is X.
 pub const COMBINATIONS: usize = 1 << crate::AXES;
 
 /// Contiguous free slots of the queue, for the next events: none if the queue is full, and at most one while events are
 /// output one by one.
 pub struct Free<'a> {
-    /// What to write into `words` for each combination of steps. With one GPIO port, this is the port's word, including
-    /// the present directions; otherwise a code that [`StepOutput::commit`] translates.
+    /// What to write into `words` for an event. The index is the combination of axes that step. With one GPIO port,
+    /// the entry is the word for that port, with the present directions. With several ports, it is a code that
+    /// [`StepOutput::commit`] translates.
     pub table: &'a [u32; COMBINATIONS],
     /// Slots for the entries of `table`, one for each event.
     pub words: &'a mut [u32],
@@ -115,44 +115,47 @@ pub struct Undone<const N: usize> {
     pub events: usize,
     /// Net steps of the cancelled events, for each axis.
     pub net: [i32; N],
-    /// The hardware's event counters disagree, so `net` and the position are unreliable.
+    /// `true` if the hardware's event counters disagree or the hardware reports an error. Then `net` and the machine
+    /// position are unreliable.
     pub fault: bool,
 }
 
-/// Outputs events at given times. An event is a pulse on some axes, or on none, at a time of the step clock; it also
-/// sets the directions. The hardware ends each pulse.
+/// Outputs events at given times. An event is a step pulse on some axes (or on none) at a time of the step clock. It
+/// also sets the direction pins. The hardware ends each pulse.
 ///
 /// ```text
 ///  step task   commit  commit  commit  call_at(t)   at t, called with MORE:  commit  commit ...
 ///                │       │       │                                             │       │
 ///  queue      ───▼───────▼───────▼─────────────────────────────────────────────▼───────▼──▶ each event at its time
 /// ```
-/// The step task commits events, and then sets the time of its next call ([`StepOutput::call_at`]), before the queue
-/// runs dry. At this time the board calls the step task with [`Due::MORE`], and the task commits more events.
+/// The step task commits events. Then it sets the time of its next call ([`StepOutput::call_at`]), which must come
+/// before the queue is empty. At this time the board calls the step task with [`Due::MORE`], and the task commits more
+/// events.
 ///
-/// [`StepOutput::begin`] starts the output. From then on, committed events follow each other without the CPU, as long
-/// as each is committed in time ([`StepOutput::joins_until`]). If an event is committed too late, the output ends
-/// before this event; [`StepOutput::halt`] and another `begin` are needed.
+/// [`StepOutput::begin`] starts the output. From then on, the events are output without the CPU. Each event must be
+/// committed in time ([`StepOutput::joins_until`]). If an event is committed too late, the output ends before this
+/// event. Then the step task must call [`StepOutput::halt`], and `begin` again.
 pub trait StepOutput<const N: usize> {
     /// Maximum number of committed events that have not been output. With 1, each event is output by an interrupt of
     /// its own.
     const DEPTH: usize;
-    /// Minimum time, in ticks, from the commit of an event to its output, if each event is output by an interrupt of
-    /// its own.
+    /// While each event is output by an interrupt of its own: minimum time from the commit of an event to its output,
+    /// in ticks of the step clock.
     const SOON: u32;
 
-    /// Returns the step clock's time.
+    /// Returns the time of the step clock in ticks; it wraps after 2^32.
     fn now(&self) -> u32;
     /// Returns the reasons for the present call of the step task, and clears them.
     fn take(&mut self) -> Due;
-    /// Calls the step task with [`Due::MORE`] at `moment`, or at once if `moment` has passed. Replaces a call of this
-    /// kind that has been scheduled before.
+    /// Calls the step task with [`Due::MORE`] at `moment`, or at once if `moment` has passed. Cancels the call that an
+    /// earlier `call_at` has scheduled.
     fn call_at(&mut self, moment: u32);
-    /// Calls the step task with [`Due::MARK`] at `moment`. With `power`, hardware also changes the power of the laser
-    /// at that time, independently of the CPU. If the board's hardware cannot, [`StepOutput::take`] changes it. If
-    /// `moment` has passed, the call and the change come at once. Replaces a call of this kind that has been scheduled
-    /// before, with its change of power. A [`StepOutput::set_power`] or [`StepOutput::halt`] before `moment` cancels
-    /// the power change, but not the call.
+    /// Calls the step task with [`Due::MARK`] at `moment`, or at once if `moment` has passed. With `power` (0 to
+    /// 65535), the power of the laser also changes at that time. The hardware changes it without the CPU; on a board
+    /// that cannot do so, [`StepOutput::take`] changes it.
+    ///
+    /// Each `mark_at` cancels the call and the change of power of an earlier one. A [`StepOutput::set_power`] or
+    /// [`StepOutput::halt`] before `moment` cancels the change of power, but not the call.
     fn mark_at(&mut self, moment: u32, power: Option<u16>);
 
     /// Sets the directions of all events committed from now on; a set bit means negative.
@@ -162,20 +165,21 @@ pub trait StepOutput<const N: usize> {
     /// Queues the events that were written into the first `events` free slots. While events are output one by one,
     /// returns the ticks by which a late event was delayed; otherwise 0.
     fn commit(&mut self, events: usize) -> u32;
-    /// Called after each tick of the stepper that is executed singly, with the step-clock ticks from this tick to the
-    /// stepper's next one. Only the QEMU board needs this, for its digest (checksum) of the steps.
+    /// Called after each tick of the stepper that the step task executes by itself, not in a batch. `ticks`: time from
+    /// this tick to the next one, in ticks of the step clock. Only the QEMU board needs this, for its digest
+    /// (checksum) of the steps.
     fn pass(&mut self, ticks: u32);
     /// Returns the number of committed events that have not been output. It can be too high, but never too low.
     fn ahead(&self) -> usize;
-    /// Returns the time at which only `left` committed events will remain to be output. If no more than `left` remain
-    /// now, returns a time that is not in the future.
+    /// Returns the time at which `left` committed events will remain to be output. If at most `left` events remain
+    /// already, returns a time that is not in the future.
     fn moment_before(&self, left: usize) -> u32;
     /// Returns the deadline for committing an event due at `next`. If the event is committed by this time, the output
     /// continues with it and need not be started again.
     fn joins_until(&self, next: u32) -> u32;
     /// Starts the output. With `one_by_one`, the step task is called with [`Due::OUT`] after each event and must not
-    /// commit the next event before that call. Returns the ticks by which all committed events were delayed: 0, unless
-    /// it was too late for the first event.
+    /// commit the next event before that call. If it is too late for the first event, delays all committed events and
+    /// returns this delay in ticks; otherwise returns 0.
     fn begin(&mut self, one_by_one: bool) -> u32;
     /// Returns whether the output has failed: the hardware's event counters disagree, or the hardware reports an error.
     fn fault(&self) -> bool;
@@ -189,8 +193,8 @@ pub trait StepOutput<const N: usize> {
     /// Sets the minimum pulse length in tenths of a microsecond. The actual length can be longer, by less than a tick
     /// of the pulse timer. Call at rest.
     fn set_pulse(&mut self, tenths: u16);
-    /// Sets the frequency of the spindle's PWM. `power` is the present power, which is set again, because its compare
-    /// value depends on the frequency.
+    /// Sets the frequency of the spindle's PWM, Hz. `power`: the present power, 0 to 65535. The compare value of a
+    /// power depends on the frequency, so this function writes the power again.
     fn set_pwm(&mut self, hz: u32, power: u16);
     /// Sets the power of spindle or laser at once, 0 to 65535.
     fn set_power(&mut self, power: u16);
@@ -200,7 +204,7 @@ pub trait StepOutput<const N: usize> {
 
 /// A link to a host.
 pub trait Port {
-    /// Whether a received byte waits until it is fetched (true) or can be overwritten by the next byte (false).
+    /// `true` if a received byte waits until it is fetched; `false` if the next byte can overwrite it.
     const WAITS: bool;
 
     /// Services the link and returns whether a host is connected. A UART cannot detect a host and always returns true.
@@ -209,7 +213,7 @@ pub trait Port {
     }
     /// Fetches the next received byte, if any.
     fn receive(&mut self) -> Incoming;
-    /// Returns the bytes that [`Port::receive`] would return next, as far as they are in one contiguous buffer.
+    /// Returns the next received bytes without consuming them, as far as they are in one contiguous buffer.
     #[inline]
     fn fetched(&mut self) -> &[u8] {
         &[]
@@ -222,8 +226,9 @@ pub trait Port {
     fn is_urgent(&mut self) -> bool {
         false
     }
-    /// Sets the number of bytes, `room`, for which the program has space. A link that can do so makes its sender wait
-    /// while `room` is too small. Called whenever the program has finished a series of calls of [`Port::receive`].
+    /// Tells the link that the program has space for `room` bytes. If the link can make its sender wait, the sender
+    /// waits while `room` is too small (on USB: less than a packet of 64 bytes). Called whenever the program has
+    /// finished a series of calls of [`Port::receive`].
     fn allow(&mut self, room: usize);
     /// Queues a byte for sending. Returns false if the queue is full.
     fn send(&mut self, byte: u8) -> bool;
@@ -262,7 +267,7 @@ impl Port for NoPort {
 /// Result of `Port::receive`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Incoming {
-    /// The next received byte.
+    /// The oldest byte that has not been fetched yet.
     Byte(u8),
     /// One or more bytes were lost before the next one.
     Lost,
@@ -297,16 +302,17 @@ pub mod input_bits {
     pub const SECOND_PROGRAM: u32 = 16;
 }
 
-/// Use of the fourth motor's pins: for a second motor of an axis, or not.
+/// Use of the pins of the fourth motor. They can drive a second motor of an axis, such as Y of a gantry. Otherwise
+/// they drive axis A on a board with four axes, and nothing on a board with three.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SecondMotor {
     /// The axis that has a second motor, as a bit mask (bit 0 for X); 0 = no second motor.
     pub axis: u8,
     /// The second motor's direction is inverted.
     pub inverted: bool,
-    /// The second motor gets no steps, while the axis' own motor moves alone (for squaring the axis).
+    /// The second motor gets no steps, so that the first motor of the axis moves alone (to square the axis).
     pub gets_no_steps: bool,
-    /// The axis' own motor gets no steps, while the second motor moves alone.
+    /// The first motor of the axis gets no steps, so that the second motor moves alone (to square the axis).
     pub first_gets_no_steps: bool,
 }
 

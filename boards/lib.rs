@@ -68,8 +68,8 @@ mod chosen {
     };
     pub use stm32f4xx_hal::pac;
 
-    /// The numbers of the image as a profile. The name of the board and the values that depend on its pin table are
-    /// only in [`profile`].
+    /// The profile of the image, with all values that its boards share. [`profile`] adds the name of the board and the
+    /// values that depend on its pin table.
     pub const PROFILE: Profile = crate::profile_of(&IMAGE, true);
     /// Maximum number of axes. A board whose pin table has fewer motors has fewer axes ([`profile`]).
     pub const AXES: usize = IMAGE.axes;
@@ -109,9 +109,9 @@ mod chosen {
         if table.is_intact() && table.image() == IMAGE.image && fits(table) { table } else { &NONE }
     }
 
-    /// Returns whether this image supports the ports of the table: every port that has a pin in use, the number of
-    /// ports with step pins, and the number of ports with step or direction pins. Tools that make tables check this,
-    /// too.
+    /// Returns true if this image supports the ports of the table. Three things are limited: the last port with a pin
+    /// in use, the number of ports with step pins, and the number of ports with step or direction pins. Tools that
+    /// make tables check the same limits.
     fn fits(table: &PinTable) -> bool {
         use Role::{DirectionFourth, DirectionX, DirectionY, DirectionZ, StepFourth, StepX, StepY, StepZ};
         let ports = |roles: &[Role]| {
@@ -124,7 +124,7 @@ mod chosen {
             && motors.count_ones() as usize <= MOTOR_PORTS
     }
 
-    /// Returns the profile of the board: the numbers of the image, with the name and the pins of the pin table.
+    /// Returns the profile of the board: the values of the image, with the name and the pins of the pin table.
     #[inline(never)]
     pub fn profile() -> Profile {
         let table = pin_table();
@@ -148,12 +148,15 @@ mod chosen {
     /// Returns whether the boot loader could switch on a device of this board, such as the spindle or the coolant. The
     /// boot loader enables pull-ups at the pins of its UARTs and of CAN, and may drive its outputs of SPI (AN2606).
     fn starts_in_loader(table: &PinTable) -> bool {
-        /// The boot loaders of the F401 and F411 have no CAN, and their pulled-up UART pins are not on a Black Pill.
+        /// `true` if the boot loader enables pull-ups at pins that a board may use. The boot loaders of the F401 and
+        /// F411 do not: they have no CAN, and their pulled-up UART pins are not on a Black Pill.
         const HAS_PULL_UPS: bool = cfg!(any(feature = "stm32f407", feature = "stm32f412", feature = "stm32f446"));
-        /// B5, B10, B11, B13, C10 and C11, on an F412 also D5 and D6.
+        /// Pins that the boot loader pulls up, as port (0 for A) and bit mask: B5, B10, B11, B13, C10 and C11; on an
+        /// F412 also D5 and D6.
         const PULLED_UP: [(u8, u16); 3] =
             [(1, 0x2C20), (2, 0x0C00), (3, if cfg!(feature = "stm32f412") { 0x0060 } else { 0 })];
-        /// A6, B14, C11 and E13: driven if the pin that selects the boot loader's SPI is low.
+        /// Pins that the boot loader may drive as SPI outputs, as port (0 for A) and bit mask: A6, B14, C11 and E13.
+        /// It drives such a pin if the pin that selects its SPI is low.
         const DRIVEN: [(u8, u16); 4] = [(0, 0x0040), (1, 0x4000), (2, 0x0800), (4, 0x2000)];
         use Role::{
             Flood, Mist, MotorPower, ProgramOutput, SecondProgramOutput, SpindleDirection, SpindleOn, SpindlePwm,

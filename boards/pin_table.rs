@@ -1,6 +1,6 @@
-//! The pin table of a board: which pin of the chip has which function, and which crystal the chip has. The table is one
-//! block of the image, with a mark at its beginning and a checksum at its end, so that a tool can find and replace it
-//! without a compiler. The firmware reads it during its start.
+//! The pin table of a board: which pin of the chip has which function, and which crystal the chip has. The table is
+//! one block of the image. It begins with a mark and ends with a checksum, so that a tool can find and replace it
+//! without a compiler. The firmware reads the table during its start.
 //!
 //! The layout in the image, [`SIZE`] bytes:
 //!
@@ -127,8 +127,9 @@ pub struct Pin {
 }
 
 impl Pin {
-    /// Returns the channel of TIM1 on this pin, 0 for channel 1 (data sheets, "Alternate function mapping"; the same for
-    /// all chips of `boards/tables/chips.rs`). `None` if there is none. The pins of the links to the host are left out.
+    /// Returns the channel of TIM1 that this pin can output: 0 for channel 1; `None` if there is none. The pins of the
+    /// links to the host (A9 to A11) count as pins without a channel. Source: data sheets, "Alternate function
+    /// mapping"; the same for all chips of `boards/tables/chips.rs`.
     pub const fn channel_of_tim1(self) -> Option<usize> {
         match (self.port, self.number) {
             (0, 8) | (4, 9) => Some(0),
@@ -139,8 +140,8 @@ impl Pin {
         }
     }
 
-    /// Returns the channel of TIM3 on this pin, 0 for channel 1 (data sheets, "Alternate function mapping"; the same
-    /// for all chips of `boards/tables/chips.rs`). `None` if there is none.
+    /// Returns the channel of TIM3 that this pin can output: 0 for channel 1; `None` if there is none. Source: data
+    /// sheets, "Alternate function mapping"; the same for all chips of `boards/tables/chips.rs`.
     pub const fn channel_of_tim3(self) -> Option<usize> {
         match (self.port, self.number) {
             (0, 6) | (1, 4) | (2, 6) => Some(0),
@@ -158,8 +159,8 @@ impl Pin {
 pub struct PinTable([u8; SIZE]);
 
 impl PinTable {
-    /// Returns the table in an image for which no board has been chosen yet. It has no pins, and its checksum is wrong,
-    /// so `is_intact` returns false.
+    /// Returns a table without pins, as an image contains it until a board is chosen. Its checksum is wrong, so
+    /// `is_intact` returns false.
     pub const fn none(image: u8) -> PinTable {
         let mut bytes = [NO_PIN; SIZE];
         let mut at = 0;
@@ -172,8 +173,9 @@ impl PinTable {
         PinTable(bytes)
     }
 
-    /// Makes a table for an image. `mhz` is the frequency of the oscillator; with 0, the firmware measures it. A name
-    /// longer than [`NAME_SIZE`] is cut.
+    /// Makes a table. `image`: number of the image that the table is for. `name`: name of the board, cut to
+    /// [`NAME_SIZE`] bytes. `mhz`: frequency of the oscillator; with 0, the firmware measures it. `is_external`:
+    /// `true` if an external clock drives the oscillator's input, `false` if a crystal does.
     pub fn new(image: u8, name: &str, mhz: u8, is_external: bool, pins: impl Fn(Role) -> Option<Pin>) -> PinTable {
         let mut bytes = [0; SIZE];
         bytes[..MAGIC.len()].copy_from_slice(&MAGIC);
@@ -194,8 +196,7 @@ impl PinTable {
         PinTable(bytes)
     }
 
-    /// Makes a table of bytes of an image, without checking them. [`PinTable::is_intact`] returns whether they are a
-    /// table.
+    /// Makes a table from bytes of an image, without checking them. Call [`PinTable::is_intact`] to check them.
     pub const fn from_bytes(bytes: [u8; SIZE]) -> PinTable {
         PinTable(bytes)
     }
@@ -232,7 +233,7 @@ impl PinTable {
         Some(self.0[OSCILLATOR_AT]).filter(|mhz| *mhz != 0)
     }
 
-    /// Returns whether an external clock drives the oscillator's input.
+    /// Returns true if an external clock drives the oscillator's input, false if a crystal does.
     pub fn is_external(&self) -> bool {
         self.0[OSCILLATOR_AT + 1] == 1
     }

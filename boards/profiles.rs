@@ -11,7 +11,7 @@ const AXES_OF_BOARDS: usize = 3;
 /// Moves that the look-ahead holds.
 pub const BLOCKS: usize = 512;
 
-/// One board.
+/// The numbers of one board and of its image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Board {
     /// Board name on the command line and in `cargo fw`.
@@ -20,10 +20,11 @@ pub struct Board {
     pub step_clock_hz: u32,
     /// Clock of the processor, Hz.
     pub core_hz: u32,
-    /// Maximum duration, in CPU cycles, of a run of the step task that generates events (a stop takes longer): the
-    /// instructions counted by `cargo xtask count`, times 1.1 for the flash's wait states.
+    /// Maximum duration of a run of the step task that generates events, in CPU cycles. (A run that stops the output
+    /// takes longer.) At least 1.1 times the instructions that `cargo xtask count` counts, because the flash has wait
+    /// states.
     pub run_cycles: u32,
-    /// Number of axes.
+    /// Number of axes, 3 or 4. A board whose pin table has fewer motors has fewer axes.
     pub axes: usize,
     /// Moves that the look-ahead holds.
     pub blocks: usize,
@@ -37,7 +38,7 @@ pub struct Board {
     pub received_bytes: usize,
     /// Maximum rate of the UART (`$931`), baud.
     pub most_baud: u32,
-    /// Number of outputs and of inputs for programs (M62 to M66).
+    /// Number of outputs for programs (M62 to M65), and number of inputs for programs (M66).
     pub program_pins: [u8; 2],
     /// Whether there is an input for a spindle's at-speed signal (`$915`).
     pub has_at_speed: bool,
@@ -56,8 +57,8 @@ pub struct Board {
     /// Whether TIM8 makes the step pulses in place of TIM1. Then a channel of TIM1, such as the one on A8, can make the
     /// spindle's PWM.
     pub tim8_makes_pulses: bool,
-    /// Whether the G-code dialect has expressions, parameters, O words, rotations, scaling, splines and rounded
-    /// corners, for which a small flash has no space.
+    /// `true` if programs can use expressions, parameters, O words, rotations, scaling, splines and rounded corners. A
+    /// small flash has no space for these.
     pub has_all_words: bool,
 }
 
@@ -91,18 +92,18 @@ pub const DESK: Board = Board {
 const HARDWARE: Board =
     Board { axes: AXES_OF_BOARDS, least_pulse_tenths: 10, program_pins: [0, 0], has_at_speed: false, ..DESK };
 
-/// The Nucleos have spare pins for program outputs and inputs and for the at-speed signal; the outputs for programs are
-/// in a corner of the outer connectors that no shield covers.
+/// The Nucleos have spare pins for program outputs and inputs and for the at-speed signal. The outputs for programs
+/// are in a corner of the outer connectors that no shield covers.
 const NUCLEO: Board = Board { program_pins: [2, 2], has_at_speed: true, ..HARDWARE };
 
-/// The Black Pills have USB. Their UART interrupt has a lower priority than the step task, so one byte must take longer
-/// to arrive than the longest run of that task.
+/// The Black Pills have USB. Their UART interrupt has a lower priority than the step task. So a byte must take longer
+/// to arrive (87 us at 115,200 baud) than the longest run of that task.
 const BLACKPILL: Board = Board { most_baud: 115_200, has_usb: true, step_ports: 1, ..HARDWARE };
 
-/// WeAct Black Pill, STM32F411CE. 96 MHz instead of 100, because USB needs 48 MHz from the same PLL (RM0383, 6.3.2:
-/// PLLQ divides the same oscillator as PLLP). The maximum step rate, tested in emulation, results from the shortest
-/// pulse allowed (1 us) and a pause of 1 us. The queue of events and the processor would allow a higher rate
-/// (docs/cost.md, "Step rates").
+/// WeAct Black Pill, STM32F411CE. The chip runs at 96 MHz instead of 100, because USB needs 48 MHz from the same PLL
+/// (RM0383, 6.3.2: PLLQ divides the same oscillator as PLLP). The maximum step rate follows from the shortest pulse (1
+/// us) and a pause of 1 us; it was tested in emulation. The queue of events and the processor would allow a higher
+/// rate (docs/cost.md, "Step rates").
 pub const BLACKPILL_F411: Board = Board {
     name: "blackpill_f411",
     step_clock_hz: 96_000_000,
@@ -112,8 +113,8 @@ pub const BLACKPILL_F411: Board = Board {
     ..BLACKPILL
 };
 
-/// WeAct Black Pill, STM32F401CC: 84 MHz. Half the look-ahead, because there are only 64 KiB of RAM. The image is built
-/// for size, except the step task.
+/// WeAct Black Pill, STM32F401CC: 84 MHz. It has half the look-ahead, because the chip has only 64 KiB of RAM. The
+/// image is built for size, except the step task.
 pub const BLACKPILL_F401: Board = Board {
     name: "blackpill_f401",
     step_clock_hz: 84_000_000,
@@ -127,9 +128,9 @@ pub const BLACKPILL_F401: Board = Board {
     ..BLACKPILL
 };
 
-/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. It is fast enough for a fourth
-/// axis. Therefore `run_cycles` is higher than on boards with three axes. In a run of the step task that generates 32
-/// events, the fourth axis costs about 8 cycles per event. A run that starts a block receives one more message.
+/// ST Nucleo-64 with STM32F446RE: 180 MHz core, step timer on the 90 MHz bus clock. This is fast enough for a fourth
+/// axis. The fourth axis makes a run of the step task longer (`run_cycles`), by about 8 cycles for each of its up to
+/// 32 events. Besides, a run that starts a block receives one more message.
 pub const NUCLEO_F446RE: Board = Board {
     name: "nucleo_f446re",
     step_clock_hz: 90_000_000,
@@ -157,10 +158,10 @@ pub const NUCLEO_F401RE: Board = Board {
     ..NUCLEO
 };
 
-/// Control boards with STM32F446 and USB: 168 MHz instead of 180, because USB needs 48 MHz from the same PLL. The step
-/// timer is on the 84 MHz bus clock. The image is built for size, but its step task for speed: a step task built for
-/// size would let the queue of events run dry after changes of direction, at a step rate of 1 MHz. The boards are
-/// [`OCTOPUS_F446`] and those derived from it.
+/// Control boards with STM32F446 and USB: [`OCTOPUS_F446`] and those derived from it. The core runs at 168 MHz instead
+/// of 180, because USB needs 48 MHz from the same PLL. The step timer is on the 84 MHz bus clock. The image is built
+/// for size, but its step task for speed. A step task built for size would be too slow at a step rate of 1 MHz: the
+/// queue of events would run dry after changes of direction.
 pub const CONTROL_F446: Board = Board {
     name: "control_f446",
     step_clock_hz: 84_000_000,
@@ -193,22 +194,22 @@ pub const CONTROL_F412: Board = Board {
     ..BLACKPILL_F411
 };
 
-/// BTT Octopus.
+/// BTT Octopus, with the image [`CONTROL_F446`].
 pub const OCTOPUS_F446: Board =
     Board { name: "octopus_f446", has_at_speed: true, program_pins: [2, 2], ..CONTROL_F446 };
-/// BTT Octopus Pro.
+/// BTT Octopus Pro, with the image [`CONTROL_F446`].
 pub const OCTOPUS_PRO_F446: Board = Board { name: "octopus_pro_f446", ..OCTOPUS_F446 };
-/// Fysetc Spider.
+/// Fysetc Spider, with the image [`CONTROL_F446`].
 pub const SPIDER_F446: Board = Board { name: "spider_f446", ..OCTOPUS_F446 };
-/// BTT SKR 2.
+/// BTT SKR 2, with the image [`CONTROL_F407`].
 pub const SKR2_F407: Board = Board { name: "skr2_f407", has_at_speed: true, program_pins: [2, 2], ..CONTROL_F407 };
-/// MKS Monster8.
+/// MKS Monster8, with the image [`CONTROL_F407`].
 pub const MONSTER8_F407: Board = Board { name: "monster8_f407", ..SKR2_F407 };
-/// MKS Robin Nano V3.
+/// MKS Robin Nano V3, with the image [`CONTROL_F407`].
 pub const ROBIN_NANO_V3: Board = Board { name: "robin_nano_v3", ..SKR2_F407 };
-/// JZ-F407VET6.
+/// JZ-F407VET6, with the image [`CONTROL_F407`].
 pub const JZ_F407: Board = Board { name: "jz_f407", ..SKR2_F407 };
-/// Sienci SuperLongBoard EXT.
+/// Sienci SuperLongBoard EXT, with the image [`CONTROL_F412`].
 pub const SLB_EXT: Board = Board { name: "slb_ext", program_pins: [2, 2], ..CONTROL_F412 };
 /// WeAct Black Pill, STM32F411CE, with the pins of grblHAL.
 pub const BLACKPILL_F411_GRBLHAL: Board = Board { name: "blackpill_f411_grblhal", ..BLACKPILL_F411 };
@@ -223,8 +224,8 @@ pub const QEMU_MPS2: Board = Board {
     ..HARDWARE
 };
 
-/// The images of the firmware for boards with hardware. Pin tables contain the numbers of these images (`image`), so
-/// the numbers never change.
+/// The images of the firmware for boards with hardware. A pin table contains the number of its image (`image`), so
+/// these numbers must never change.
 pub const IMAGES: [Board; 8] = [
     BLACKPILL_F411,
     BLACKPILL_F401,
@@ -236,7 +237,7 @@ pub const IMAGES: [Board; 8] = [
     CONTROL_F412,
 ];
 
-/// All boards.
+/// All boards, with the simulator's own ([`DESK`]). Boards that share an image are listed one by one.
 pub const ALL: [Board; 16] = [
     DESK,
     BLACKPILL_F411,

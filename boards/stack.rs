@@ -1,8 +1,8 @@
-//! Measures the maximum depth of the stack. `paint` fills the free stack with `PAINT`, except for `MARGIN` bytes below
-//! the stack pointer. `used` returns the bytes from the deepest overwritten word up to the start of the stack; `size`
-//! is the whole stack (`_stack_end` to `_stack_start`).
+//! Measures how deep the stack has been. At the start, `paint` fills the free stack with the value `PAINT`, except for
+//! `MARGIN` bytes below the stack pointer. Later, `used` searches for the deepest word that has been overwritten. The
+//! stack grows down from `_stack_start` to `_stack_end`.
 
-/// A value that is unlikely on a used stack: it is no address, no small number and no plausible float.
+/// Fill value. It is unlikely on a used stack, as it is no address, no small number and no plausible float.
 const PAINT: u32 = 0xA5C3_5A3C;
 /// Bytes below the stack pointer that stay unpainted: the frame of `paint` itself.
 const MARGIN: usize = 256;

@@ -1,27 +1,28 @@
-//! Carries received UART bytes to the serial task. DMA or the UART's interrupt writes them into a buffer. The task that
-//! samples the inputs reads the buffer at each sample and forwards the bytes in messages. A command that stops the
-//! machine is forwarded after at most 50 us, any other byte after at most 200 us. For bytes without such a command, the
-//! sampling task calls the serial task at most once per 500 us (`calls`). Whenever the serial task runs, it takes all
-//! messages sent so far. A "look" is the reading of the buffer at one sample. A look reads only a few bytes, to keep
-//! the sample short. Only after an overrun does it empty the whole buffer.
+//! Carries received UART bytes to the serial task. DMA or the UART's interrupt writes them into a buffer. The task
+//! that samples the inputs reads the buffer at each sample (a "look") and forwards the bytes in messages. To keep the
+//! sample short, a look reads only a few bytes. Only after an overrun does a look empty the whole buffer.
+//!
+//! A command that stops the machine is forwarded after at most 50 us, any other byte after at most 200 us. For bytes
+//! without such a command, the sampling task calls the serial task at most once per 500 us (`calls`). Whenever the
+//! serial task runs, it takes all messages sent so far.
 //!
 //! ```text
 //!  UART ──▶ DMA or interrupt ──▶ buffer ──look──▶ messages ──▶ serial task
 //! ```
-//! Bytes keep their order. If bytes are missing, the next message is marked (`is_behind_loss`). If some of several
-//! bytes are damaged and it is unknown which ones, no line that contains any of these bytes is executed.
+//! Bytes keep their order. If bytes are missing, the next message is marked (`is_behind_loss`). If the hardware
+//! reports damage, but not which bytes are damaged, no line with any of the doubtful bytes is executed.
 //!
 //! The buffer has one reader, which sets each slot to `EMPTY` after reading it. If the writer reaches a slot that is
-//! not `EMPTY`, this is an overrun. It is detected however long the buffer has not been read, even after the half
-//! second of a flash erase.
+//! not `EMPTY`, this is an overrun. The reader detects it even after the half second of a flash erase, in which nobody
+//! reads the buffer.
 //!
 //! Only a [`ByteSource`] accesses registers, so that host tests can run this code.
 
 use crate::calls::{RESET, is_stop};
 use core::sync::atomic::{AtomicU16, Ordering, Ordering::Relaxed, fence};
 
-/// Slots of the buffer: 255 for the bytes that a sender with flow control has in flight, 64 for realtime commands sent
-/// besides, and one that stays free.
+/// Slots of the buffer: 255 for bytes that a sender with flow control may have sent ahead, 64 for realtime commands,
+/// and one that stays free.
 pub const SLOTS: usize = 320;
 /// Slots reserved for commands that stop the machine, in a buffer that an interrupt fills instead of DMA.
 const FOR_STOPS: usize = 16;
@@ -44,24 +45,24 @@ const WAITED: u8 = 4;
 /// Maximum number of bytes of text that one look (reading of the buffer) reads from a buffer filled by DMA; other bytes
 /// count double. At 1 Mbaud five bytes arrive between two samples.
 const AT_A_TIME: u8 = 28;
-/// Replaces damaged bytes (see [`refused`]). A line that contains `REFUSED` is not executed. One more is inserted after
-/// a series of damaged bytes: an end of line in the series may originally have been another byte, and then the bytes
-/// after the series belong to the damaged line.
+/// The byte that replaces a damaged byte (see [`refused`]). A line that contains it is not executed. After a series of
+/// damaged bytes, one more is inserted, for this reason: an end of line in the series may have been another byte
+/// before the damage. Then the bytes after the series still belong to the damaged line.
 const REFUSED: u8 = b'@';
 
 /// The part of a UART that writes bytes into the buffer.
 pub trait ByteSource {
-    /// Whether the buffer is circular; otherwise it restarts at its first slot whenever it is empty
-    /// ([`ByteSource::begin_anew`]).
+    /// `true`: the writer continues at the first slot after the last one. `false`: the writer stops at the last slot,
+    /// and the reader restarts the buffer when it is empty ([`ByteSource::begin_anew`]).
     const IS_CIRCULAR: bool;
 
     /// Returns the index of the slot that the next byte will be written into, or [`SLOTS`] if the buffer is used up.
     fn place(&self) -> usize;
-    /// Returns whether a byte has been damaged since [`ByteSource::clear_damage`].
+    /// Returns whether a byte has been damaged since the last call of [`ByteSource::clear_damage`].
     fn is_damaged(&self) -> bool;
     /// Clears the report of [`ByteSource::is_damaged`]. A byte that arrives at this moment may be lost.
     fn clear_damage(&mut self);
-    /// Waits as long as the hardware takes to write a received byte into the buffer and to advance
+    /// Waits as long as the hardware takes, after a byte is received, to write it into the buffer and to advance
     /// [`ByteSource::place`].
     fn settle(&self) {}
     /// Restarts a non-circular buffer that has been read completely. Returns whether the next byte will go into the
@@ -82,12 +83,12 @@ pub struct ReceivedBytes {
 }
 
 impl ReceivedBytes {
-    /// Maximum number of bytes in a message.
+    /// Maximum number of bytes in a message. With its length and mark, a message then fills 16 bytes.
     pub const MOST: usize = 14;
-    /// An empty message.
+    /// A message without bytes and without the mark of a loss.
     pub const EMPTY: Self = ReceivedBytes { is_behind_loss: false, len: 0, bytes: [0; Self::MOST] };
 
-    /// Returns the bytes from index `place` on.
+    /// Returns the bytes of the message from index `place` on; an empty slice if there are none.
     #[inline]
     pub fn from(&self, place: usize) -> &[u8] {
         self.bytes.get(place..usize::from(self.len)).unwrap_or_default()
@@ -125,11 +126,13 @@ pub struct UartReceiver<S> {
     buffer: &'static Buffer,
     /// The next slot to be read.
     read: usize,
-    /// The message being filled, and (`looks`) how often the buffer has been read since the first byte of the message.
+    /// The message being filled.
     message: ReceivedBytes,
+    /// Number of looks since the first byte of `message`; 0 while `message` is empty.
     looks: u8,
-    /// The byte read most recently; 0 if [`UartReceiver::read_text`] has read it, or if bytes have been lost after it.
-    /// It is needed so that of several equal commands in a row, only the first calls the serial task at once.
+    /// The byte read most recently; 0 if [`UartReceiver::read_text`] has read it, or if bytes have been lost since. If
+    /// several equal stop commands arrive in a row, only the first calls the serial task at once; `before` shows which
+    /// are repeated.
     before: u8,
     /// Number of bytes of text read since the last call of the serial task; decides whether to call it. An end of line,
     /// a command or a loss raises the number to at least [`GATHERED`].
@@ -141,15 +144,16 @@ pub struct UartReceiver<S> {
     is_missing: bool,
     /// The byte read most recently may be damaged. Before the next good byte, [`REFUSED`] is inserted.
     is_torn: bool,
-    /// The bytes that arrive before the next look may be damaged, because the look before has found damage.
+    /// The most recent look has found damage. The bytes of the next look may be damaged as well.
     is_doubtful: bool,
     /// A command that stops the machine has been read, and the serial task has not been called for it yet.
     has_stop: bool,
-    /// The most recent look left bytes in the buffer, because it reached its limit or no message could be sent. The
-    /// first `scanned` of them are not commands that stop the machine; if `has_stop_ahead`, the byte after these is
-    /// one.
+    /// The most recent look left bytes in the buffer, because it reached its limit or no message could be sent.
     is_stuck: bool,
+    /// Number of the unread bytes, the oldest first, that [`UartReceiver::scan`] has checked: none of them stops the
+    /// machine.
     scanned: usize,
+    /// The byte after the `scanned` ones is a command that stops the machine.
     has_stop_ahead: bool,
 }
 
@@ -178,7 +182,7 @@ impl<S: ByteSource> UartReceiver<S> {
         }
     }
 
-    /// Returns the source that fills the buffer.
+    /// Returns the source that fills the buffer, so that the UART's interrupt can update its state.
     #[inline(always)]
     pub fn source(&mut self) -> &mut S {
         &mut self.source
@@ -209,8 +213,7 @@ impl<S: ByteSource> UartReceiver<S> {
         Look { stop: self.has_stop(), news: self.is_stuck || self.text >= GATHERED, waits: self.looks >= WAITED }
     }
 
-    /// Returns whether the slot that the next byte will be written into still holds an unread byte, as in a full
-    /// buffer.
+    /// Returns whether the next byte would overwrite an unread byte, as in a full buffer.
     #[inline(always)]
     fn is_at_end(&self, place: usize) -> bool {
         S::IS_CIRCULAR && self.buffer.get(place).is_some_and(|slot| slot.load(Relaxed) != EMPTY)
@@ -300,8 +303,8 @@ impl<S: ByteSource> UartReceiver<S> {
         count
     }
 
-    /// Appends a byte to the message, preceded by the mark of a loss or damage before the byte. Returns false if a full
-    /// message could not be sent to make space.
+    /// Appends a byte to the message, after a mark if bytes before it were lost or damaged. Sends the message first if
+    /// it is full, or if a loss must be marked at the start of a new one. Returns `false` if it could not be sent.
     #[inline(always)]
     fn append(&mut self, word: u16, is_bad: bool, send: &mut impl FnMut(ReceivedBytes) -> bool) -> bool {
         let byte = if is_bad { refused(word as u8) } else { word as u8 };
@@ -351,9 +354,9 @@ impl<S: ByteSource> UartReceiver<S> {
         is_sent
     }
 
-    /// Searches for the first command that stops the machine among the bytes that could not be read; each call checks a
-    /// few of them. If there is such a command, the serial task is called. It then takes messages from the queue, which
-    /// makes space for the command.
+    /// Searches the bytes that could not be read for the first command that stops the machine; each call checks a few
+    /// bytes. If there is such a command, the serial task is called. The serial task then takes messages from the
+    /// queue, which makes space for the command.
     #[cold]
     #[inline(never)]
     fn scan(&mut self, place: usize) {
@@ -375,8 +378,8 @@ impl<S: ByteSource> UartReceiver<S> {
         }
     }
 
-    /// Called when no message can be sent. If more than [`MOST_WAITING`] bytes wait in a circular buffer, drops a few
-    /// of the oldest, but no command that stops the machine.
+    /// Drops a few of the oldest bytes if no message can be sent and more than [`MOST_WAITING`] bytes wait in a
+    /// circular buffer. Never drops a command that stops the machine.
     #[cold]
     #[inline(never)]
     fn lose_oldest(&mut self, place: usize) {
@@ -398,16 +401,17 @@ impl<S: ByteSource> UartReceiver<S> {
         }
     }
 
-    /// Adjusts `scanned` and `has_stop_ahead`, the results of `scan`, after `count` bytes have been read.
+    /// Adjusts the results of `scan` after `count` bytes have been read.
     #[inline(always)]
     fn leave_behind(&mut self, count: usize) {
         self.has_stop_ahead &= count <= self.scanned;
         self.scanned = self.scanned.saturating_sub(count);
     }
 
-    /// Returns whether DMA has overtaken the reader. DMA can count its newest byte before it writes the byte, so the
-    /// newest slot that is counted as unread may be empty. If an older slot is empty, DMA has wrapped around during a
-    /// look, and that look has read the newest byte as if it were the oldest.
+    /// Returns whether DMA has overtaken the reader, which has found an empty slot among the unread ones. Only the
+    /// newest of these slots may be empty: DMA can count its newest byte before it writes the byte. If an older slot
+    /// is empty, DMA has gone once round the buffer during a look. That look has read the newest byte as if it were
+    /// the oldest.
     #[cold]
     #[inline(never)]
     fn is_overtaken(&self, place: usize) -> bool {
@@ -427,23 +431,23 @@ impl<S: ByteSource> UartReceiver<S> {
         loop {
             let now = self.source.place();
             let is_full = now == place || self.is_at_end(now);
-            // If a byte arrived between the two calls of `place`, it is in the slot just checked and is not a sign of a
-            // full buffer: look again.
+            // A byte that arrived between the two calls of `place` is in the slot just checked. It does not mean that
+            // the buffer is full, so look again.
             if self.source.place() == now {
                 return is_full;
             }
         }
     }
 
-    /// Handles an overrun. It is unknown which bytes were overwritten, so all bytes are dropped, except the one with
-    /// the highest `weight` among the commands that stop the machine.
+    /// Handles an overrun. Nobody knows which bytes were overwritten, so all bytes are dropped. Of the commands that
+    /// stop the machine, the one with the highest `weight` is kept.
     #[cold]
     #[inline(never)]
     fn lose_all(&mut self) {
         let mut stop =
             self.message.from(0).iter().copied().max_by_key(|byte| weight(*byte)).filter(|byte| is_stop(*byte));
         let (mut at, mut emptied) = (self.source.place(), 0);
-        // Goes once around the buffer, oldest byte first, and then through the bytes that arrived meanwhile, so that
+        // Go once round the buffer, oldest byte first. Then go on through the bytes that arrived meanwhile, so that
         // every written slot is emptied.
         while let Some(slot) = self.buffer.get(at).filter(|_| emptied < SLOTS || at != self.source.place()) {
             let word = slot.load(Relaxed);
@@ -468,8 +472,8 @@ impl<S: ByteSource> UartReceiver<S> {
         self.before = 0;
     }
 
-    /// Sends the message being filled. `calls`: the caller calls the serial task right afterwards. If the message
-    /// cannot be sent, the next look requests it again.
+    /// Sends the message being filled. `calls`: `true` if the caller calls the serial task right afterwards. If the
+    /// message cannot be sent, the result of the next look asks for it again ([`Look::waits`]).
     #[inline(never)]
     pub fn pass_on(&mut self, calls: bool, mut send: impl FnMut(ReceivedBytes) -> bool) {
         if self.message.len > 0 && !self.send_message(&mut send) {
@@ -482,8 +486,8 @@ impl<S: ByteSource> UartReceiver<S> {
         }
     }
 
-    /// For an interrupt that fills the buffer: writes a byte into the slot at `place`. `is_behind_loss` marks that
-    /// bytes are missing before it. Returns false if there was no space.
+    /// Writes a byte into the slot at `place`; called by an interrupt that fills the buffer. `is_behind_loss`: `true`
+    /// if bytes are missing before this byte. Returns `false` if there was no space.
     #[inline(always)]
     pub fn put(&mut self, byte: u8, place: usize, is_behind_loss: bool) -> bool {
         let room = if is_stop(byte) { SLOTS } else { SLOTS - FOR_STOPS };
@@ -495,8 +499,8 @@ impl<S: ByteSource> UartReceiver<S> {
     }
 }
 
-/// Priority of a stop command if only one can be kept. From the highest to the lowest: reset, stop, door, hold, jog
-/// cancel. 0 for any other byte.
+/// Returns the priority of a command that stops the machine, for the case that only one can be kept: reset 5, stop 4,
+/// door 3, hold 2, jog cancel 1. Returns 0 for any other byte.
 fn weight(byte: u8) -> u8 {
     match byte {
         RESET => 5,
@@ -508,8 +512,8 @@ fn weight(byte: u8) -> u8 {
     }
 }
 
-/// Replacement of a byte that may be damaged: commands that stop the machine and ends of lines stay as they are; any
-/// other byte becomes [`REFUSED`], so that its line is not executed.
+/// Returns what replaces a byte that may be damaged. Commands that stop the machine and ends of lines stay as they
+/// are. Any other byte becomes [`REFUSED`], so that its line is not executed.
 fn refused(byte: u8) -> u8 {
     if is_stop(byte) || matches!(byte, b'\n' | b'\r') { byte } else { REFUSED }
 }

@@ -4,20 +4,20 @@
 //!
 //! Accesses no registers: the caller passes the driver's state, so that host tests can run this code.
 
-/// Time in microseconds for which bytes of a departed host can still arrive: much longer than an operating system takes
-/// to cancel them.
+/// Time in microseconds during which bytes of a departed host can still arrive. An operating system cancels them much
+/// sooner.
 pub const LATE_BYTES_US: u32 = 200_000;
 
 /// State of the host, as far as the port can detect it.
 #[derive(Clone, Debug)]
 pub struct UsbHost {
-    /// Bytes have been received since the last host left. They show that a host is connected even if it never raises
-    /// DTR, as some hosts do not.
+    /// Bytes have been received since the last host left, so a host is connected. Some hosts never raise DTR: only
+    /// their bytes show that they are there.
     spoken: bool,
-    /// Time at which DTR fell. Kept as long as received bytes can still come from the departed host, because a host
-    /// closes its port before it cancels its unsent bytes.
+    /// Time at which DTR fell; `None` when no late bytes can arrive any more. A host closes its port before it cancels
+    /// its unsent bytes, so they can arrive after DTR has fallen.
     closing: Option<u32>,
-    /// `dtr` and `configured` at the last [`UsbHost::look`].
+    /// Arguments of the last [`UsbHost::look`].
     dtr: bool,
     configured: bool,
 }
@@ -38,12 +38,13 @@ impl Default for UsbHost {
 }
 
 impl UsbHost {
-    /// Starts without a host.
+    /// Returns the state of a port without a host and without a cable.
     pub const fn new() -> Self {
         Self { spoken: false, closing: None, dtr: false, configured: false }
     }
 
-    /// Updates the state from the driver's DTR and whether the device is configured. `now` reads a free-running clock.
+    /// Updates the state. `dtr`: `true` while the host raises the DTR line. `configured`: `true` while the host has
+    /// configured the USB device. `now`: reads a free-running clock.
     pub fn look(&mut self, dtr: bool, configured: bool, now: impl FnOnce() -> u32) -> Look {
         // `closed`: DTR falls when the host closes the port. `unplugged`: the bus goes idle when the cable is pulled.
         let (closed, unplugged) = (self.dtr && !dtr, self.configured && !configured);
@@ -60,15 +61,15 @@ impl UsbHost {
         } else if opened || unplugged {
             self.closing = None;
         }
-        // When one host takes the place of another, this call reports that no host is there. The next call reports the
-        // new host, because only then does DTR seem to rise.
+        // If another host has taken the port over, store DTR as low. This call then reports that no host is there. At
+        // the next call DTR seems to rise, and the new host is reported.
         self.dtr = dtr && !changes_hands;
         self.configured = configured;
         Look { gone, there: configured && self.is_listening() }
     }
 
-    /// Call for each received packet that is not empty. Returns whether to accept it: false if it may come from a
-    /// departed host. `late` is [`LATE_BYTES_US`] in ticks of the clock.
+    /// Decides whether to accept a received packet; call this for each packet that is not empty. Returns `false` if
+    /// the packet may come from a departed host. `late` is [`LATE_BYTES_US`] in ticks of the clock.
     pub fn speaks(&mut self, late: u32, now: impl FnOnce() -> u32) -> bool {
         if let Some(since) = self.closing {
             if now().wrapping_sub(since) < late {
@@ -80,7 +81,7 @@ impl UsbHost {
         true
     }
 
-    /// Returns whether a host reads the bytes sent, provided that the device is configured.
+    /// Returns whether a host reads the bytes sent. The answer holds only while the device is configured.
     pub fn is_listening(&self) -> bool {
         self.dtr || self.spoken
     }

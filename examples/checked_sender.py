@@ -24,9 +24,9 @@ import time
 DIGITS = "ABDGHKNPSUVZcefi"
 SUBSTITUTES = str.maketrans(" #%)189>XY", "shpdlbgtxy")
 NUMBERS = 4096
-# Letters of a session: capitals that one damaged bit cannot turn into a realtime command.
+# The session's letters are capitals that one damaged bit cannot turn into a realtime command.
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWZ"
-# After more than this many answers in a row that do not belong to this session, another sender is assumed.
+# If more answers in a row than this are damaged or of another session, another sender must be using the machine.
 STRANGE = 32
 # Maximum number of bytes of lines that have been sent and not answered; the machine has room for 255.
 WINDOW = 120
@@ -65,7 +65,7 @@ def new_session():
 
 
 def checked(session, number, text):
-    """Returns a text with its number modulo 4096, its length, and the CRC of session, whole number, length and text."""
+    """Returns a checked line: number (modulo 4096), length, CRC, text. The CRC also covers session and whole number."""
     length = digits(len(text) % 256, 2)
     check = binascii.crc32((session + digits(number, 8) + length + text).encode("ascii", "replace"))
     return f":{digits(number % NUMBERS, 3)}{length}{digits(check, 8)}{text}"
@@ -77,7 +77,7 @@ def line_of(session, number, text):
 
 
 def answer_in(line, session, taken):
-    """Returns number and text of an answer, or None if damaged or no answer. `taken`: lines taken so far."""
+    """Returns number and text of an answer; None if the line is damaged or no answer. `taken`: count of lines taken."""
     number, text = value(line[1:4]), line[14:]
     if number is None:
         return None
@@ -165,16 +165,16 @@ class Sender:
     def __init__(self, link, lines, tell=print, session=None):
         self.link, self.lines, self.tell = link, lines, tell
         self.session = session or new_session()
-        # Counts: lines that the machine has taken, lines sent, and the maximum of `sent`. After a repetition began,
-        # lines between `sent` and `furthest` can still arrive.
+        # Numbers of lines: taken by the machine, sent, and the maximum of `sent`. When lines are sent again, `sent`
+        # goes back. The lines from there to `furthest` can still arrive from the first time.
         self.taken = self.sent = self.furthest = 0
-        # Bytes of each line that is sent and not answered, oldest first.
+        # Lengths in bytes of the lines that have been sent and not answered, oldest first.
         self.sizes = []
-        # Whether to wait until all sent lines have arrived. After that, the lines not taken are sent again.
+        # True while the sender waits until all sent lines have arrived. Then it sends the lines not taken again.
         self.is_draining = False
         # Counts: unanswered questions; `sent` at the last question; plain answers (not checked ones) in a row.
         self.questions = self.asked_at = self.plain = 0
-        # Damaged answers since the last undamaged one.
+        # Number of damaged answers since the last good one.
         self.strange = 0
         self.received = b""
         # Times of the last byte received, the last answer, and the last question.
@@ -299,8 +299,8 @@ class Sender:
     def question(self):
         now = time.monotonic()
         if self.questions < QUESTIONS:
-            # If nothing has arrived since the last question, the link may be dead. A question sent into a dead link
-            # takes no room in the machine, so it is not counted.
+            # If nothing has arrived since the last question, the link may be dead. A question that is lost in a dead
+            # link takes no room in the machine, so it is not counted.
             self.questions += self.last_heard > self.last_asked
             self.last_asked, self.asked_at = now, self.sent
             self.counts["questions"] += 1

@@ -14,8 +14,8 @@ fn board_file(name: &str) -> String {
 }
 
 /// Each board's file parses without faults and contains the board's name. The parser (`boards/tables/check.rs`)
-/// reports, among others, pins with two functions, pins that the chip does not have, and functions on pins of the debug
-/// port, the oscillator or the links to the host.
+/// reports, for example, pins with two functions, pins that the chip lacks, and functions on pins of the debug port,
+/// the oscillator or the links to the host.
 #[test]
 fn the_file_of_each_board_is_without_faults() {
     for (name, text) in oxmill_tables::BOARDS {
@@ -26,7 +26,7 @@ fn the_file_of_each_board_is_without_faults() {
     }
 }
 
-/// The profile of a board, which the simulator uses, agrees with the file of the board.
+/// The simulator uses the profile of a board. It must agree with the board's file.
 #[test]
 fn profiles_are_those_of_the_files() {
     for (name, _) in oxmill_tables::BOARDS {
@@ -91,10 +91,10 @@ fn every_board_has_its_name_in_the_readme_and_a_probe_profile() {
     }
 }
 
-/// Each board's safe step rate follows docs/cost.md, "Step rates". The step task generates events in batches and queues
-/// them in a ring. At this rate, a full ring lasts at least as long as two of the longest runs of the step task, plus
-/// the time of half a batch. Batches for three axes take at most half of the processor's time. After the shortest
-/// pulse, the pause is long enough for the pulse timer to stop.
+/// Each board's safe step rate follows docs/cost.md, "Step rates". Ring: the step task fills a ring of 96 events in
+/// batches of 32. A full ring must last for two of the longest runs of the task plus half a batch. CPU: batches for
+/// three axes take at most half of the processor's time. Pulse: the pause after the shortest pulse is long enough for
+/// the pulse timer to stop.
 #[test]
 fn step_rates_follow_the_rule() {
     const DEPTH: u64 = 96;
@@ -103,14 +103,14 @@ fn step_rates_follow_the_rule() {
         let (hz, core_hz) = (u64::from(board.safe_step_hz), u64::from(board.core_hz));
         let runs = 2 * u64::from(board.run_cycles) * hz;
         assert!(runs <= (DEPTH - BATCH / 2) * core_hz, "{board:?}");
-        // A batch with three axes is taken to need 1,582 cycles: what `cargo xtask count` reports, plus at least 10 %.
+        // 1,582 cycles for a batch with three axes: the result of `cargo xtask count`, plus at least 10 %.
         assert!(1_582 * hz / BATCH <= core_hz / 2, "{board:?}");
         let rates = StepRates { safe_hz: u32::MAX, least_pulse_tenths: board.least_pulse_tenths };
         assert!(rates.greatest_hz(board.least_pulse_tenths) >= hz as f32, "{board:?}");
-        // The pulse timer must have stopped before the next event triggers it. So the pause after a pulse must be
-        // longer than 7 of its ticks: 4 from the trigger to its first count, 1 to the leading edge of the pulse, 1
-        // after the trailing edge, 1 to the stop. If a port has direction pins and no step pins, the leading edge comes
-        // `DIRECTION_LEAD` ticks later. A tick of the pulse timer is not longer than a tick of the step clock.
+        // The pulse timer must stop before the next event triggers it. So the pause after a pulse must be longer than
+        // 7 of its ticks: 4 from the trigger to its first count, 1 to the leading edge, 1 after the trailing edge, 1
+        // to the stop. If a port has direction pins and no step pins, the leading edge comes `DIRECTION_LEAD` ticks
+        // later. A tick of this timer is at most a step-clock tick.
         let timing = StepTiming::new(board.step_clock_hz / 1_000_000, board.least_pulse_tenths, 0);
         let lead = if board.direction_ports > 0 { number("chain.rs", "DIRECTION_LEAD") } else { 0 };
         assert!(timing.gap > timing.pulse + 7 + lead, "{board:?}");
@@ -127,8 +127,8 @@ fn said(board: oxmill_boards::profiles::Board, line: &str) -> String {
     mill.take_output()
 }
 
-/// On a board without a pin for the at-speed signal, a setting that enables the signal would make every spindle count
-/// as up to speed, or none at all.
+/// `$915` enables the at-speed signal. On a board without a pin for it, every spindle would count as up to speed, or
+/// none.
 #[test]
 fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
     for board in profiles::ALL {
@@ -142,8 +142,8 @@ fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
     }
 }
 
-/// The UART of a board with USB has an interrupt for each byte, which has to wait while the step task runs. At rates
-/// above the board's `most_baud`, bytes would be lost; the fast link of this board is USB.
+/// On a board with USB, the UART has an interrupt for each byte, and the interrupt waits while the step task runs.
+/// Above the board's `most_baud`, bytes would be lost. The fast link of such a board is USB.
 #[test]
 fn a_uart_beside_usb_takes_no_rate_of_its_uart_that_it_cannot_keep() {
     for board in oxmill_boards::profiles::ALL {
@@ -162,8 +162,8 @@ fn a_uart_beside_usb_takes_no_rate_of_its_uart_that_it_cannot_keep() {
         let described = said(board, "$ES");
         let row = described.lines().find(|line| line.starts_with("[SETTING:931|")).expect("a row");
         assert!(row.contains(&format!("|115200|{most}|")), "{}: {row}", board.name);
-        // A byte takes ten bit times. The longest run of the step task, and half as much again for other code at the
-        // interrupt's priority, must fit into this time.
+        // A byte takes ten bit times. This must be at least 1.5 times the longest run of the step task: the additional
+        // half is for other code at the interrupt's priority.
         let byte = 10.0 / f64::from(board.most_baud);
         assert!(!is_slow || 1.5 * f64::from(board.run_cycles) / f64::from(board.core_hz) < byte, "{}", board.name);
     }

@@ -64,7 +64,7 @@ fn a_page_is_served_to_this_computer_only() {
     let head =
         format!("GET /machine HTTP/1.1\r\nHost: {address}\r\nOrigin: http://{address}\r\n{key}\r\nCookie: name=Andr");
     assert!(answer_to(address, &[head.as_bytes(), b"\xE9\r\n\r\n"].concat()).starts_with("HTTP/1.1 101 "));
-    // A head that is too long, incomplete or malformed gets no answer or a 403, however slowly it arrives.
+    // A head that is too long, incomplete or malformed gets no answer or a 403.
     let long = format!("GET / HTTP/1.1\r\nHost: {address}\r\nX: {}", "x".repeat(1 << 15));
     for request in [long.as_bytes(), b"GET / HTTP/1.1\r\n", b"\r\n\r\n"] {
         let answer = answer_to(address, request);
@@ -164,7 +164,8 @@ fn held(program: &Child) -> [usize; 2] {
     [count("task"), count("fd")]
 }
 
-/// Returns the kernel timers of a connection on the side of the server, by number: 2 is the keep-alive timer.
+/// Returns the numbers of the kernel timers that run for the server's side of a connection. `02` is the keep-alive
+/// timer.
 #[cfg(target_os = "linux")]
 fn timers(client: &Client) -> Vec<String> {
     let port = |address: std::net::SocketAddr| format!(":{:04X}", address.port());
@@ -212,7 +213,7 @@ fn thousands_of_connections_leave_nothing_behind() {
     let ports = [(tcp, tcp_address, "", 3000), (page, page_address, "", 1000), (pinned, pins, "steps\n", 1000)];
     for (server, address, line, many) in ports {
         let address = address.as_str();
-        // Counts the server's own threads, which are started by the first connection at the latest.
+        // The first connection makes the server start the rest of its own threads, so count them after it.
         answer_to(address, b"GET / HTTP/1.0\r\n\r\n");
         std::thread::sleep(Duration::from_millis(500));
         let before = held(&server.program);
@@ -315,7 +316,7 @@ fn no_client_makes_the_server_grow() {
         assert!(Instant::now() < end, "it is closed");
     }
     assert!(resident(&server.program) < before + 8192, "{before} {}", resident(&server.program));
-    // A client whose line is too long is told so, if it reads this before the server closes the connection.
+    // If a line is too long, the server sends a message before it closes the connection.
     let mut short = server.served();
     assert_eq!(short.ask("G21"), "ok");
     short.send([b'X'; (1 << 16) + 2000]);
@@ -362,7 +363,7 @@ fn a_recording_with_alarms_of_pins_is_played_again() {
         drop(server);
         let replay = Command::new(env!("CARGO_BIN_EXE_oxmill")).args(["replay", path]).output().expect("it runs");
         let said = String::from_utf8_lossy(&replay.stderr).into_owned();
-        // 0 or 1: the replay has the same steps. 1 if it ends with an alarm.
+        // Status 0 and 1 mean that the replay has the same steps. With status 1 the replay ends with an alarm.
         assert!(
             matches!(replay.status.code(), Some(0 | 1)),
             "{pin}: {said}{}",
@@ -446,9 +447,9 @@ impl Server {
         Client::of(&self.address)
     }
 
-    /// Returns a client that has read the welcome message. It retries until the previous client is gone: the previous
-    /// client's bytes can still be in transit, and a busy system can report a new connection before the end of the
-    /// previous one.
+    /// Returns a client that has read the welcome message. Retries until the server has noticed that the previous
+    /// client is gone. The previous client's bytes can still be in transit, and a busy system can report a new
+    /// connection before the end of the previous one.
     fn served(&self) -> Client {
         let end = Instant::now() + PATIENCE;
         loop {
@@ -557,8 +558,8 @@ fn the_half_line_of_a_client_that_left_is_cut() {
     assert!(next.wait_for("<Idle").contains("MPos:0.000,0.000,0.000"));
 }
 
-/// With `pending`, answers are due when the client disconnects: `G4` waits for the end of the motion, and the next line
-/// waits for `G4`. The result must be the same without pending answers.
+/// A client disconnects during its job. With `$914=1` the machine holds; with `$914=0` it finishes the received lines.
+/// With `pending`, answers are still due: `G4` waits for the end of the motion, and the next line waits for `G4`.
 #[test]
 fn a_client_that_leaves_in_mid_job_is_one_that_closes_its_port() {
     for (hold, pending) in [(1, true), (1, false), (0, true), (0, false)] {
@@ -692,7 +693,8 @@ fn a_store_is_of_one_server() {
     assert!(said.iter().any(|line| line.starts_with("$100=80")), "{said:?}");
 }
 
-/// A held machine takes no lines. The program must still end, because no other host can connect.
+/// Standard input ends while the machine is held and takes no lines. The program must still end, because no other host
+/// can connect.
 #[test]
 fn standard_input_that_ends_in_a_hold_ends_the_program() {
     let mut program = Command::new(env!("CARGO_BIN_EXE_oxmill"))

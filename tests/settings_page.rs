@@ -1,4 +1,5 @@
-//! `docs/settings.md` is generated from the table of settings; this test compares the two.
+//! Checks that `docs/settings.md` is what the table of settings generates. With `OXMILL_WRITE_DOCS=1` the test writes
+//! the page.
 
 use oxmill_controller::protocol::descriptions;
 use oxmill_controller::protocol::text::Text;

@@ -1,12 +1,12 @@
-//! A long job with everything that happens in a day at the machine: lines of every kind as fast as the receive buffer
-//! takes them, holds, resumes, overrides, reports, stops, resets during motion, hosts that close the port and reconnect
-//! or are silent for too long, and inputs that stop the machine according to `$924` to `$928`.
+//! Plays a long job with everything that happens in a day at the machine. Lines of every kind come as fast as the
+//! receive buffer takes them, with holds, overrides, reports, stops and resets among them. Hosts close the port and
+//! reconnect, or are silent for too long. Inputs stop the machine. `$924` to `$928` select the reactions.
 //!
 //! Invariants: each line is answered once; whenever the machine comes to rest, the motors have made exactly the steps
 //! of the program; after a stop or a reset the reported position is that of the motors, and the program continues from
 //! there; memory does not grow.
 //!
-//! `OXMILL_SOAK=N` plays N lines instead of the default few; `OXMILL_SOAK_SEED` sets the seed.
+//! `OXMILL_SOAK=N` plays N lines instead of 3,000; `OXMILL_SOAK_SEED` sets the seed.
 
 use oxmill_simulator::{Options, Simulator};
 use oxmill_test_support::program::{AXES, Program, SETTINGS, STEPS_PER_MM};
@@ -228,8 +228,8 @@ impl Soak {
         self.agree();
     }
 
-    /// Activates an input that stops the machine with the reaction that its setting selects, and then resets. The
-    /// position is kept, and the job continues from there.
+    /// Activates an input of [`FAULTS`]: the machine stops with the reaction that the input's setting selects. Then
+    /// resets. The position must be kept, and the job continues from there.
     fn fault(&mut self) {
         let (pin, _, alarm) = FAULTS[self.random.below(3) as usize];
         self.hear();
@@ -282,7 +282,7 @@ impl Soak {
         self.finish();
     }
 
-    /// Sends some lines, with events between them.
+    /// Sends a chunk (a random number of program lines) with random events between the lines, and waits for its end.
     fn chunk(&mut self) {
         if self.random.below(4) == 0 {
             self.settings();

@@ -1,7 +1,9 @@
-//! Tests the reader of a UART's received bytes, in memory and without hardware: bytes keep their order, lost bytes are
-//! marked at their position, and no line with a damaged byte is carried out, whatever happens between any two memory
-//! accesses. The receive buffer is a ring of slots, one per byte. A pass is one run of the reader over the received
-//! bytes. A lap is an overrun: DMA has overtaken the reader by one round of the ring.
+//! Tests the reader of a UART's received bytes, in memory and without hardware. Bytes keep their order, and lost bytes
+//! are marked at their position. No line with a damaged byte is carried out, even if bytes arrive between any two
+//! memory accesses of the reader.
+//!
+//! The receive buffer is a ring of slots, one per byte. A pass is one run of the reader over the received bytes. A lap
+//! is an overrun: DMA has overtaken the reader by one round of the ring.
 
 use oxmill_boards::calls::{Calls, REST, is_stop};
 use oxmill_boards::uart_receiver::{Buffer, ByteSource, Look, MOST_WAITING, ReceivedBytes, SLOTS, UartReceiver};
@@ -161,7 +163,7 @@ impl Out {
     }
 }
 
-/// Maximum number of bytes of text that the reader reads at a time; other bytes count double.
+/// Maximum number of bytes of text that the reader reads in one pass. A byte that is not text counts double.
 const AT_A_TIME: usize = 28;
 
 #[derive(Clone, Debug)]
@@ -214,9 +216,9 @@ proptest! {
         prop_assert_eq!(out.0, sent.into_iter().map(Some).collect::<Vec<_>>());
     }
 
-    /// Some bytes are damaged and become other bytes, even line ends. The reader runs at any time, even between the
-    /// report of a damage and the arrival of the damaged byte, and other bytes arrive while it clears the report. No
-    /// line is carried out that was not sent, none twice, and none with a damaged byte.
+    /// Some bytes are damaged and become other bytes, even line ends. The reader can run between the report of a damage
+    /// and the damaged byte. Other bytes arrive while the reader clears the report. Each line that is carried out must
+    /// have been sent, must be undamaged, and must not be carried out twice.
     #[test]
     fn no_damaged_line_is_carried_out(
         damaged in prop::collection::btree_map(
@@ -277,9 +279,8 @@ proptest! {
     }
 }
 
-/// A byte is damaged at each position of three lines, and becomes a digit or a line end; passes come more often or less
-/// often than bytes; the damage is signalled before the byte or with it. The damaged line is not carried out, not even
-/// in part.
+/// Damages each byte of three lines in turn: the byte becomes a digit or a line end. Varies how often the reader runs,
+/// and whether it runs between the report of the damage and the byte. No part of the damaged line may be carried out.
 #[test]
 fn a_damaged_byte_at_each_place() {
     let sent = b"G1X11\nG1X12\nG1X13\n";
@@ -316,7 +317,7 @@ fn a_damaged_byte_at_each_place() {
     }
 }
 
-/// No byte that follows damaged bytes is dropped, however many bytes the message that is being filled already contains.
+/// The reader drops no byte after damaged bytes, however many bytes its unfinished message already contains.
 #[test]
 fn nothing_is_dropped_behind_damaged_bytes() {
     for count in 1..3 * ReceivedBytes::MOST {
@@ -331,8 +332,8 @@ fn nothing_is_dropped_behind_damaged_bytes() {
     }
 }
 
-/// A byte that DMA has counted but not yet written does not count as arrived: the reader reads it at its next run. If
-/// damage has been reported before, the byte then still counts as damaged.
+/// DMA has counted a byte but not yet written it: the reader leaves the byte for its next run. If damage was reported
+/// before, the reader still takes that byte as damaged.
 #[test]
 fn a_byte_that_is_counted_and_not_written() {
     let (wire, mut receiver) = by_dma();
@@ -358,8 +359,8 @@ fn a_byte_that_is_counted_and_not_written() {
     assert_eq!(out.text(), "abc#@@@\n");
 }
 
-/// Bytes can wait in all slots but one for any time. With one byte more, all bytes are lost except the last stop (a
-/// byte that stops the machine), and the loss is reported once.
+/// All slots but one can hold waiting bytes for any time. If one more byte arrives, all are lost except the last stop
+/// (a byte that stops the machine). The loss is reported once.
 #[test]
 fn a_full_buffer_and_a_lap() {
     for more in [0, 1, 2, SLOTS - 1, SLOTS, SLOTS + 1, 3 * SLOTS + 7] {
@@ -514,7 +515,7 @@ fn characters_come_whole() {
 }
 
 /// DMA overtakes the reader just after the reader has checked for an overrun, so the reader takes the newest byte for
-/// the oldest. It must detect this later, and then read new bytes correctly.
+/// the oldest. The reader must detect the overrun later, and then read new bytes correctly.
 #[test]
 fn a_lap_within_a_look_leaves_no_reader_waiting() {
     for late in 1..6 {
@@ -667,8 +668,8 @@ fn an_interrupt_fills_the_slots() {
         assert_eq!((out.text().as_str(), receiver.source().0.get()), ("G1X1\n", 0), "it begins anew");
         out.0.clear();
     }
-    // While nobody reads the bytes, the buffer soon has no room for text, but still for a stop. The next byte that it
-    // accepts is marked: bytes are missing before it.
+    // While nobody reads the bytes, the buffer soon refuses text, but still accepts a stop. The next accepted byte
+    // carries the mark that bytes are missing before it.
     let kept = (0..2 * SLOTS).filter(|_| put(&mut receiver, b'x')).count();
     assert!(put(&mut receiver, b'!'));
     assert!(!put(&mut receiver, b'y') && kept < SLOTS);

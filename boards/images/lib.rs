@@ -1,13 +1,13 @@
-//! Facts about the boards' images, for build scripts and `xtask`: the list of images, and the linker script and cargo
-//! profile of each.
+//! Facts about the firmware's images, for build scripts and `xtask`: the list of images, and the linker script and
+//! cargo profile of each. An image is one build of the firmware. Several boards can share an image.
 //!
 //! Linker arguments are set here and not by `rustflags` in cargo's configuration, because a variable `RUSTFLAGS` in the
 //! environment would silently replace `rustflags`. Without the linker script, the image would be empty.
 
 use std::{env, fs, path::PathBuf};
 
-/// All images. Each is also the name of a cargo feature of the packages that link an image. Boards that differ only in
-/// their pins share an image (`boards/tables`).
+/// Names of all images. Each is also the name of a cargo feature of the packages that link an image. Boards that
+/// differ only in their pins share an image (`boards/tables`).
 pub const IMAGES: [&str; 9] = [
     "blackpill_f411",
     "blackpill_f401",
@@ -47,7 +47,8 @@ pub fn chip(image: &str) -> Option<&'static str> {
     })
 }
 
-/// For build scripts: returns the image that the features choose, or `None` if the build is not for a board.
+/// Returns the image that the cargo features choose, or `None` if the build is for a PC. Call only in a build script:
+/// the features come from the environment variables that cargo sets there.
 ///
 /// # Panics
 ///
@@ -62,9 +63,11 @@ pub fn chosen() -> Option<&'static str> {
     Some(image)
 }
 
-/// For build scripts: writes the linker scripts of the chosen image into the linker's search path and passes them to
-/// the linker. `kinds` are the kinds of target in `cargo:rustc-link-arg-KIND`, `stack_kib` is the stack size in KiB. In
-/// this workspace, the linker runs in the workspace's folder and finds the original `memory.x` there first. The copy
+/// Writes the linker scripts of the chosen image into the search path of the linker, and passes them to the linker.
+/// Call only in a build script. `kinds`: cargo targets that get the scripts, as in `cargo:rustc-link-arg-KIND`, such
+/// as `bins`. `stack_kib`: size of the stack, KiB.
+///
+/// In this workspace the linker runs in the root folder and finds the original `memory.x` there first. The copy
 /// written here is for a workspace that was made from the packaged crates alone.
 pub fn link(kinds: &[&str], stack_kib: u32) {
     println!("cargo:rerun-if-changed=build.rs");

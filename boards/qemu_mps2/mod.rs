@@ -1,5 +1,6 @@
-//! QEMU's `mps2-an386`: a Cortex-M4F with UARTs and timers, but without GPIO. Steps are not written to pins, but added
-//! to a digest, which a second UART reports. PSRAM can be preloaded with a job, or with a script that acts as the host.
+//! QEMU's `mps2-an386`: a Cortex-M4F with UARTs and timers, but without GPIO. Steps are not written to pins. They are
+//! added to a digest (checksum), which a second UART reports. PSRAM can be preloaded with a job, or with a script that
+//! acts as the host.
 //!
 //! ```text
 //!   ┌───────────────────────────────────────────────────┐
@@ -22,9 +23,9 @@
 //! reads one, so the step stream is the same in every run. At the end of the job, UART1 sends the report and QEMU
 //! exits. A script in PSRAM replaces the host at UART0 (see `script`).
 //!
-//! With counted instructions (`-icount`), virtual time follows the clock of the PC that runs QEMU only while the
-//! emulated processor sleeps. If the processor never sleeps ("BUSY"), virtual time depends on the executed instructions
-//! alone, even if the PC delays QEMU.
+//! With the option `-icount`, QEMU derives virtual time from the number of executed instructions. Only while the
+//! emulated processor sleeps does virtual time follow the clock of the PC. With "BUSY" the processor never sleeps, so
+//! virtual time depends on the instructions alone, even if the PC delays QEMU.
 //!
 //! Source of all addresses: <https://www.qemu.org/docs/master/system/arm/mps2.html>, ARM DAI 0386.
 
@@ -48,15 +49,15 @@ mod flash;
 mod script;
 pub use flash::SettingsFlash;
 
-/// The profile of this board.
+/// The profile of this board. There is no pin table, so [`profile`] returns the same.
 pub const PROFILE: Profile = crate::profile_of(&profiles::QEMU_MPS2, false);
-/// Returns the profile of this board.
+/// Returns [`PROFILE`]: there is no pin table that could change a value.
 pub fn profile() -> Profile {
     PROFILE
 }
 
-/// Number of GPIO ports. The machine has none. The number is for `cargo xtask count`, which runs the step output of the
-/// STM32 boards on plain memory; its step and direction pins are on one port.
+/// Number of GPIO ports; the machine itself has none. Only `cargo xtask count` uses this number: it runs the step
+/// output of the STM32 boards on plain memory. There, all step and direction pins are on one port.
 pub const PORTS: usize = 3;
 /// Number of axes.
 pub const AXES: usize = profiles::QEMU_MPS2.axes;
@@ -75,26 +76,26 @@ pub const CORE_HZ: u32 = 25_000_000;
 /// Samples per second. There are no inputs: the samples serve only the alarm clock of `control` and the watchdog. The
 /// rate is low, because each sample takes time on the PC that runs QEMU.
 pub const SAMPLE_HZ: u32 = 2_000;
-/// The non-maskable interrupt belongs to the watchdog.
+/// False: on this board the non-maskable interrupt comes from the watchdog.
 pub const WATCHES_CLOCK: bool = false;
 
 /// The parts of the board that `setup` returns, each for the task that its comment names.
 pub struct Parts {
-    /// For `step`.
+    /// Given to the task `step`.
     pub step_pins: StepPins,
-    /// For `inputs`.
+    /// Given to the task `inputs`.
     pub uart_input: UartInput,
-    /// For `serial`.
+    /// Given to the task `serial`.
     pub serial: SerialPort,
-    /// For `serial`.
+    /// Given to the task `serial`.
     pub usb: NoPort,
-    /// For `inputs`.
+    /// Given to the task `inputs`.
     pub inputs: InputPins,
-    /// For `control`.
+    /// Given to the task `control`.
     pub slow_pins: SlowPins,
-    /// For `control`.
+    /// Given to the task `control`.
     pub settings_flash: SettingsFlash,
-    /// For `inputs`.
+    /// Given to the task `inputs`.
     pub watchdog: Watchdog,
     /// Always 0: the emulator has no oscillator.
     pub oscillator_mhz: u8,
@@ -111,7 +112,7 @@ macro_rules! vectors {
     };
 }
 
-/// Calls the serial task.
+/// Makes the interrupt of the serial task pending.
 pub fn call_serial() {
     NVIC::pend(Interrupt::UART0_RX);
 }
@@ -180,14 +181,14 @@ extern "C" fn UART0_TX() {
     NVIC::pend(Interrupt::UART0_RX);
 }
 
-/// Returns the ticks of the step clock, wrapping.
+/// Returns the time of the step clock, in ticks of 40 ns; it wraps after 2^32.
 #[inline(always)]
 pub fn clock_ticks() -> u32 {
     // SAFETY: unsafe because the timer is read without owning it; safe because reading VALUE has no effect.
     u32::MAX - unsafe { pac::Peripherals::steal() }.TIMER1.value()
 }
 
-/// Calls the step task, from any task.
+/// Makes the interrupt of the step task pending. Any task may call this function.
 pub fn call_step() {
     NVIC::pend(Interrupt::TIMER0);
 }
@@ -195,7 +196,7 @@ pub fn call_step() {
 /// Steps so far, for the report to the test stand.
 struct Record {
     digest: Digest,
-    /// Sum of the times between the stepper's ticks: how long the machine has been in motion, in step-clock ticks.
+    /// How long the machine has been in motion, in step-clock ticks: the sum of the times between the stepper's ticks.
     busy: u64,
     net: [i32; AXES],
 }
@@ -203,8 +204,9 @@ struct Record {
 static RECORD: Mutex<RefCell<Record>> =
     Mutex::new(RefCell::new(Record { digest: Digest::new(), busy: 0, net: [0; AXES] }));
 
-/// A committed event: its steps and directions, its time, and the step-clock ticks by which the stepper has advanced
-/// after it.
+/// A committed event that has not been output. `steps` and `directions` have one bit for each axis; a set bit of
+/// `directions` means negative. `moment`: its time on the step clock. `passes`: by how much the stepper has advanced
+/// since this event, in ticks of the step clock.
 #[derive(Clone, Copy)]
 struct Pending {
     steps: u8,
@@ -213,7 +215,7 @@ struct Pending {
     passes: u32,
 }
 
-/// Step and direction outputs: adds each event to the [`Digest`], a checksum of the steps, when it is due. One timer
+/// Step and direction outputs. Each event is added to the [`Digest`], a checksum of the steps, at its time. One timer
 /// serves three scheduled times: it is always set to the nearest of them.
 pub struct StepPins {
     timer: Timer0,
@@ -254,8 +256,8 @@ impl StepPins {
             NVIC::pend(Interrupt::TIMER0);
             return;
         }
-        // After its expiry, the timer continues with the reload value, 1 ms. So if rounding makes it expire before the
-        // scheduled time, it expires again 1 ms later, and the time is then checked again.
+        // Because of rounding, the timer may expire too early. Then it continues with the reload value, 1 ms, and the
+        // next expiry checks the scheduled time again.
         self.timer.set_reload(CORE_HZ / 1_000);
         self.timer.set_value(nearest);
         self.timer.set_control(Timer0::ENABLE | Timer0::INTERRUPT_ENABLE);
@@ -413,8 +415,8 @@ impl Port for SerialPort {
         if self.0.state() & Uart0::RX_FULL != 0 { Incoming::Byte(self.0.data() as u8) } else { Incoming::Nothing }
     }
 
-    /// If the program has no space, a received byte stays in the data register. This function clears the byte's
-    /// interrupt, which would otherwise recur forever; [`SerialPort::receive`] later finds the byte without an
+    /// Clears the interrupt of a received byte if the program has no space for the byte: the interrupt would recur
+    /// forever. The byte stays in the data register, where [`SerialPort::receive`] later finds it without an
     /// interrupt.
     fn allow(&mut self, room: usize) {
         if room == 0 {
@@ -440,12 +442,12 @@ impl Port for SerialPort {
 pub struct InputPins;
 
 impl InputPins {
-    /// Returns which pins are low: none.
+    /// Returns 0: no pin is low, because there are no pins.
     pub fn read(&mut self) -> u32 {
         0
     }
 
-    /// Returns which pins exist: none.
+    /// Returns 0: there are no pins.
     pub fn fitted(&self) -> u32 {
         0
     }
@@ -458,14 +460,14 @@ impl InputPins {
 pub struct SlowPins;
 
 impl SlowPins {
-    /// Does nothing.
+    /// Does nothing: there are no outputs.
     pub fn write(&mut self, _levels: SlowLevels) {}
 }
 
 /// Does nothing: there are no pins to make safe.
 pub fn safe_state() {}
 
-/// Address of preloaded data in PSRAM: a mark, a length, and the text of a job or script.
+/// Address of preloaded data in PSRAM: a mark of 4 bytes, a length of 4 bytes, and the text of a job or script.
 const JOB: usize = 0x2100_0000;
 const JOB_MARK: u32 = u32::from_le_bytes(*b"JOB!");
 const SCRIPT_MARK: u32 = u32::from_le_bytes(*b"HOST");
@@ -478,7 +480,7 @@ pub fn preloaded_job() -> Option<&'static [u8]> {
     preloaded(JOB_MARK)
 }
 
-/// Returns the text in PSRAM if it follows this mark; `None` otherwise.
+/// Returns the text in PSRAM. Returns `None` if PSRAM does not begin with `mark`, or if the length is impossible.
 fn preloaded(mark: u32) -> Option<&'static [u8]> {
     if !is_marked(mark) {
         return None;
@@ -535,7 +537,7 @@ fn send(text: core::fmt::Arguments<'_>) {
 /// Whether the preloaded job has ended.
 static DONE: AtomicBool = AtomicBool::new(false);
 
-/// Call at the end of the preloaded job: `idle` then sends the report and exits QEMU.
+/// Records that the preloaded job has ended. Then [`idle`] sends the report and exits QEMU.
 pub fn job_done() {
     DONE.store(true, Ordering::Relaxed);
 }
@@ -543,8 +545,8 @@ pub fn job_done() {
 /// The script that acts as the host. After the set-up only [`idle`] uses it.
 static SCRIPT: Mutex<RefCell<Option<script::Script>>> = Mutex::new(RefCell::new(None));
 
-/// Call when no task runs: advances the script, ends QEMU after a preloaded job, answers the test stand, and sleeps
-/// until the next interrupt.
+/// Advances the script, ends QEMU after a preloaded job, answers the test stand, and sleeps until the next interrupt.
+/// Called again and again while no task runs.
 pub fn idle() {
     follow_script();
     if DONE.load(Ordering::Relaxed) {
@@ -595,7 +597,7 @@ pub struct Watchdog(mps2_pac::Watchdog);
 const WATCHDOG_TICKS: u32 = 5 * 25_000_000;
 
 impl Watchdog {
-    /// Starts the watchdog: from now on it must be fed.
+    /// Starts the watchdog: from now on it must be fed at least every 5 s.
     pub fn start(&mut self) {
         self.0.set_reload(WATCHDOG_TICKS);
         self.0.set_control(mps2_pac::Watchdog::INTERRUPT_ENABLE | mps2_pac::Watchdog::RESET_ENABLE);
@@ -607,9 +609,9 @@ impl Watchdog {
     }
 }
 
-/// A word that keeps its value in a reset, because QEMU does not report the cause of a reset. `ASKED`: the program
-/// requested the reset. `RUNNING`: the program did not request it, so the watchdog caused the reset. Any other value:
-/// power-up. Start-up code does not initialize this word.
+/// Tells the program after a reset what caused the reset, because QEMU does not report the cause. The word keeps its
+/// value in a reset: the start-up code does not initialize it. `ASKED`: the program requested the reset. `RUNNING`:
+/// the program did not request it, so the watchdog caused the reset. Any other value: power-up.
 #[unsafe(link_section = ".uninit.ALIVE")]
 // unsafe because the linker takes the section on trust; safe because every bit pattern is a number.
 static mut ALIVE: core::mem::MaybeUninit<u32> = core::mem::MaybeUninit::uninit();
@@ -637,13 +639,13 @@ pub fn reset_cause() -> ResetCause {
 /// QEMU's board has no boot loader.
 pub const HAS_LOADER: bool = false;
 
-/// Restarts the program.
+/// Restarts the program; `_into_loader` has no effect, because there is no boot loader.
 pub fn reboot(_into_loader: bool) -> ! {
     cortex_m::interrupt::disable();
     reset()
 }
 
-/// There is no boot loader.
+/// Does nothing: there is no boot loader.
 pub fn enter_loader_if_requested() {}
 
 fn reset() -> ! {
@@ -651,7 +653,7 @@ fn reset() -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Whether the test stand has requested a failure, so that [`restart`] resets instead of ending QEMU.
+/// `true` if the test stand has requested a failure. Then [`restart`] resets the machine instead of ending QEMU.
 static WANTED: AtomicBool = AtomicBool::new(false);
 
 /// Ends the program after a failure: prints `why` and exits QEMU with status 101. Resets instead if the test stand
@@ -688,8 +690,8 @@ fn fail(way: u8) {
     }
 }
 
-/// Converts a priority of RTIC, where 1 is the lowest, to a value of the interrupt controller, where 0 is the highest
-/// priority and only the upper bits count.
+/// Converts a priority of RTIC (1 is the lowest) to a value of the interrupt controller (0 is the highest). Only the
+/// upper bits of that value count.
 const fn hardware_priority(logical: u8) -> u8 {
     ((1 << pac::NVIC_PRIO_BITS) - logical) << (8 - pac::NVIC_PRIO_BITS)
 }

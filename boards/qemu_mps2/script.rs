@@ -1,9 +1,9 @@
 //! A host inside the machine. It executes a `Script` from PSRAM: the script sends bytes to the firmware, and waits in
 //! virtual time for answers, for a delay to pass, or for an Idle status report.
 //!
-//! With a host outside the machine, which runs in real time, the machine's state when a byte arrives would vary between
-//! runs. This host sends its bytes at the same instruction in every run. It checks whether its wait is over whenever
-//! the processor is idle, at least at every SysTick.
+//! A host outside the machine runs in real time, so its bytes would arrive at different instructions in each run. This
+//! host sends its bytes at the same instruction in every run. Whenever the processor is idle, and at least at every
+//! SysTick, this host checks whether its wait is over.
 //!
 //! | code | operands (little-endian) | |
 //! |---|---|---|
@@ -68,7 +68,7 @@ struct Said {
 static SAID: Mutex<RefCell<Said>> =
     Mutex::new(RefCell::new(Said { bytes: 0, head: [0; HEAD], length: 0, answers: 0, reports: 0, idle: false }));
 
-/// Call for each byte that the firmware sends.
+/// Counts a byte that the firmware sends. At the end of a line, checks whether it was an answer or a status report.
 pub fn hear(byte: u8) {
     critical_section::with(|cs| {
         let said = &mut *SAID.borrow_ref_mut(cs);
@@ -116,7 +116,8 @@ pub struct Script {
     answers_before: u32,
     /// Number of `?` sent in the present record (section of the script).
     questions: u32,
-    /// The step clock when it was last read.
+    /// Value of the step clock at the last call of [`Script::go_on`]; before the first call, at the start of the
+    /// script.
     looked: u32,
     /// Ticks of the step clock since the start of the script.
     ticks: u64,
@@ -143,7 +144,7 @@ impl Script {
 
     /// Executes the script until it has to wait, or to the end of a record (section of the script).
     pub fn go_on(&mut self) -> Wanted {
-        // Adds up differences, because the clock wraps every 172 s; this function is called much more often than that.
+        // The step clock wraps every 172 s, so add up differences. This function is called much more often than that.
         let now = clock_ticks();
         self.ticks += u64::from(now.wrapping_sub(self.looked));
         self.looked = now;

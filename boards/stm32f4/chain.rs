@@ -31,16 +31,16 @@
 //!  the second port with steps             TIM8 CC3, S4           TIM8 CC4, S7
 //! ```
 //! Event times are absolute, so errors do not accumulate. The ring entry after the last committed event holds a time
-//! one tick before that event. When DMA1 loads this time, it has just passed, and the counter reaches it again only
-//! after almost 2^32 ticks. So if the program commits no more events, for whatever reason, the output stops after the
-//! last committed event.
+//! one tick before that event. When DMA1 loads this time, it has just passed, so TIM5 reaches it again only after
+//! almost 2^32 ticks. The output therefore stops by itself if the program commits no more events, for whatever reason.
 //!
-//! A port with directions and no steps has no pulse to end, so one stream is enough for it. TIM8 requests the words of
-//! such a port, because all streams that serve TIM1 are in use. It requests them `DIRECTION_LEAD` ticks before TIM1
-//! requests the words with steps, so that neither edge of a pulse has to wait until DMA2 has written a direction.
+//! A port with directions alone (no steps) has no pulse to end, so one stream is enough for it. TIM8 triggers this
+//! stream, because all streams that serve TIM1 are in use. TIM8 triggers it `DIRECTION_LEAD` ticks before TIM1
+//! triggers the streams of the ports with steps. So DMA2 is free again when a pulse begins or ends.
 //!
-//! While a probe is watched, events must not be queued. They are output one by one: the CPU instead of DMA1 writes each
-//! event's time to CCR1, and CC1 interrupts after each event. Everything else works as for queued events.
+//! While the program watches a probe, it must not queue events, but outputs them one by one. The CPU instead of DMA1
+//! writes the time of each event to CCR1, and CC1 interrupts after each event. Everything else works as for queued
+//! events.
 //!
 //! Hardware constraints, all checked by the models of `tests/virtual_board`:
 //!
@@ -49,14 +49,15 @@
 //! * DMA1 fetches one word ahead, so the time of event n must be in the ring before event n - 2 is output.
 //! * TIM1 and TIM8 must be clocked while the processor sleeps, or they ignore their trigger; `step_pins` enables these
 //!   clocks for sleep.
-//! * TIM1 and TIM8 ignore a trigger while they count. In that case DMA2 lags TIM5 by one event, which the counts of the
-//!   streams reveal.
-//! * DMA2 would serve a request left from earlier output as soon as its stream is on, so `begin` first resets TIM1 and
-//!   TIM8, which clears such requests.
-//! * A stream to a peripheral fetches its word when it is enabled. The laser's stream is therefore re-enabled for each
-//!   power, and only one change of power is armed at a time. A power takes effect as soon as DMA writes it to TIM3.
-//! * DMA1 cannot reach TIM1. If TIM1 makes the PWM, the step task writes a power when the call for it comes, so a power
-//!   can be late by a run of the step task.
+//! * TIM1 and TIM8 ignore a trigger while they count. DMA2 then lags behind TIM5 by one event. The counts of the
+//!   streams show this.
+//! * A stream that is switched on serves a request left from earlier output. So `begin` first resets TIM1 and TIM8,
+//!   which clears such requests.
+//! * A stream to a peripheral fetches its word when it is enabled, not at the request. So the laser's stream is
+//!   enabled again for each power, and only one change of power can be scheduled at a time. A power takes effect as
+//!   soon as DMA writes it to TIM3.
+//! * DMA1 cannot reach TIM1. If TIM1 makes the PWM, the step task writes each power when it is called for that power.
+//!   So a power can be late by a run of the step task.
 //!
 //! This module was tested only in emulation, not yet on hardware.
 
@@ -70,30 +71,30 @@ use crate::contract::{COMBINATIONS, Due, Free};
 use core::marker::PhantomData;
 use core::sync::atomic::{Ordering, compiler_fence};
 
-/// Slots of the ring. The slot after the last event stays free.
+/// Number of slots of the ring. The slot after the last event holds no event, but the time that stops the output.
 const RING: usize = 128;
-/// Maximum number of committed events that have not been output ([`crate::StepOutput::DEPTH`]). A stop has to count up
-/// to this many cancelled events, which takes less time than two bytes on the UART.
+/// Maximum number of committed events that have not been output ([`crate::StepOutput::DEPTH`]). A stop counts all
+/// cancelled events. For this many, that takes less time than two bytes on the UART.
 pub(super) const DEPTH: usize = 96;
-/// Ticks from the start of TIM1 to the leading edge of the pulse; the trailing edge follows after the pulse length. If
-/// there are ports with directions alone, this is instead the time from the start of TIM8 to the output of their
-/// directions, and the leading edge comes [`DIRECTION_LEAD`] later.
+/// Ticks from the start of the pulse timer to the leading edge of the pulse. With ports that have directions alone:
+/// ticks from the start of TIM8 to the output of their directions; the leading edge comes [`DIRECTION_LEAD`] ticks
+/// later.
 const EDGE_COUNT: u32 = 1;
-/// DMA2 writes to ports with directions alone this many ticks before it writes to ports with steps. DMA2 needs less
-/// time, even for two ports with directions alone: about 12 cycles for the first and 8 for the second.
+/// DMA2 writes to ports with directions alone this many ticks before it writes to ports with steps. The lead covers
+/// the time that DMA2 needs: about 12 cycles for the first port with directions alone, and 8 for the second.
 const DIRECTION_LEAD: u32 = 20;
 /// When `begin` enables the trigger of TIM1, more than this many ticks must be left before the first event.
 const LISTENS_TICKS: u32 = 48;
-/// If too little time is left before the first event, `begin` delays all event times in the ring and tries again. At
-/// least this many ticks are then left before the first event, which is the maximum duration of such an attempt.
+/// Time that `begin` gains if too little time is left before the first event: it delays all events, so that this many
+/// ticks are left, and tries again. One attempt takes at most this long.
 const AGAIN_TICKS: u32 = 2_200;
-/// Within this many ticks before or after a scheduled time, its DMA request can be imminent or under way. Even at the
-/// maximum step rate, events are about 90 ticks apart.
+/// From this many ticks before a scheduled time until this many ticks after it, its DMA request may be about to come
+/// or in progress. Even at the maximum step rate, events are about 90 ticks apart.
 const NEAR_TICKS: u32 = 48;
 /// If an event is late by more than this many ticks, the output counts as stuck.
 const STANDS_TICKS: i32 = 500;
-/// If the DMA streams' counts of events differ, they are compared again this many times. The output has failed only if
-/// they differ each time.
+/// Number of further comparisons if the event counts of the DMA streams differ. The output has failed only if the
+/// counts differ in each of them.
 const MORE_LOOKS: u32 = 8;
 
 /// Error flags of streams 0 to 3 in LISR. In HISR, the same bits are those of streams 4 to 7.
@@ -121,15 +122,15 @@ struct Slave {
 }
 
 impl Slave {
-    /// ITR0 of TIM1 (TS = 000) is TIM5 in the table "TIMx internal trigger connection" of TIM1_SMCR: RM0368 (F401;
-    /// table 50), RM0383 (F411), RM0390 (F446), RM0090 (F407; table 94), RM0402 (F412). All five have the same row for
-    /// TIM1: TIM5, TIM2, TIM3, TIM4. Source: drivers that cite these tables, as the manuals themselves were not
-    /// available; not yet confirmed on hardware.
+    /// Returns TIM1, started by its trigger input ITR0 (TS = 000). ITR0 is TIM5 in the table "TIMx internal trigger
+    /// connection" of TIM1_SMCR: RM0368 (F401; table 50), RM0383 (F411), RM0390 (F446), RM0090 (F407; table 94),
+    /// RM0402 (F412). All five have the same row for TIM1: TIM5, TIM2, TIM3, TIM4. Source: drivers that cite these
+    /// tables, as the manuals themselves were not available; not yet confirmed on hardware.
     const fn tim1<M: Map>() -> Slave {
         Slave { base: M::TIM1, ignored: 0, reset: 1, channel: 6 << 25 }
     }
 
-    /// In the same tables, ITR3 of TIM8 (TS = 011) is TIM5.
+    /// Returns TIM8, started by its trigger input ITR3 (TS = 011), which is TIM5 in the same tables.
     const fn tim8<M: Map>() -> Slave {
         Slave { base: M::TIM8, ignored: 0b011 << 4, reset: 1 << 1, channel: 7 << 25 }
     }
@@ -139,7 +140,6 @@ impl Slave {
         if M::TIM8_MAKES_PULSES { Slave::tim8::<M>() } else { Slave::tim1::<M>() }
     }
 
-    /// Makes the timer ignore its trigger.
     #[inline(always)]
     fn ignore_trigger(&self) {
         write(self.base + SMCR, self.ignored);
@@ -173,7 +173,7 @@ const fn streams<M: Map>(port: usize, step_ports: usize) -> Streams {
         (0, 1) => Streams { on: 1, off: Some(4), requests: 1 << 9 | 1 << 12 },
         (0, _) => Streams { on: 1, off: Some(2), requests: 1 << 9 | 1 << 10 },
         (1, 2) => Streams { on: 6, off: Some(4), requests: 1 << 11 | 1 << 12 },
-        // Two ports with directions alone.
+        // The first and the second port with directions alone.
         _ if port == step_ports => Streams { on: 7, off: None, requests: 1 << 12 },
         _ => Streams { on: 3, off: None, requests: 1 << 10 },
     }
@@ -229,9 +229,9 @@ pub(super) struct Chain<M, const S: usize, const P: usize> {
     one_by_one: bool,
     /// With `one_by_one`: an event has been committed and is not output yet.
     pending: bool,
-    /// Number of event times that DMA1 has counted when the first time is in CCR1: 1 if DMA1 counts a word when writing
-    /// it, 2 if DMA1 counts it when fetching it. The manual leaves open when DMA counts (DMA_SxNDTR), so each `begin`
-    /// measures this number.
+    /// Count of event times of DMA1 when the first time is in CCR1. The count is 1 if DMA1 counts a word when it
+    /// writes the word, and 2 if DMA1 counts it when it fetches it. The manual leaves this open (DMA_SxNDTR), so each
+    /// `begin` measures it.
     first_moments: usize,
     map: PhantomData<M>,
 }
@@ -273,7 +273,6 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         Slave::tim8::<M>()
     };
 
-    /// Creates the output.
     pub(super) const fn new(ports: [usize; P], pwm: Pwm, rings: &'static mut Rings<P>) -> Self {
         Chain {
             rings,
@@ -310,7 +309,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
             due = Due(due.0 & !Due::OUT.0);
         }
         if due.has(Due::MARK) {
-            // A pending DMA request for a power must be served before the flag `MARK`, which raises it, is cleared.
+            // The event that sets the flag `MARK` also raises the DMA request for a power. This request must be served
+            // before the flag is cleared.
             self.keep_power();
         }
         // Writing 0 clears a flag, writing 1 leaves it unchanged.
@@ -360,7 +360,7 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
             cortex_m::asm::delay(SERVED_CYCLES);
         }
         if self.waiting.is_some() && read(M::TIM5 + SR) & Due::MARK.0 != 0 {
-            // `moment` has passed, so the power is not left until the next call.
+            // `moment` has passed: write the power now, not at the next call.
             self.keep_power();
         }
     }
@@ -371,10 +371,9 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         self.keep_power();
     }
 
-    /// Ends the change of power that [`Chain::mark_at`] has scheduled: if its time has come, the power is written,
-    /// otherwise it is not written any more. First waits until an imminent DMA request has been served. Otherwise the
-    /// request could be disabled half-way, or find no stream that serves it. It would then stay pending and output the
-    /// next power too early.
+    /// Ends the change of power that [`Chain::mark_at`] has scheduled. If its time has come, the power is written;
+    /// otherwise the change is cancelled. First waits until an imminent DMA request has been served. A request that is
+    /// disabled half-way, or whose stream is off, would stay pending and output the next power too early.
     #[inline(never)]
     pub(super) fn keep_power(&mut self) {
         if let Some(power) = self.waiting.take()
@@ -485,8 +484,9 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         self.moment_at(self.head.wrapping_sub(left).wrapping_sub(1))
     }
 
-    /// DMA1 fetches the time of event n when event n - 2 is output, so event n must be committed before event n - 2 is
-    /// due. This also applies before the output has started.
+    /// Returns the deadline for the commit of an event that is due at `next`. DMA1 fetches the time of event n when
+    /// event n - 2 is output, so event n must be committed before event n - 2 is due. This also applies before the
+    /// output has started.
     #[inline(always)]
     pub(super) fn joins_until(&self, next: u32) -> u32 {
         let is_alone = self.one_by_one || !self.begun && self.head < 2;
@@ -502,8 +502,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         compiler_fence(Ordering::SeqCst);
     }
 
-    /// Waits until no DMA request of a compare channel is under way or imminent. Scheduled times are further apart than
-    /// this wait takes.
+    /// Waits until no DMA request of a compare channel is in progress or about to come. `channel`: offset of the
+    /// compare register. Two scheduled times of a channel are further apart than this wait takes.
     fn await_served(&self, channel: usize) {
         let moment = read(M::TIM5 + channel);
         // This number of iterations bounds the wait: an iteration takes at least a tick.
@@ -561,8 +561,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         loop {
             switch_on(M::DMA1, MOMENTS, M::TIM5 + CCR1, self.rings.moments.as_ptr() as usize, RING, how);
             cortex_m::asm::delay(SERVED_CYCLES);
-            // Generate a compare event by software, which makes DMA1 load the first event time, as later events do for
-            // the other times. This compare event starts no pulse, because TIM1 still ignores its trigger.
+            // Generate a compare event by software: DMA1 then loads the time of the first event. No pulse starts,
+            // because TIM1 still ignores its trigger.
             write(M::TIM5 + DIER, CALLS | ASKS_FOR_MOMENT);
             write(M::TIM5 + EGR, Due::OUT.0);
             cortex_m::asm::delay(SERVED_CYCLES);
@@ -576,8 +576,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
                 self.obey_triggers();
                 return put_off;
             }
-            // The time of the first event has passed, or would pass before the trigger of TIM1 is enabled. No event has
-            // been output yet, so delay all events and try again.
+            // It is too late for the first event: its time has passed, or would pass before the trigger of TIM1 is
+            // enabled. No event has been output yet, so delay all events and try again.
             self.await_served(CCR1);
             write(stream(M::DMA1, MOMENTS) + CR, 0);
             self.expect_no_moment();
@@ -591,9 +591,9 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         }
     }
 
-    /// Makes the timers of pulses and of directions ignore their trigger. The pulses come first: if an event occurs
-    /// between the two stores, its directions are output without its steps. Steps without their directions would be
-    /// wrong.
+    /// Makes the timers of pulses and of directions ignore their trigger. The timer of the pulses comes first. If an
+    /// event occurs between the two stores, its directions are output without its steps. The other order could output
+    /// steps without their directions, which would be wrong.
     #[inline(always)]
     fn ignore_triggers(&self) {
         Self::PULSES.ignore_trigger();
@@ -610,7 +610,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         Self::PULSES.obey_trigger();
     }
 
-    /// Enables DMA requests: `pulse` of the pulses' timer, `directions` of that for ports with directions alone.
+    /// Enables DMA requests. `pulse`: bits of DIER for the timer of the pulses. `directions`: bits of DIER for the
+    /// timer of the ports with directions alone.
     fn enable_requests(&self, (pulse, directions): (u32, u32)) {
         write(Self::PULSES.base + DIER, pulse);
         if P > S {
@@ -618,8 +619,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         }
     }
 
-    /// Returns whether the output has failed: the event counters disagree, a stream reports an error, or the output is
-    /// stuck. Counters that differ while an event is output agree right after it.
+    /// Returns true if the output has failed: the event counters disagree, a stream reports an error, or the output is
+    /// stuck. While an event is being output, the counters differ for a short time, which is no failure.
     #[inline(always)]
     pub(super) fn fault(&self) -> bool {
         if !self.begun {
@@ -653,15 +654,15 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         since > STANDS_TICKS && tail != self.head && tail == self.tail()
     }
 
-    /// Returns whether the counts differ in all of several comparisons. The output of an event affects at most two
-    /// comparisons in a row, whereas after a fault the counts never agree again.
+    /// Returns true if the counts differ in each of [`MORE_LOOKS`] comparisons. The output of an event makes them
+    /// differ in at most two comparisons in a row. After a fault they never agree again.
     #[cold]
     #[inline(never)]
     fn still_disagree(&self) -> bool {
         (0..MORE_LOOKS).all(|_| !self.counts_agree())
     }
 
-    /// Returns the number of event times that DMA1 has counted, modulo the ring.
+    /// Returns the number of event times that DMA1 has counted, modulo the size of the ring.
     #[inline(always)]
     fn moments_counted(&self) -> usize {
         RING.wrapping_sub(read(stream(M::DMA1, MOMENTS) + NDTR) as usize) % RING
@@ -686,8 +687,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
         agree
     }
 
-    /// Call after [`Chain::silence`], with the slot that it returned. Calls `each` with the words of each event that
-    /// was not output, empties the ring, and returns the number of these events.
+    /// Empties the ring and returns the number of events that were not output. Calls `each` with the words of each
+    /// such event. Call after [`Chain::silence`]; `tail` is the slot that it returned.
     pub(super) fn undone(&mut self, tail: usize, mut each: impl FnMut(&[u32; P])) -> usize {
         let mut events = 0;
         let mut at = tail;
@@ -713,9 +714,9 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
             return (0, false);
         }
         self.ignore_triggers();
-        // Before the DMA requests of TIM5 are disabled, wait until imminent ones have been served: a request that is
-        // disabled half-way would stay pending. The requests for event times are disabled first: while `keep_power`
-        // waits for the request for power, more than one request for an event time could arise.
+        // Disable the DMA requests of TIM5. First wait until imminent requests have been served: a request that is
+        // disabled half-way would stay pending. The requests for event times come first, because `keep_power` can wait
+        // for the request for power. During that wait, more than one request for an event time could come.
         self.await_served(CCR1);
         write(M::TIM5 + DIER, read(M::TIM5 + DIER) & ASKS_FOR_POWER | CALLS);
         if dark {

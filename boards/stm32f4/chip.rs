@@ -1,8 +1,8 @@
 //! Set-up of the chip, shared by the STM32F4 boards: step pins and their timers, the microsecond clock, input pins,
 //! slow outputs, the watchdog, monitoring of the oscillator, the cause of a reset, and the safe state of the outputs.
 //!
-//! The pin table of the image says which pins there are. The part that the step interrupt uses is in `step.rs` and
-//! `chain.rs`.
+//! The pin table of the image says which pins there are. The code that the step interrupt uses is not here, but in
+//! `step.rs` and `chain.rs`.
 
 use core::sync::atomic::Ordering;
 use oxmill_controller::ResetCause;
@@ -39,10 +39,8 @@ pub fn safe_state() {
     for (port, safe) in SAFE.iter().enumerate() {
         write_bsrr::<Chip>(port, safe.load(Ordering::Relaxed));
     }
-    // Also force the PWM's output low: without preload the manual does not say when a compare value takes effect
-    // (TIMx_CCMR1, OC1PE, note 2).
-    // SAFETY: unsafe because the owners of the timers are by-passed; safe because outputs that are low and a stopped
-    // counter are right whenever this function is called, and no code runs after it.
+    // Also force the PWM's output low. Without preload, the manual does not guarantee when a compare value of 0 takes
+    // effect (TIMx_CCMR1, OC1PE, note 2).
     unsafe {
         (*pac::TIM3::ptr()).ccmr1_output().write(|w| w.bits(FORCED_LOW));
         (*pac::TIM3::ptr()).ccmr2_output().write(|w| w.bits(FORCED_LOW));
@@ -73,10 +71,11 @@ pub type StepPins = step::StepPins<Chip, STEP_PORTS, MOTOR_PORTS, Timers>;
 /// The rings of events, in RAM, that DMA reads.
 pub type Rings = step::Rings<MOTOR_PORTS>;
 
-/// The timers of the step output: pulse or PWM, step clock, PWM.
+/// The timers that the step output owns: TIM1 (pulses, or PWM if TIM8 makes the pulses), TIM5 (step clock) and TIM3
+/// (PWM).
 pub type Timers = (pac::TIM1, pac::TIM5, pac::TIM3);
 
-/// Calls the step task, from any task. The call is a pending flag of the step task's timer until `take` clears it.
+/// Calls the step task; any task may do so. The call stays pending, as a flag of TIM5, until `take` clears the flag.
 #[inline]
 pub fn call_step() {
     write(<Chip as Map>::TIM5 + timer::EGR, Due::CALLED.0);
@@ -130,7 +129,8 @@ pub fn step_pins(
     pac::DMA2::enable(rcc);
     pac::TIM5::enable(rcc);
     pac::TIM5::reset(rcc);
-    // The HAL picks the nearest clock that it can make; a clock other than the planner's would falsify every speed.
+    // The HAL picks the nearest clock that it can make. With a clock other than the one in the profile, every speed of
+    // the machine would be wrong.
     assert_eq!(pac::TIM5::timer_clock(&rcc.clocks).raw(), crate::PROFILE.step_clock_hz);
     clock.arr().write(|w| raw!(w, u32::MAX));
     clock.cr2().write(|w| raw!(w, COMPARE_PULSE));
@@ -159,13 +159,13 @@ pub fn step_pins(
 pub const CLOCK_TICKS_PER_US: u32 = 1;
 /// Rate, in Hz, at which SysTick samples the inputs.
 pub const SAMPLE_HZ: u32 = 20_000;
-/// The clock security system watches the oscillator.
+/// True: the clock security system watches the oscillator ([`watch_clock`]).
 pub const WATCHES_CLOCK: bool = true;
 
 /// Starts TIM2 as the clock: 1 MHz, free-running.
 pub fn start_clock(timer: pac::TIM2, rcc: &mut Rcc) {
-    // The HAL sets the prescaler, and then releases the timer: a counter of the HAL would wrap at a limit. So TIM2
-    // counts through all 32 bits, as after a reset.
+    // Let the HAL set the prescaler, and take the timer back. A counter of the HAL would wrap at a limit, but TIM2
+    // must count through all 32 bits, as after a reset.
     let timer = FTimerUs::new(timer, rcc).release();
     // An update event loads the prescaler.
     timer.egr().write(|w| w.ug().set_bit());
@@ -173,8 +173,8 @@ pub fn start_clock(timer: pac::TIM2, rcc: &mut Rcc) {
 }
 
 /// Resets the chip if its boot loader has jumped into the program, which a host can request (`:leave` of dfu-util).
-/// After such a jump, system memory with its vector table is at address 0, and clocks and peripherals are as the loader
-/// left them. Call first in the set-up.
+/// After such a jump, address 0 shows the vector table of the boot loader instead of the flash, and clocks and
+/// peripherals are as the boot loader left them. Call first in the set-up.
 pub fn begin_with_reset(rcc: &pac::RCC, syscfg: &pac::SYSCFG) {
     rcc.apb2enr().modify(|_, w| w.syscfgen().set_bit());
     // An enabled clock takes some cycles to arrive; reading back waits for them.
@@ -185,10 +185,10 @@ pub fn begin_with_reset(rcc: &pac::RCC, syscfg: &pac::SYSCFG) {
     }
 }
 
-/// Makes the chip monitor its oscillator (clock security system). If the oscillator fails, the processor continues on
-/// its internal 16 MHz and takes the non-maskable interrupt, whose handler belongs to the program. Without monitoring
-/// the processor would stop, and outputs would stay as they are until the watchdog resets. Call when the oscillator
-/// runs.
+/// Makes the chip monitor its oscillator (clock security system). Call when the oscillator runs. If it fails later,
+/// the processor continues on its internal 16 MHz and takes the non-maskable interrupt, whose handler belongs to the
+/// program. Without monitoring, the processor would stop, and the outputs would stay as they are until the watchdog
+/// resets.
 pub fn watch_clock() {
     // SAFETY: unsafe because a bit of the clock control is set without owning it; safe because no task runs yet.
     unsafe { (*pac::RCC::ptr()).cr().modify(|_, w| w.csson().set_bit()) };
@@ -204,7 +204,7 @@ pub fn clock_ticks() -> u32 {
 /// Default baud rate of the link: the one that Grbl's senders expect.
 pub const USUAL_BAUD: u32 = 115_200;
 
-/// The functions that are inputs.
+/// The functions of the pin table that are inputs.
 const INPUTS: [Role; 13] = [
     Role::LimitX,
     Role::LimitY,
@@ -260,7 +260,7 @@ pub struct InputPins {
 }
 
 impl InputPins {
-    /// Makes the pins of the table inputs.
+    /// Makes a pin an input with a pull-up if the table gives it the function of an input.
     pub fn new(table: &PinTable) -> Self {
         let places = pins::places(table, &INPUTS);
         let mut used = [0; PORTS];
@@ -274,7 +274,7 @@ impl InputPins {
         InputPins { places, used, high, word: low_of(&places, &high) }
     }
 
-    /// Reads the pins. Returns which are low, as `input_bits`.
+    /// Reads the input pins. Returns a bit of `input_bits` for each pin that is low.
     #[inline]
     pub fn read(&mut self) -> u32 {
         let mut high = [0; PORTS];
@@ -288,12 +288,13 @@ impl InputPins {
         self.word
     }
 
-    /// Returns which pins exist, as `input_bits`.
+    /// Returns a bit of `input_bits` for each input that has a pin on this board.
     pub fn fitted(&self) -> u32 {
         low_of(&self.places, &[0; PORTS])
     }
 
-    /// Sets the pull resistors: none for the inputs in `none`, pull-downs for those in `down`, pull-ups for all others.
+    /// Sets the pull resistors of the inputs. `none` and `down` are masks of `input_bits`. An input in `down` gets a
+    /// pull-down, any other input in `none` gets no resistor, and the rest get pull-ups.
     pub fn set_pulls(&mut self, none: u32, down: u32) {
         for (place, bit) in self.places.iter().zip(&BITS) {
             let Some(place) = place else { continue };
@@ -369,7 +370,7 @@ impl SlowPins {
         SlowPins(places)
     }
 
-    /// Writes the levels of all slow outputs.
+    /// Writes the levels of all slow outputs; ignores outputs that have no pin on this board.
     pub fn write(&mut self, levels: SlowLevels) {
         let SlowLevels { drivers, spindle, spindle_reversed, flood, mist, program } = levels;
         let enables = if drivers { (1 << ENABLES) - 1 } else { 0 };
@@ -391,21 +392,21 @@ fn write_level(place: Option<Place>, high: bool) {
 
 /// The parts of the board that `setup` returns, each for the task that its comment names.
 pub struct Parts<I, S: Port, L: Port> {
-    /// For `step`.
+    /// Given to the task `step`.
     pub step_pins: StepPins,
-    /// For `inputs`, and for the interrupt of the UART on a board that has one.
+    /// Given to the task `inputs`; with USB, the interrupt of the UART (task `uart`) uses it, too.
     pub uart_input: I,
-    /// For `serial`.
+    /// Given to the task `serial`.
     pub serial: S,
-    /// For `serial`.
+    /// Given to the task `serial`.
     pub usb: L,
-    /// For `inputs`.
+    /// Given to the task `inputs`.
     pub inputs: InputPins,
-    /// For `control`.
+    /// Given to the task `control`.
     pub slow_pins: SlowPins,
-    /// For `control`.
+    /// Given to the task `control`.
     pub settings_flash: SettingsFlash,
-    /// For `inputs`.
+    /// Given to the task `inputs`.
     pub watchdog: Watchdog,
     /// Frequency of the external oscillator, MHz; 0 if the chip runs on its internal one.
     pub oscillator_mhz: u8,
@@ -442,7 +443,7 @@ impl Watchdog {
         Watchdog(watchdog)
     }
 
-    /// Starts the watchdog: from now on it must be fed.
+    /// Starts the watchdog: from now on it must be fed at least once per 1.3 s.
     pub fn start(&mut self) {
         self.0.start(2_000.millis());
     }

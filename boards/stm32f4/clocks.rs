@@ -30,7 +30,7 @@ const MOST_LOOKS: u32 = 400_000;
 const MOST_LOOKS_AT_CAPTURE: u32 = 4_000;
 
 /// Registers of TIM11, which only this measurement uses (RM0383, "TIM10/11 registers"; RM0368 and RM0390 have the
-/// same). Raw, because the HAL does not capture the divided oscillator.
+/// same). They are raw, because the HAL cannot capture the divided oscillator.
 const TIM11: usize = 0x4001_4800;
 const CCMR1: usize = 0x18;
 const CCER: usize = 0x20;
@@ -42,9 +42,10 @@ const IS_OSCILLATOR: u32 = 0b10;
 /// TIM11_SR: a capture has come.
 const CAPTURED: u32 = 1 << 1;
 
-/// Switches the external oscillator on and measures it. Returns its frequency in MHz: the one that the table gives, or
-/// else the one of `KNOWN_MHZ` that fits the measurement. Returns `None` if the oscillator does not start, or if the
-/// measurement fits neither the table nor `KNOWN_MHZ`. The chip must run on its internal oscillator, as after a reset.
+/// Switches the external oscillator on, measures it, and returns its frequency in MHz. If the table gives a frequency,
+/// returns that one; otherwise the one of `KNOWN_MHZ` that fits the measurement. Returns `None` if the oscillator does
+/// not start, or if no such frequency fits the measurement. The chip must run on its internal oscillator, as after a
+/// reset.
 #[inline(never)]
 pub fn find_oscillator(rcc: &pac::RCC, table: &PinTable) -> Option<u32> {
     // Two writes, because HSEBYP can only be written while the oscillator is off (reference manual, RCC_CR, HSEBYP).
@@ -62,8 +63,8 @@ pub fn find_oscillator(rcc: &pac::RCC, table: &PinTable) -> Option<u32> {
 }
 
 /// Makes the external oscillator the source of the PLL, in place of the internal one, with the same output frequency.
-/// The HAL has set up everything for the internal oscillator, because the compiler knows its frequency. For a frequency
-/// that is known only at run time, the HAL would need 3 KB of code that searches for dividers.
+/// Call after the HAL has set up all clocks for the internal oscillator, whose frequency the compiler knows. For a
+/// frequency that is known only at run time, the HAL would need 3 KB of code that searches for dividers.
 #[inline(never)]
 pub fn change_source(rcc: &pac::rcc::RegisterBlock, mhz: u32) {
     rcc.cfgr().modify(|_, w| w.sw().hsi());
@@ -121,16 +122,17 @@ fn capture() -> Option<u32> {
     has_come.then(|| read(TIM11 + CCR1))
 }
 
-/// Returns whether a frequency in MHz fits the measured ticks to within `thousandths`. The internal oscillator is
-/// within 1 % at 25 degrees, and within -8 to 4.5 % from -40 to 105 (data sheets, "HSI oscillator characteristics").
+/// Returns true if a frequency in MHz fits the measured ticks to within `thousandths` (50 = 5 %). The internal
+/// oscillator is within 1 % at 25 degrees, and within -8 to 4.5 % from -40 to 105 (data sheets, "HSI oscillator
+/// characteristics").
 #[inline(never)]
 fn is_near(mhz: u32, ticks: u32, thousandths: u32) -> bool {
     let expected = HSI_MHZ * DIVIDER * EDGES * CAPTURES / mhz;
     expected.abs_diff(ticks) * 1000 <= expected * thousandths
 }
 
-/// Returns the frequency of `KNOWN_MHZ` that fits the measured ticks. The tolerance is smaller at 25 MHz, because there
-/// are also oscillators of 24 and 26 MHz. But even so, the measurement can take those two for 25 MHz.
+/// Returns the frequency of `KNOWN_MHZ` that fits the measured ticks. The tolerance is smaller at 25 MHz, because
+/// oscillators of 24 and 26 MHz also exist. Even so, these two may be taken for 25 MHz.
 fn known(ticks: u32) -> Option<u32> {
     KNOWN_MHZ.into_iter().find(|mhz| is_near(*mhz, ticks, if *mhz == 25 { 50 } else { 80 }))
 }

@@ -1,9 +1,10 @@
 //! Access to DMA streams by their registers, shared by the step output (`chain`) and the UART.
 //!
-//! Uses raw registers, because a transfer of the HAL owns its buffer until the transfer ends. The streams here are
-//! circular, are read while they run, and restart with different lengths. Hardware constraints, checked by the models
-//! of `tests/virtual_board`: do not read a stream's CR right after setting EN, and do not switch on two streams back to
-//! back.
+//! The registers are raw, because a transfer of the HAL owns its buffer until the transfer ends. The streams here are
+//! circular, are read while they run, and restart with different lengths.
+//!
+//! Hardware constraints, checked by the models of `tests/virtual_board`: do not read the CR of a stream right after
+//! setting EN, and do not switch on two streams back to back.
 
 use super::registers::{read, write};
 
@@ -76,8 +77,8 @@ pub(super) fn clear_flags(dma: usize, number: usize) {
     write(dma + clear, FLAGS << flags_at(number));
 }
 
-/// Programs a disabled stream for `count` transfers; `peripheral` and `memory` are the addresses at the two ports,
-/// named as in the manual.
+/// Programs a disabled stream for `count` transfers. `peripheral` and `memory`: addresses at the two ports of the
+/// stream, which have these names in the manual.
 #[inline(always)]
 pub(super) fn program(dma: usize, number: usize, peripheral: usize, memory: usize, count: usize) {
     let at = stream(dma, number);
@@ -86,7 +87,8 @@ pub(super) fn program(dma: usize, number: usize, peripheral: usize, memory: usiz
     write(at + NDTR, count as u32);
 }
 
-/// Programs a stream and switches it on; `how` is its CR without EN. It runs in direct mode, the default after a reset.
+/// Programs a stream and switches it on. `how`: value of CR without EN. The stream runs in direct mode, the default
+/// after a reset.
 #[inline(never)]
 pub(super) fn switch_on(dma: usize, number: usize, peripheral: usize, memory: usize, count: usize, how: u32) {
     let at = stream(dma, number);

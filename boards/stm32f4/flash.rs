@@ -7,7 +7,6 @@
 use oxmill_store::{Flash, Sector};
 use stm32f4xx_hal::pac;
 
-/// Bytes of a sector.
 const SECTOR_BYTES: u32 = 16 * 1024;
 /// Start of the flash memory; its first four sectors have 16 KiB each (reference manual, flash module organization).
 const FLASH_START: u32 = 0x0800_0000;
@@ -61,9 +60,9 @@ unsafe extern "C" {
 }
 
 impl SettingsFlash {
-    /// Takes the sectors that the linker script reserves. `before_stall` and `after_stall` are called, with interrupts
-    /// off, before and after each operation that stalls the processor. `before_stall` must prepare everything that
-    /// cannot wait until the operation has ended, such as receiving.
+    /// Returns access to the two sectors that the linker script reserves. `before_stall` and `after_stall` are called,
+    /// with interrupts off, before and after each operation that stalls the processor. `before_stall` must prepare
+    /// everything that cannot wait until the operation has ended, such as receiving.
     pub fn new(flash: pac::FLASH, before_stall: fn(), after_stall: fn()) -> SettingsFlash {
         SettingsFlash { flash, before_stall, after_stall }
     }
@@ -76,7 +75,8 @@ impl SettingsFlash {
         }
     }
 
-    /// Unlocks the memory, sets CR to `control`, starts `operation`, waits for its end, and locks the memory again.
+    /// Writes or erases, with interrupts off. `control`: value of CR during the operation. `operation`: starts the
+    /// write or the erase. Returns the error bits of SR, if any.
     fn operate(&mut self, control: u32, operation: impl FnOnce(&pac::FLASH)) -> Result<(), FlashError> {
         let flash = &self.flash;
         let errors = critical_section::with(|_| {
@@ -97,8 +97,8 @@ impl SettingsFlash {
         if errors == 0 { Ok(()) } else { Err(FlashError::Refused(errors)) }
     }
 
-    /// Resets the data cache, which may hold old words of the sectors, because an erase does not update it (reference
-    /// manual, "Flash erase sequences").
+    /// Empties the data cache. An erase does not update it, so it may hold old words of the sectors (reference manual,
+    /// "Flash erase sequences").
     fn forget_cached(&self) {
         let acr = self.flash.acr();
         let before = acr.read().bits();

@@ -13,8 +13,8 @@ use core::mem::MaybeUninit;
 use core::ptr::addr_of_mut;
 use stm32f4xx_hal::pac;
 
-/// Whether a host can reach the boot loader over the board's cable. It can over USB. On a Nucleo, the cable leads to
-/// the ST-LINK, which is connected to USART2, and the boot loader does not serve USART2 (AN2606).
+/// `true` if a host can reach the boot loader over the cable of the board. This is so over USB. On a Nucleo, the cable
+/// leads to the ST-LINK, which is connected to USART2, and the boot loader does not serve USART2 (AN2606).
 pub const HAS_LOADER: bool = cfg!(feature = "usb");
 
 /// Start of the boot loader in ROM, with its vector table (reference manuals, "Boot configuration").
@@ -23,7 +23,8 @@ const LOADER: *const u32 = 0x1FFF_0000 as *const u32;
 /// there.
 const SYSTEM_MEMORY: u8 = 1;
 
-/// Marks the request for the boot loader, in RAM that the start-up code does not initialise.
+/// Value of `REQUEST` that requests the boot loader. `REQUEST` keeps its value in a reset, because the start-up code
+/// does not initialise it.
 const REQUESTED: u32 = u32::from_le_bytes(*b"$DFU");
 
 #[unsafe(link_section = ".uninit.LOADER_REQUEST")]
@@ -31,8 +32,8 @@ const REQUESTED: u32 = u32::from_le_bytes(*b"$DFU");
 // not initialised, and any bits are a number.
 static mut REQUEST: MaybeUninit<u32> = MaybeUninit::uninit();
 
-/// Sets the outputs to their safe levels and restarts the chip. With `into_loader`, it starts in its boot loader, if
-/// hosts can reach that ([`HAS_LOADER`]).
+/// Sets the outputs to their safe levels and restarts the chip. With `into_loader`, the chip starts in its boot
+/// loader; but if a host cannot reach the boot loader ([`HAS_LOADER`]), in the program.
 pub fn reboot(into_loader: bool) -> ! {
     cortex_m::interrupt::disable();
     safe_state();

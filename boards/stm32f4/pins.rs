@@ -1,6 +1,6 @@
-//! Pins by their numbers: sets up the pins that the pin table of the image names.
+//! Sets up the pins that the pin table of the image names.
 //!
-//! Uses raw registers: in the HAL, the number of a pin is part of its type, so the HAL cannot use pins from a table
+//! The registers are raw: in the HAL, the number of a pin is part of its type, so the HAL cannot use pins from a table
 //! that is read at run time. The registers of a port are those of reference manual RM0383, "GPIO registers"; all
 //! STM32F4 have the same.
 
@@ -98,8 +98,8 @@ pub(super) fn pwm(place: Place, pwm: Pwm) {
     set(place, MODER, 2, ALTERNATE);
 }
 
-/// Makes the debug pins A15 and B4 inputs with a pull-down, unless the pin table uses them. After a reset they have
-/// pull-ups, which could switch on the MOSFET that a control board has there.
+/// Makes the debug pins A15 and B4 inputs with a pull-down, unless the pin table uses them. After a reset these pins
+/// have pull-ups. On a control board, a pull-up could switch on the MOSFET at such a pin.
 pub(super) fn release_debug_pins(table: &PinTable) {
     for (port, number) in [(0, 15), (1, 4)] {
         if !Role::ALL.iter().any(|role| table.pin(*role) == Some(Pin { port, number })) {
@@ -123,7 +123,8 @@ pub(super) fn clock_ports(rcc: &mut Rcc) {
         // the clock of port A, and those of the other ports follow (RCC_AHB1ENR).
         unsafe { w.bits(r.bits() | ((1 << PORTS) - 1)) }
     });
-    // Steps go on while the processor sleeps. By the manuals of the F401 and F411 (RCC_AHB1LPENR), port E would stop.
+    // Keep the clocks of the ports on while the processor sleeps, because steps go on. By the manuals of the F401 and
+    // F411 (RCC_AHB1LPENR), the clock of port E would stop.
     rcc.ahb1lpenr().modify(|r, w| {
         // SAFETY: as above; the bits of this register are the same.
         unsafe { w.bits(r.bits() | ((1 << PORTS) - 1)) }

@@ -8,8 +8,8 @@
 ///
 /// # Safety
 ///
-/// Each constant must be the address of the peripheral that it names, whose clock must be on, or of memory that nothing
-/// else uses: this module writes to these addresses without further checks.
+/// Each constant must be the address of the peripheral that it names, whose clock must be on, or of memory that
+/// nothing else uses. This module writes to these addresses without further checks.
 pub unsafe trait Map {
     /// Port A; the other ports follow.
     const GPIO: usize;
@@ -74,31 +74,31 @@ pub mod timer {
 
 #[inline(always)]
 pub(super) fn write(address: usize, value: u32) {
-    // SAFETY: unsafe because a raw address is written; safe because only the files of this folder call it, with
-    // addresses of registers of ports, timers, DMA controllers, RCC and the USART that have one owner each and whose
-    // clocks are on since `setup`. (A write to BSRR changes only the pins it names; a write to EGR is a request that
-    // any code may make.) Of these, only DMA streams reach memory. `chain` makes them read its rings of events and
-    // write registers, `usart_dma` makes them read its send buffer and write its receive buffer, and `usart_interrupt`
-    // makes them write its receive buffer. The slots of the receive buffers are atomic.
+    // SAFETY: unsafe because a raw address is written; safe because only the files of this folder call this function,
+    // with addresses of registers whose clocks are on since `setup`: those of ports, timers, DMA controllers, RCC and
+    // the USART. Each register has one owner, with two exceptions. A write to BSRR changes only the pins it names, and
+    // a write to EGR is a request that any code may make. Only DMA streams reach memory. `chain` makes them read its
+    // rings of events and write registers, `usart_dma` makes them read its send buffer and write its receive buffer,
+    // and `usart_interrupt` makes them write its receive buffer. The slots of the receive buffers are atomic.
     unsafe { (address as *mut u32).write_volatile(value) }
 }
 
 #[inline(always)]
 pub(super) fn read(address: usize) -> u32 {
-    // SAFETY: unsafe because a raw address is read; safe because only the files of this folder call it, with addresses
-    // of registers that may be read at any time without effect, or of the USART, by the tasks at the priority of the
-    // inputs.
+    // SAFETY: unsafe because a raw address is read; safe because only the files of this folder call this function,
+    // with addresses of registers. Most of these registers may be read at any time without effect. Those of the USART
+    // are read only by the tasks at the priority of the inputs.
     unsafe { (address as *const u32).read_volatile() }
 }
 
-/// Returns the address of the register that sets and resets pins of a port with one store: the low half sets, the high
-/// half resets.
+/// Returns the address of BSRR of a port. One store to this register sets the pins of its low half and resets the pins
+/// of its high half.
 #[inline(always)]
 pub(super) const fn bsrr_of<M: Map>(port: usize) -> usize {
     M::GPIO + PORT_SIZE * port + BSRR
 }
 
-/// Sets and resets pins of a port with one store.
+/// Sets the pins of the low half of `value` and resets the pins of its high half, with one store.
 #[inline(always)]
 pub(super) fn write_bsrr<M: Map>(port: usize, value: u32) {
     write(bsrr_of::<M>(port), value);

@@ -36,13 +36,14 @@ macro_rules! vectors {
     };
 }
 
-/// Vector of the serial task: with USB, that of an unused peripheral; otherwise that of the DMA stream that sends.
+/// Vector of the serial task. With USB, it is the vector of SPI2, which is not used. Without USB, it is the vector of
+/// the DMA stream that sends.
 #[cfg(feature = "usb")]
 const SERIAL: pac::Interrupt = pac::Interrupt::SPI2;
 #[cfg(not(feature = "usb"))]
 const SERIAL: pac::Interrupt = pac::Interrupt::DMA1_STREAM6;
 
-/// Calls the serial task.
+/// Makes the interrupt of the serial task pending.
 pub fn call_serial() {
     pac::NVIC::pend(SERIAL);
 }
@@ -62,12 +63,13 @@ pub type UsbPort = stm32f4::usb::UsbPort;
 /// No USB link: on a Nucleo, the board's USB socket belongs to the ST-LINK.
 #[cfg(not(feature = "usb"))]
 pub type UsbPort = crate::NoPort;
-/// The step and direction outputs.
+/// The step and direction outputs, and the PWM of the spindle.
 pub type StepPins = stm32f4::StepPins;
 /// The parts of the board that [`setup`] returns, each for one task.
 pub type Parts = stm32f4::Parts<UartInput, SerialPort, UsbPort>;
 
-/// Sets up clocks, pins and timers; all outputs are off.
+/// Sets up clocks, pins, timers and links; all outputs are off. Call once. `low_voltage` is called at the highest
+/// priority when the supply falls below 2.9 V.
 pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {
     let table = pin_table();
     stm32f4::begin_with_reset(&device.RCC, &device.SYSCFG);
@@ -101,7 +103,7 @@ pub fn setup(device: pac::Peripherals, low_voltage: fn() -> !) -> Parts {
     // it high. Otherwise noise would be received as commands.
     rx.set_internal_resistor(Pull::Up);
     let Ok(usart) = serial::Serial::new(usart, (tx, rx), link, &mut rcc) else {
-        // The set-up cannot fail: the clocks of the USARTs, 42 to 96 MHz, give 115200 baud to within 0.2 %.
+        // Not reached: the clocks of the USARTs, 42 to 96 MHz, give 115200 baud to within 0.2 %.
         unreachable!()
     };
     stm32f4::start_clock(device.TIM2, &mut rcc);

@@ -1,6 +1,6 @@
-//! Step and direction outputs of an STM32F4 and the spindle's PWM: `StepPins`, with tables that give the port words for
-//! each combination of steps and for each combination of directions, at the present polarities. `chain.rs` decides when
-//! the words are output; `chip.rs` sets up clocks, pins and timers.
+//! Step and direction outputs of an STM32F4, and the spindle's PWM: `StepPins`. Its tables hold the words that the
+//! ports need for each combination of steps and for each combination of directions, at the present polarities.
+//! `chain.rs` decides when the words are output; `chip.rs` sets up clocks, pins and timers.
 
 use super::chain::Chain;
 pub use super::chain::Rings;
@@ -16,8 +16,8 @@ pub const PORTS: usize = crate::PORTS;
 /// PWM frequency of spindle and laser before the settings are loaded: the default of `$33`.
 const DEFAULT_PWM_HZ: u32 = 5_000;
 
-/// For each port, the BSRR word that makes all of its outputs safe, so that nothing moves, turns, burns or flows. A
-/// static instead of a task's resource, because a panic may occur in any task.
+/// For each port, the BSRR word that makes all of its outputs safe, so that nothing moves, turns, burns or flows. The
+/// words are in a static, not in the resource of a task, because a panic may occur in any task.
 pub static SAFE: [AtomicU32; PORTS] = [const { AtomicU32::new(0) }; PORTS];
 
 /// Records the level to which `safe_state` sets a pin.
@@ -39,19 +39,17 @@ pub struct Place {
 }
 
 impl Place {
-    /// Creates the place of a pin: port 0 for A, below [`PORTS`], pin 0 to 15. Panics otherwise.
+    /// Creates a place. `port`: 0 for A, below [`PORTS`]. `pin`: 0 to 15. Panics if there is no such pin.
     pub const fn new(port: usize, pin: u32) -> Place {
         assert!(port < PORTS && pin < 16, "there is no such pin");
         Place { port: port as u8, pin: pin as u8 }
     }
 
-    /// Returns the number of the port, 0 for A.
     #[inline(always)]
     pub(super) fn port(self) -> usize {
         usize::from(self.port)
     }
 
-    /// Returns the number of the pin in its port, 0 to 15.
     #[inline(always)]
     pub(super) fn pin(self) -> u32 {
         u32::from(self.pin)
@@ -71,9 +69,9 @@ const ALL: u8 = (COMBINATIONS - 1) as u8;
 const FOURTH_AXIS: u8 = ALL & 8;
 
 /// Computes for each port the BSRR words of all combinations of axes. `places`: a pin for each motor, if there is one.
-/// `driven`: for each pin, the axes that make it active. `invert`: a bit for each pin that is active low. If a
-/// combination contains none of a pin's axes: with `both`, the word makes the pin inactive; without, it leaves the pin
-/// unchanged.
+/// `driven`: for each pin, the axes that make it active. `invert`: a bit for each pin that is active low. `both`: what
+/// to do with a pin if none of its axes is in the combination. `true`: the word makes the pin inactive. `false`: the
+/// word leaves the pin unchanged.
 fn fill<const P: usize>(
     ports: [usize; P],
     places: [Option<Place>; 4],
@@ -120,17 +118,17 @@ pub struct Pwm {
     pub(super) timer: usize,
     /// Address of the channel's compare register.
     pub(super) compare: usize,
-    /// DMA1 can write the timer's registers.
+    /// `true` if DMA1 can write the registers of the timer: TIM3, not TIM1.
     pub(super) is_in_reach: bool,
 }
 
 impl Pwm {
-    /// Returns a channel of TIM3, 0 to 3.
+    /// Returns the PWM of TIM3. `channel`: 0 to 3 for channels 1 to 4.
     pub const fn of_tim3<M: Map>(channel: usize) -> Pwm {
         Pwm { timer: M::TIM3, compare: M::TIM3 + CCR1 + (CCR2 - CCR1) * channel, is_in_reach: true }
     }
 
-    /// Returns a channel of TIM1, 0 to 3.
+    /// Returns the PWM of TIM1. `channel`: 0 to 3 for channels 1 to 4.
     pub const fn of_tim1<M: Map>(channel: usize) -> Pwm {
         Pwm { timer: M::TIM1, compare: M::TIM1 + CCR1 + (CCR2 - CCR1) * channel, is_in_reach: false }
     }
@@ -151,9 +149,9 @@ pub struct StepPins<M, const S: usize, const P: usize, O> {
     ports: [usize; P],
     step: [Option<Place>; 4],
     direction: [Option<Place>; 4],
-    /// BSRR words by the combination of axes that step; they do not change the direction pins.
+    /// BSRR words of each combination of axes that step. They do not change the direction pins.
     steps: Words<P>,
-    /// BSRR words by the combination of axes whose direction is negative.
+    /// BSRR words of each combination of axes whose direction is negative.
     directions: Words<P>,
     /// The words of `steps`, each combined with the word for the present directions.
     both: Words<P>,
@@ -223,7 +221,7 @@ impl<M: Map, const S: usize, const P: usize, O> StepPins<M, S, P, O> {
 
 impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M, S, P, O> {
     const DEPTH: usize = super::chain::DEPTH;
-    // Longer than the interrupt takes, so that at any step rate other tasks get much of the CPU time.
+    // Ticks. Longer than the interrupt takes, so that at any step rate other tasks get much of the CPU time.
     const SOON: u32 = 800;
 
     #[inline(always)]
@@ -305,9 +303,9 @@ impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M,
         // Stop the output first, so that the computations below do not delay the stop.
         let (tail, fault) = self.chain.silence(dark);
         let mut net = [0; AXES];
-        // Find the bits of a port's word that mean a step of an axis, and those that mean its negative direction. A
-        // step: all bits of the word in which only this axis steps. A negative direction: the bits of the word in which
-        // only this axis is negative, without those of the word in which no axis is.
+        // For each axis and port, find two masks of bits of the port's word. The first mask means a step of the axis:
+        // all bits of the word in which only this axis steps. The second mask means its negative direction: the bits
+        // of the word in which only this axis is negative, except those of the word in which no axis is negative.
         let of = |table: &[u32; COMBINATIONS], axis: usize| table.get(1 << axis).copied().unwrap_or(0);
         let mut masks = [[(0, 0); P]; AXES];
         for (axis, masks) in masks.iter_mut().enumerate() {
@@ -353,7 +351,7 @@ impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M,
 
     /// Converts the length to ticks of the pulses' timer.
     fn set_pulse(&mut self, tenths: u16) {
-        // Rounded up to a whole number of ticks: a pulse is never shorter than the driver requires.
+        // Round up to a whole number of ticks: a pulse must never be shorter than the driver requires.
         self.chain.set_pulse((u32::from(tenths) * self.clocks.pulse_mhz).div_ceil(10));
     }
 

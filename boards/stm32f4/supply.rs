@@ -16,16 +16,17 @@ macro_rules! raw {
     }};
 }
 
-/// Raises the core's voltage scale for the full clock: an F411 or F412 starts with the scale for 84 MHz (reference
-/// manuals, PWR_CR, VOS), and the HAL leaves it there. The scale can be changed only while the PLL is off.
+/// Raises the voltage of the core (voltage scale) for the full clock. An F411 or F412 starts with the scale for 84 MHz
+/// (reference manuals, PWR_CR, VOS), and the HAL leaves it there. The scale can be changed only while the PLL is off.
 #[cfg(any(feature = "stm32f411", feature = "stm32f412"))]
 pub fn full_core_voltage(pwr: &pac::PWR) {
     clock_supply();
     pwr.cr().modify(|r, w| raw!(w, r.bits() | 0b11 << 14));
 }
 
-/// Enables the clock of the supply control. Until the clock arrives, writes are lost and reads are useless (errata
-/// sheets, "Delay after an RCC peripheral clock enabling"); reading the enable register back waits for the clock.
+/// Enables the clock of the supply control, and waits for the clock by reading the enable register back. Before the
+/// clock arrives, writes are lost and reads are useless (errata sheets, "Delay after an RCC peripheral clock
+/// enabling").
 fn clock_supply() {
     // SAFETY: unsafe because a bit of the clock control is set without owning it; safe because no task runs yet.
     let enable = unsafe { (*pac::RCC::ptr()).apb1enr() };
@@ -33,8 +34,8 @@ fn clock_supply() {
     let _ = enable.read();
 }
 
-/// Switches over-drive off. Call before the PLL is switched off (RM0390, "Exiting from Over-drive mode"). Returns
-/// whether over-drive was on. The core must run on the internal oscillator.
+/// Switches over-drive off, and returns true if it was on. Call while the core runs on the internal oscillator, before
+/// the PLL is switched off (RM0390, "Exiting from Over-drive mode").
 #[cfg(feature = "stm32f446")]
 pub fn leave_over_drive() -> bool {
     // SAFETY: unsafe because the owner is by-passed; safe because no task runs yet.
@@ -94,10 +95,10 @@ pub fn watch_voltage(pwr: &pac::PWR, exti: &pac::EXTI, low_voltage: fn() -> !) {
     }
 }
 
-/// Waits until the supply has risen to 3 V (the detector's rising threshold: 2.95 to 3.09 V). Call before setting the
-/// clocks. The chip already starts at 1.7 V, with a clock of 16 MHz. For a faster clock, the flash wait states in use
-/// require 2.7 V or more (reference manual, "Relation between CPU clock frequency and flash memory read time"). A small
-/// supply takes a tenth of a second to charge capacitors of a few millifarads.
+/// Waits until the supply has risen to 3 V (rising threshold of the detector: 2.95 to 3.09 V). Call before the clocks
+/// are set up. The chip already starts at 1.7 V, with a clock of 16 MHz. For a faster clock, the flash wait states in
+/// use require at least 2.7 V (reference manual, "Relation between CPU clock frequency and flash memory read time"). A
+/// small supply takes a tenth of a second to charge capacitors of a few millifarads.
 pub fn await_voltage(pwr: &pac::PWR) {
     detect_voltage(pwr);
     if voltage_is_low() {
@@ -122,7 +123,7 @@ fn voltage_is_low() -> bool {
     unsafe { (*pac::PWR::ptr()).csr().read().pvdo().bit_is_set() }
 }
 
-/// Interrupt handler of the voltage detector.
+/// Handles the interrupt of the voltage detector; does not return.
 #[cfg_attr(not(feature = "stm32f401"), unsafe(export_name = "PVD"))]
 #[cfg_attr(feature = "stm32f401", unsafe(export_name = "EXTI16_PVD"))]
 // unsafe because the linker takes the name on trust; safe because it is the vector's, and the signature fits.
@@ -140,9 +141,9 @@ fn slow_down() {
     while !rcc.cfgr().read().sws().is_hsi() {}
 }
 
-/// Ends the program after a failure: logs `why` and resets as soon as the supply is good. Until then the core runs at
-/// 16 MHz, for which the wait states suffice at any supply voltage, and the outputs stay driven; during a reset they
-/// would float.
+/// Ends the program after a failure: logs `why`, and resets as soon as the supply is good. Until then the core runs at
+/// 16 MHz, for which the wait states of the flash suffice at any supply voltage. The outputs stay driven meanwhile; in
+/// a reset they would float.
 pub fn restart(why: core::fmt::Arguments<'_>) -> ! {
     slow_down();
     defmt::error!("{}", defmt::Display2Format(&why));

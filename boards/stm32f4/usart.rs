@@ -6,11 +6,12 @@
 //!  UART ──▶ UartInput ──messages──▶ Usart ──▶ serial task
 //!  UART ◀── UartOutput ◀─────────── Usart ◀── serial task
 //! ```
-//! Received bytes do not interrupt the step task. At any baud rate that a board allows (`$931`), no byte is lost during
-//! the longest run of that task. Writing a word of flash can stall the processor for 100 us, an erase for half a
-//! second. Guarantee: a host that respects the flow control loses nothing. (Such a host has at most 255 bytes of lines
-//! in flight, as `Bf:` in the status report allows, and 64 realtime commands, `REALTIME_DEPTH`.) If a host exceeds
-//! these limits, any loss is reported.
+//! Received bytes do not interrupt the step task. Guarantee: a host that respects the flow control loses no byte, at
+//! any baud rate that the board allows (`$931`). This holds during the longest run of the step task, and while flash
+//! stalls the processor: 100 us for the write of a word, half a second for an erase.
+//!
+//! A host that respects the flow control has at most 255 bytes of lines in flight, as `Bf:` in the status report
+//! allows, and 64 realtime commands (`REALTIME_DEPTH`). If a host exceeds these limits, any loss is reported.
 
 use super::registers::{read, write};
 use crate::uart_receiver::{ByteSource, Look, ReceivedBytes, UartReceiver};
@@ -18,9 +19,9 @@ use crate::{Incoming, Port};
 use rtic_sync::channel::{Channel, Receiver, Sender};
 use rtic_sync::signal::{Signal, SignalReader, SignalWriter};
 
-/// Registers of a USART. The HAL sets up the USART; the registers are raw here because DMA reads and writes the data
-/// register without the HAL. Besides, at an overrun the HAL drops the byte in the data register, which was received
-/// before the overrun and may be a command that stops the machine.
+/// Registers of a USART. They are raw for two reasons. DMA reads and writes the data register without the HAL. At an
+/// overrun, the HAL drops the byte in the data register, which arrived before the overrun and may be a command that
+/// stops the machine.
 pub(super) const SR: usize = 0x00;
 pub(super) const DATA: usize = 0x04;
 const BRR: usize = 0x08;
@@ -34,8 +35,7 @@ const ON: u32 = 1 << 13;
 pub(super) fn set_baud(usart: usize, clock: u32, baud: u32) {
     let control = read(usart + CR_1);
     write(usart + CR_1, control & !ON);
-    // The USART takes sixteen samples per bit, and BRR has four fractional bits: so BRR is simply clock / baud,
-    // rounded.
+    // BRR is clock / baud, rounded: the USART takes sixteen samples per bit, and BRR has four fractional bits.
     write(usart + BRR, (clock + baud / 2) / baud);
     write(usart + CR_1, control);
     let _ = (read(usart + SR), read(usart + DATA));
@@ -54,14 +54,15 @@ pub struct UartInput<S, const N: usize> {
 }
 
 impl<S: ByteSource, const N: usize> UartInput<S, N> {
-    /// Reads received bytes and sends each message that is full.
+    /// Reads received bytes and sends each message that is full to the serial task.
     #[inline(always)]
     pub fn look(&mut self) -> Look {
         let (messages, sent) = (&mut self.messages, &mut self.sent);
         self.receiver.look(|message| send(messages, sent, message))
     }
 
-    /// Sends the bytes read so far to the serial task. `calls`: the caller calls the serial task right afterwards.
+    /// Sends the bytes read so far to the serial task. `calls`: `true` if the caller calls the serial task right
+    /// afterwards.
     pub fn pass_on(&mut self, calls: bool) {
         if calls && self.receiver.has_stop() {
             // The command that stops the machine is in the message being filled or in an earlier one.
@@ -162,7 +163,7 @@ impl<T: UartOutput, const N: usize> Port for Usart<T, N> {
         self.hurries_to = self.hurry.try_read().unwrap_or(self.hurries_to);
         let left = self.hurries_to.wrapping_sub(self.taken) as i32;
         if left < 0 {
-            // Let `hurries_to` follow just below `taken`. Otherwise an old value would seem to be above `taken` after
+            // Keep `hurries_to` just below `taken`. Otherwise an old value would seem to be above `taken` after
             // `taken` has wrapped.
             self.hurries_to = self.taken.wrapping_sub(1);
             return false;
@@ -170,7 +171,7 @@ impl<T: UartOutput, const N: usize> Port for Usart<T, N> {
         left > 0 || !self.message.from(self.next).is_empty()
     }
 
-    /// Does nothing: a UART cannot hold its sender back, so every byte is fetched at once.
+    /// Does nothing: a UART cannot make its sender wait, so every byte is fetched at once.
     #[inline]
     fn allow(&mut self, _room: usize) {}
 
@@ -179,7 +180,7 @@ impl<T: UartOutput, const N: usize> Port for Usart<T, N> {
         self.output.send(byte)
     }
 
-    /// Starts sending; the serial task is called when there is space, wanted or not.
+    /// Starts sending. The serial task is called when there is space, even without `_wanted`.
     #[inline]
     fn call_when_free(&mut self, _wanted: bool) {
         self.output.begin();

@@ -1,14 +1,16 @@
-//! UART by DMA in both directions: bytes need no interrupts, and none is lost while the processor is stalled.
+//! UART by DMA in both directions. Bytes need no interrupts, and no byte is lost while the processor is stalled.
 //!
 //! ```text
 //!  USART ──▶ DMA, circular ──▶ buffer
 //!  USART ◀── DMA ◀── one half; the serial task fills the other, and is called at the end of a half
 //! ```
-//! DMA does not read the status register. A damaged byte raises the USART's interrupt line (EIE). The vector of this
-//! line is masked, so its pending bit stays set until software clears it, even after a read of the data register has
-//! cleared the error flags. The bit is set before DMA fetches the damaged byte. So if the receiver finds the bit clear
-//! when it looks, all bytes that arrived before are good. Otherwise it treats all bytes from the previous look up to
-//! the next look as damaged (`uart_receiver`).
+//! Damaged bytes: DMA does not read the status register, so the pending bit of the USART's interrupt reports the
+//! damage. A damaged byte raises the interrupt line (EIE) before DMA fetches the byte. The vector of this line is
+//! masked. So the pending bit stays set until software clears it, even after a read of the data register has cleared
+//! the error flags.
+//!
+//! If the receiver finds the bit clear at a look (reading of the buffer), all bytes that arrived before are good.
+//! Otherwise it treats all bytes from the previous look up to the next look as damaged (`uart_receiver`).
 
 use super::dma::{CIRCULAR, HISR, MEMORY_COUNTS, NDTR, SERVED_CYCLES, TO_PERIPHERAL, clear_flags, stream, switch_on};
 use super::registers::{read, write};
@@ -23,8 +25,8 @@ use stm32f4xx_hal::{
     serial::{Rx, Tx},
 };
 
-/// Capacity of the queue of messages to the serial task. At 1 Mbaud four messages are filled between two calls of the
-/// serial task; a line that arrives slowly takes one message per 200 us.
+/// Capacity of the queue of messages to the serial task. At 1 Mbaud, four messages are filled between two calls of the
+/// serial task. A line that arrives slowly takes one message per 200 us.
 const MESSAGES: usize = 12;
 /// Size of each half of the send buffer, bytes.
 const HALF: usize = 64;
@@ -65,8 +67,8 @@ pub type Input = UartInput<ByDma, MESSAGES>;
 /// The UART, for the serial task.
 pub type DmaPort = Usart<Halves, MESSAGES>;
 
-/// Takes the USART over from the HAL. Receiving starts with [`Input::start`]. Not inlined into the set-up, because its
-/// stack frame would then include the initial values of the buffers created here.
+/// Takes the USART over from the HAL. Receiving starts with [`Input::start`]. Not inlined into the set-up, because the
+/// stack frame of the set-up would then include the initial values of the buffers created here.
 #[inline(never)]
 pub fn start((tx, rx): (Tx<pac::USART2>, Rx<pac::USART2>), rcc: &mut Rcc) -> (Input, DmaPort) {
     pac::DMA1::enable(rcc);
@@ -83,10 +85,10 @@ pub fn start((tx, rx): (Tx<pac::USART2>, Rx<pac::USART2>), rcc: &mut Rcc) -> (In
     join(UartReceiver::new(source, buffer), output, messages, hurry)
 }
 
-/// Nothing to prepare before a flash operation: DMA receives while the processor is stalled.
+/// Does nothing: DMA also receives while a flash operation stalls the processor.
 pub fn before_stall() {}
 
-/// Nothing to do after a flash operation.
+/// Does nothing: `before_stall` has changed nothing.
 pub fn after_stall() {}
 
 impl Input {
@@ -116,8 +118,8 @@ impl ByteSource for ByDma {
     }
 
     fn clear_damage(&mut self) {
-        // Reading the data register clears the error flags. If a received byte is in it, leave that byte to DMA; the
-        // flags are then cleared at the next look (reading of the buffer).
+        // A read of the data register clears the error flags. But if a received byte is in the register, DMA must read
+        // it. The flags are then cleared at the next look (reading of the buffer).
         if read(USART + SR) & ARRIVED == 0 {
             let _ = read(USART + DATA);
         }
@@ -157,8 +159,8 @@ impl UartOutput for Halves {
 
     /// Sends the half being filled, if the other one has been sent.
     fn begin(&mut self) {
-        // The flag of the completed transfer shows that the other half has been sent. NDTR does not show this, because
-        // it may reach 0 before the last byte is transferred.
+        // The flag of the completed transfer shows that the other half has been sent. NDTR is no proof: it may reach 0
+        // before the last byte is transferred.
         if read(DMA + HISR) & SENT != 0 {
             self.sends = false;
             clear_flags(DMA, SENDER);

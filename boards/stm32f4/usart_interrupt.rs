@@ -1,5 +1,6 @@
-//! UART with an interrupt for each byte, at the priority of the inputs. For boards on which only DMA2 could serve this
-//! USART: DMA2 outputs the step edges, and must not serve APB2, the bus of the USART, at the same time (`chain`).
+//! UART with an interrupt for each byte, at the priority of the inputs. Used on boards where only DMA2 could serve the
+//! USART. DMA2 outputs the step edges there, and must not serve APB2, the bus of the USART, at the same time
+//! (`chain`).
 //!
 //! ```text
 //!  USART ──▶ interrupt ──▶ buffer
@@ -7,7 +8,7 @@
 //!  USART ◀── interrupt ◀── queue ◀── serial task
 //! ```
 //! A USART holds a byte until the next one has arrived: 87 us at 115,200 baud, the maximum rate of a board with this
-//! UART (`$931`). The longest run of the step task plus the other work at the priority of the inputs take less.
+//! UART (`$931`). The longest run of the step task, plus the other work at the priority of the inputs, takes less.
 
 use super::dma::{CR, EN, MEMORY_COUNTS, NDTR, await_off, clear_flags, program, stream};
 use super::registers::{read, write};
@@ -24,8 +25,8 @@ use stm32f4xx_hal::{
     serial::{Rx, Tx},
 };
 
-/// Capacity of the queue of messages to the serial task. A line that arrives slowly takes one message per 200 us; while
-/// the queue is full, bytes wait in the receive buffer.
+/// Capacity of the queue of messages to the serial task. A line that arrives slowly takes one message per 200 us.
+/// While the queue is full, bytes wait in the receive buffer.
 const MESSAGES: usize = 6;
 /// Capacity of the queue of bytes to be sent.
 const SENT: usize = 16;
@@ -64,7 +65,7 @@ pub struct ByInterrupt {
     is_behind_loss: bool,
     /// One of the bytes that DMA has fetched may be damaged.
     is_damaged: bool,
-    /// Bytes queued for sending.
+    /// The queue of bytes to be sent; the serial task fills it.
     sent: Receiver<'static, u8, SENT>,
 }
 
@@ -73,8 +74,8 @@ pub type Input = UartInput<ByInterrupt, MESSAGES>;
 /// The UART, for the serial task.
 pub type InterruptPort = Usart<Queue, MESSAGES>;
 
-/// Takes the USART over from the HAL. Receiving starts with [`Input::start`]. Not inlined into the set-up, because its
-/// stack frame would then include the initial values of the buffers created here.
+/// Takes the USART over from the HAL. Receiving starts with [`Input::start`]. Not inlined into the set-up, because the
+/// stack frame of the set-up would then include the initial values of the buffers created here.
 #[inline(never)]
 pub fn start((tx, rx): (Tx<pac::USART1>, Rx<pac::USART1>), rcc: &mut Rcc) -> (Input, InterruptPort) {
     pac::DMA2::enable(rcc);
@@ -102,8 +103,8 @@ impl Input {
         write(USART + CR_1, read(USART + CR_1) | CALL_WHEN_COME);
     }
 
-    /// Interrupt handler: a byte has arrived, the next byte can be sent, or a flash operation has ended, during which
-    /// the processor was stalled and DMA received.
+    /// Handles the UART's interrupt. It has three causes: a byte has arrived, the next byte can be sent, or a flash
+    /// operation has ended. During a flash operation the processor is stalled and DMA receives.
     #[inline]
     pub fn on_interrupt(&mut self) {
         let control = read(USART + CR_3);
@@ -114,7 +115,7 @@ impl Input {
         let mut status = read(USART + SR);
         if stood && (control & CALL_AT_ERROR != 0 || status & DAMAGED != 0) {
             // It is unknown which of the bytes that DMA fetched is damaged. So all of them are refused when they are
-            // read from the buffer, and also the byte that is in the data register now.
+            // read from the buffer. The byte that is in the data register now is refused, too.
             self.receiver.source().is_damaged = true;
             if status & ARRIVED == 0 {
                 let _ = read(USART + DATA);
@@ -156,8 +157,8 @@ impl Input {
 }
 
 impl ByInterrupt {
-    /// Programs the DMA stream, so that it continues at the slot for the next byte when a flash operation makes DMA
-    /// receive.
+    /// Programs the DMA stream to write to the slot for the next byte. The stream is switched on only for a flash
+    /// operation.
     fn prepare(&self) {
         let memory = self.buffer.get(self.place..).unwrap_or_default();
         program(DMA, STREAM, USART + DATA, memory.as_ptr() as usize, memory.len());
@@ -175,7 +176,7 @@ impl ByInterrupt {
         let before = self.place;
         self.place = SLOTS - (read(at + NDTR) as usize).min(SLOTS);
         if self.place != before && core::mem::take(&mut self.is_behind_loss) {
-            // Bytes are missing before those that DMA fetched, but DMA cannot mark this. So the fetched bytes are
+            // Bytes are missing before those that DMA fetched. DMA cannot mark the gap, so the fetched bytes are
             // refused instead.
             self.is_damaged = true;
         }
@@ -183,8 +184,8 @@ impl ByInterrupt {
         self.prepare();
     }
 
-    /// The data register is free: sends the next queued byte. When the queue is empty, calls the serial task, which may
-    /// have more.
+    /// Sends the next queued byte; called when the data register is free. When the queue has become empty, calls the
+    /// serial task, which may have more bytes.
     fn send(&mut self) {
         let control = read(USART + CR_1);
         let is_sending = control & CALL_WHEN_FREE != 0;
@@ -232,10 +233,10 @@ impl ByteSource for ByInterrupt {
     }
 }
 
-/// Lets DMA receive during a flash operation, which stalls the processor. Until [`after_stall`], only a damaged byte
-/// makes the UART's interrupt pending. The pending bit records the damage, because the byte's error flags can be gone
-/// when the processor continues: the manuals do not say whether a read by DMA clears them. Interrupts must be off and
-/// the machine at rest.
+/// Lets DMA receive during a flash operation, which stalls the processor. Call with interrupts off and the machine at
+/// rest. Until [`after_stall`], only a damaged byte makes the interrupt of the UART pending, so the pending bit
+/// records the damage. The error flags may be gone afterwards: the manuals do not say whether a read by DMA clears
+/// them.
 pub fn before_stall() {
     write(USART + CR_1, read(USART + CR_1) & !(CALL_WHEN_COME | CALL_WHEN_FREE));
     let in_doubt = read(USART + CR_3) & CALL_AT_ERROR != 0;
@@ -251,8 +252,8 @@ pub fn before_stall() {
     write(USART + CR_3, DMA_RECEIVES | CALL_AT_ERROR);
 }
 
-/// Records whether a byte was damaged while the processor was stalled: only then does `CALL_AT_ERROR` stay set in CR3.
-/// Pends the UART's interrupt, which ends receiving by DMA.
+/// Records in CR3 whether a byte was damaged while the processor was stalled: `CALL_AT_ERROR` stays set only then.
+/// Makes the interrupt of the UART pending, which ends receiving by DMA.
 pub fn after_stall() {
     if !NVIC::is_pending(VECTOR) {
         write(USART + CR_3, DMA_RECEIVES);
@@ -272,8 +273,8 @@ impl UartOutput for Queue {
         self.bytes.try_send(byte).is_ok()
     }
 
-    /// Triggers the interrupt, which sends a byte at once if the data register is free, otherwise as soon as it becomes
-    /// free.
+    /// Makes the interrupt pending. It sends a byte at once if the data register is free, otherwise as soon as it
+    /// becomes free.
     fn begin(&mut self) {
         if !self.bytes.is_empty() {
             NVIC::pend(VECTOR);

@@ -5,14 +5,16 @@
 //!  host ──OUT packet──▶ receive FIFO ──▶ packet ──receive──▶ serial task      next packet only when there is space
 //!  host ◀──IN packet─── transmit FIFO ◀── outgoing ◀──send── serial task
 //! ```
-//! Flow control (back-pressure): after each packet the hardware answers NAK until software enables the endpoint again.
-//! The driver would enable it at once. Then a packet for which there is no space would stay in the FIFO, raise the
-//! interrupt forever and block later entries of the control endpoint. Therefore this file takes the entry that ends a
-//! packet out of the FIFO before the driver finds it. It enables the endpoint only when a whole packet fits. So every
-//! packet in the FIFO can be fetched at once, and DTR, suspend and reset are processed while the host is held back.
+//! Flow control: after each packet the hardware refuses further packets (NAK) until software enables the endpoint
+//! again. The driver would enable the endpoint at once. Then a packet for which there is no space would stay in the
+//! FIFO, raise the interrupt forever and block later entries of the control endpoint.
 //!
-//! While flash is written, the processor is stalled; the FIFO holds one packet, and the hardware answers further ones
-//! with NAK.
+//! Therefore this file takes the FIFO entry that ends a packet before the driver finds it. This file enables the
+//! endpoint only when there is space for a whole packet. So every packet in the FIFO can be fetched at once. DTR,
+//! suspend and reset are processed even while the host has to wait.
+//!
+//! While flash is written, the processor is stalled. The FIFO then holds one packet, and the hardware answers further
+//! packets with NAK.
 
 use cortex_m::singleton;
 use stm32f4xx_hal::{
@@ -91,8 +93,8 @@ const TXFNUM_SHIFT: u32 = 6;
 const FLAG_TICKS: u32 = 100 * crate::CLOCK_TICKS_PER_US;
 /// DOEPCTL and DIEPCTL: the next packet is DATA0.
 const SD0PID: u32 = 1 << 28;
-/// True if the driver enables an endpoint when it fetches a packet (cores since the F446's, by their CID); false if the
-/// driver does so when it takes the entry that ends the packet.
+/// Says when the driver enables an endpoint again. `true`: when it fetches a packet (OTG cores since that of the F446,
+/// by their CID). `false`: when it takes the FIFO entry that ends the packet.
 const IS_ENABLED_WITH_DATA: bool = cfg!(any(feature = "stm32f446", feature = "stm32f412"));
 /// Index of the interface with the data endpoints: it is the class's second interface, after the control interface.
 const DATA_INTERFACE: u16 = 1;
@@ -139,17 +141,18 @@ fn begin_with_data0(base: usize, endpoint: EndpointAddress) {
 /// [`LATE_BYTES_US`] in ticks.
 const LATE_BYTES_TICKS: u32 = LATE_BYTES_US * crate::CLOCK_TICKS_PER_US;
 
-/// The serial port's class for the driver. It also records which data endpoints must restart with DATA0, because after
-/// certain requests the host does (USB 2.0, 9.1.1.5 and 9.4.5). The driver does not reset their data toggles, so the
-/// next packet would be taken for a repetition and be lost.
+/// The class of the serial port, for the driver. After certain requests, the host restarts its data endpoints with
+/// DATA0 (USB 2.0, 9.1.1.5 and 9.4.5). The driver does not reset its data toggles then: the next packet would seem to
+/// be a repetition and be lost. So this class records which endpoints must restart with DATA0: `begin_out`,
+/// `begin_in`.
 struct SerialClass {
     port: CdcAcmClass<'static, UsbBusType>,
     begin_out: bool,
     begin_in: bool,
 }
 
-// Wraps the class of the serial port. A second class beside it would need a kilobyte more code: the compiler can
-// resolve the driver's calls only if there is just one class.
+// This class wraps the class of the serial port. Two classes side by side would need a kilobyte more code: the
+// compiler can resolve the calls of the driver only if there is one class.
 impl UsbClass<UsbBusType> for SerialClass {
     fn get_configuration_descriptors(&self, writer: &mut DescriptorWriter<'_>) -> usb_device::Result<()> {
         self.port.get_configuration_descriptors(writer)
@@ -187,8 +190,8 @@ struct Received {
     next: usize,
     /// The end of the packet has been taken out of the FIFO; the endpoint must be enabled again.
     ended: bool,
-    /// The driver may hold a packet: it has handled events since it was last queried and had none. Without this flag
-    /// the serial task would also query the driver whenever it runs for a byte of the UART, and each query takes 4 us.
+    /// The driver may hold a packet: it has handled events since it was last queried and had none. Without this flag,
+    /// each run of the serial task would query the driver, even a run for a byte of the UART. A query takes 4 us.
     may_wait: bool,
 }
 
@@ -207,7 +210,7 @@ pub struct UsbPort {
     outgoing: heapless::Vec<u8, SENT>,
     host: UsbHost,
     /// The bus is being reset. Until the reset ends, the driver still reports the device as configured. But a packet
-    /// written to an endpoint is never sent, and keeps the endpoint busy forever.
+    /// written now would never be sent, and would keep the endpoint busy forever.
     resetting: bool,
     /// The interrupt of the receive FIFO is masked.
     masked: bool,
@@ -258,7 +261,7 @@ impl UsbPort {
         data.then_some(entry >> PKTSTS_SHIFT & PKTSTS)
     }
 
-    /// Takes the end of a data packet out of the FIFO, before the driver sees it and enables the endpoint.
+    /// Takes the entry that ends a data packet out of the FIFO, before the driver finds it and enables the endpoint.
     fn hold_endpoint(&mut self) {
         if self.entry() == Some(OUT_COMPLETED) {
             read(GRXSTSP);
@@ -266,9 +269,9 @@ impl UsbPort {
         }
     }
 
-    /// Makes the endpoint answer NAK, until [`UsbPort::enable_endpoint`]. For chips with `IS_ENABLED_WITH_DATA`, on
-    /// which the driver enables the endpoint as soon as it has fetched a packet. A packet that arrives before this
-    /// function disables the endpoint again stays in the FIFO (see [`UsbPort::mask`]).
+    /// Makes the endpoint answer NAK until [`UsbPort::enable_endpoint`]. Needed on chips with `IS_ENABLED_WITH_DATA`,
+    /// because their driver enables the endpoint as soon as it has fetched a packet. A packet that arrives before this
+    /// function takes effect stays in the FIFO (see [`UsbPort::mask`]).
     fn refuse_packets(&mut self) {
         let control = DOEPCTL + self.class.port.read_ep().address().index() * NEXT_ENDPOINT;
         write(control, read(control) & !ENABLED | SNAK);
@@ -289,7 +292,7 @@ impl UsbPort {
         self.received.ended = false;
     }
 
-    /// Resets the data toggles of those endpoints that the host has reset to DATA0.
+    /// Restarts the endpoints with DATA0 that the host has restarted with DATA0.
     fn begin_toggles(&mut self) {
         let SerialClass { port, begin_out, begin_in } = &mut self.class;
         if core::mem::take(begin_out) {
@@ -300,9 +303,10 @@ impl UsbPort {
         }
     }
 
-    /// Masks or unmasks the interrupt of the receive FIFO. If a packet ends just after [`UsbPort::hold_endpoint`] has
-    /// looked at the FIFO, the driver finds the end and enables the endpoint. If that happens twice in a row, a packet
-    /// for which there is no space waits in the FIFO. Masking keeps this packet from raising the interrupt forever.
+    /// Masks or unmasks the interrupt of the receive FIFO. A packet can end just after [`UsbPort::hold_endpoint`] has
+    /// looked at the FIFO; then the driver finds the end and enables the endpoint. If this happens twice in a row, a
+    /// packet for which there is no space waits in the FIFO. Masking keeps this packet from raising the interrupt
+    /// forever.
     fn mask(&mut self, masked: bool) {
         if masked != self.masked {
             self.masked = masked;
@@ -311,20 +315,20 @@ impl UsbPort {
         }
     }
 
-    /// Returns whether a host has configured the device. The driver's state alone is not reliable: when the bus has
-    /// gone idle, data that arrived before makes the driver leave its suspended state.
+    /// Returns true if a host has configured the device and the bus is not idle. The state of the driver alone is not
+    /// reliable: after the bus has gone idle, data that arrived before makes the driver leave its suspended state.
     fn is_configured(&self) -> bool {
         self.device.state() == UsbDeviceState::Configured && !self.resetting && read(DSTS) & SUSPENDED == 0
     }
 
-    /// For a host that has left: discards its bytes, here and in the driver's buffer.
+    /// Discards the bytes received from a host that has left, here and in the driver's buffer.
     fn forget_received(&mut self) {
         let _ = self.class.port.read_packet(&mut self.received.packet);
         self.received.length = 0;
         self.received.next = 0;
     }
 
-    /// For a host that has left: discards the bytes queued for it, including a packet that it has not fetched (RM0383,
+    /// Discards the bytes queued for a host that has left, including a packet that the host has not fetched (RM0383,
     /// 22.17.6, "IN endpoint disable").
     fn forget_sent(&mut self) {
         self.outgoing.clear();
@@ -372,8 +376,8 @@ impl Port for UsbPort {
         let events = read(GINTSTS);
         if events & USBRST != 0 {
             self.resetting = true;
-            // This must precede the driver's `poll`, which disables the endpoints without setting NAK first, although
-            // the hardware requires NAK.
+            // Call before the driver's `poll`. That function disables the endpoints without setting NAK first,
+            // although the hardware requires NAK.
             self.forget_sent();
         }
         if events & EVENTS != 0 {
@@ -389,8 +393,8 @@ impl Port for UsbPort {
             self.hold_endpoint();
         }
         if self.device.state() == UsbDeviceState::Default {
-            // This state follows a reset of the bus, which has emptied the FIFO and enabled the endpoint. A host that
-            // only withdraws the configuration leads to another state.
+            // This state follows a reset of the bus, which has emptied the FIFO and enabled the endpoint. If a host
+            // only withdraws the configuration, another state follows.
             self.resetting = false;
             self.received.ended = false;
         }
@@ -417,8 +421,9 @@ impl Port for UsbPort {
                 if !self.is_configured() || !self.host.speaks(LATE_BYTES_TICKS, clock_ticks) {
                     self.received.length = 0;
                 } else if !is_known {
-                    // Report the new host before its bytes are read: otherwise the arrival of the host, which discards
-                    // a partial line, would discard a part of that host's first line.
+                    // Report the new host before its bytes are read. When a host arrives, the program discards a
+                    // partial line. If it had already read bytes of the new host, it would discard a part of that
+                    // host's first line.
                     crate::call_serial();
                     return Incoming::Nothing;
                 }
@@ -478,8 +483,8 @@ impl Port for UsbPort {
     fn call_when_free(&mut self, wanted: bool) {
         if self.is_configured() {
             self.flush();
-            // The interrupt at the end of a sent packet, which calls the serial task, is enabled only if more waits to
-            // be sent.
+            // A sent packet interrupts at its end, which calls the serial task. Enable this interrupt only if more
+            // bytes wait.
             let endpoint = 1 << self.class.port.write_ep().address().index();
             let mask = read(DAINTMSK);
             let calls = if self.outgoing.is_empty() && !wanted { mask & !endpoint } else { mask | endpoint };

@@ -11,7 +11,8 @@ use toml::{Table, Value};
 const OSCILLATORS: [u8; 9] = [4, 8, 10, 12, 16, 20, 24, 25, 26];
 /// Names of the entries that a file may have at its top level.
 const KEYS: [&str; 7] = ["name", "title", "image", "chip", "oscillator", "remarks", "pins"];
-/// Functions that switch a device on with a high level. They must not have a pin that the chip pulls up during a reset.
+/// Functions that switch a device on with a high level. The chip pulls A15 and B4 up during a reset, so these
+/// functions must not have these pins.
 const ON_WHEN_HIGH: [Role; 7] = [
     Role::SpindleOn,
     Role::SpindlePwm,
@@ -39,7 +40,6 @@ const NEEDS: [(Role, Role); 14] = [
     (Role::SecondProgramInput, Role::ProgramInput),
 ];
 
-/// The text of a file, and the faults found in it so far.
 struct Checked<'a> {
     text: &'a str,
     faults: Vec<Fault>,
@@ -65,8 +65,8 @@ impl Checked<'_> {
         0
     }
 
-    /// Returns the text of the entry `key`. If the entry is missing or not a text, adds a fault that shows `example`,
-    /// and returns `None`.
+    /// Returns the text of the entry `key`. If the entry is missing or is no text, returns `None` and adds a fault,
+    /// which proposes `example` as the value.
     fn required<'t>(&mut self, table: &'t Table, key: &str, example: &str) -> Option<&'t str> {
         match table.get(key) {
             Some(Value::String(text)) => return Some(text),
@@ -80,7 +80,7 @@ impl Checked<'_> {
     }
 }
 
-/// Reads and checks a board's file. If it has faults, returns them in the order of their lines.
+/// Reads and checks a board's file. If the file has faults, returns them in the order of their lines.
 pub fn parse(text: &str) -> Result<Board, Vec<Fault>> {
     let mut checked = Checked { text, faults: Vec::new() };
     let table = match text.parse::<Table>() {
@@ -169,8 +169,9 @@ fn chip_named(checked: &mut Checked<'_>, name: &str) -> Option<&'static Chip> {
     found
 }
 
-/// Reads the entry `oscillator`: its frequency in MHz (`None` to measure it), and whether an external clock drives the
-/// oscillator's input. Adds a fault and returns `None` for any other text.
+/// Reads the entry `oscillator`, for example `8 MHz, external`. Returns the frequency in MHz (`None`: the firmware
+/// measures it) and `true` if an external clock drives the oscillator's input. Adds a fault and returns `None` if the
+/// text has another form.
 fn read_oscillator(checked: &mut Checked<'_>, text: &str) -> Option<(Option<u8>, bool)> {
     let (frequency, is_external) = match text.strip_suffix(", external") {
         Some(frequency) => (frequency, true),
@@ -263,7 +264,8 @@ fn check_pins(checked: &mut Checked<'_>, image: &profiles::Board, chip: &Chip, p
     check_ports(checked, image, pins);
 }
 
-/// Returns why a board with this image and chip cannot use a pin, as the end of an error message; `None` if it can.
+/// Returns the reason why no function can have this pin, as the end of an error message: `is USB`. Returns `None` if
+/// the pin can be used.
 fn why_not(image: &profiles::Board, chip: &Chip, pin: Pin) -> Option<String> {
     let text = text_of(pin);
     let is = |pins: &[&str]| pins.contains(&text.as_str());

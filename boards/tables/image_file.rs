@@ -13,7 +13,7 @@ const DFU_SUM: Crc<u32> = Crc::<u32>::new(&CRC_32_JAMCRC);
 ///
 /// # Errors
 ///
-/// If the file has no intact table or more than one, is damaged, or is another image than the one that `table` is for.
+/// If the file is damaged, has no intact table or more than one, or is an image that `table` is not made for.
 pub fn write(image: &[u8], table: &PinTable) -> Result<Vec<u8>, String> {
     if image.first() == Some(&b':') {
         return write_hex(image, table);
@@ -37,8 +37,8 @@ pub fn table(image: &[u8]) -> Option<PinTable> {
     find(image).map(|(_, table)| table)
 }
 
-/// Replaces the pin table in `bytes` by `table`. Fails unless `bytes` have exactly one intact pin table, and that one
-/// is for the same image as `table`.
+/// Replaces the pin table in `bytes` by `table`. Returns an error if `bytes` have no intact pin table, or more than
+/// one, or if their table is for another image than `table`.
 fn put(bytes: &mut [u8], table: &PinTable) -> Result<(), String> {
     let Some((at, own)) = find(bytes) else {
         return Err("the file has no intact pin table: is it an undamaged image of Oxmill?".into());
@@ -55,15 +55,16 @@ fn put(bytes: &mut [u8], table: &PinTable) -> Result<(), String> {
     Ok(())
 }
 
-/// Returns the index of the first intact table in the bytes, and the table. Checks the checksum at each index, because
-/// the first bytes of a table also occur in the program's code, which compares them.
+/// Returns the index of the first intact table in the bytes, and the table. Checks the checksum at each index. The
+/// first bytes of a table would not be enough to find it: the program's code compares with these bytes, so they also
+/// occur there.
 fn find(bytes: &[u8]) -> Option<(usize, PinTable)> {
     let whole = |bytes: &[u8]| bytes.try_into().map(PinTable::from_bytes).ok().filter(PinTable::is_intact);
     bytes.windows(SIZE).enumerate().find_map(|(at, window)| Some((at, whole(window)?)))
 }
 
-/// Like [`write`], for an Intel HEX file: joins the data of all records, replaces the table in them, and writes the
-/// data back into the same records.
+/// Writes the table into an Intel HEX file, as [`write`] does. Joins the data of all records, replaces the table in
+/// them, and writes the data back into the same records.
 fn write_hex(image: &[u8], table: &PinTable) -> Result<Vec<u8>, String> {
     let text = std::str::from_utf8(image).map_err(|_| "the .hex file is damaged: it is no text")?;
     let records: Result<Vec<Record>, _> = Reader::new(text).collect();

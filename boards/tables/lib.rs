@@ -55,7 +55,7 @@ pub struct Fault {
 /// An entry of `[pins]`: the pin of a function.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Use {
-    /// The pin of the chip.
+    /// Port and number of the pin: `"A1"` or `"PA1"` in the file.
     pub pin: Pin,
     /// Label of the pin on the board; empty if the file gives none.
     pub label: String,
@@ -70,13 +70,13 @@ pub struct Board {
     pub name: String,
     /// Name for people.
     pub title: String,
-    /// The firmware image that the board uses.
+    /// The firmware image that runs on the board. Several boards can share an image.
     pub image: profiles::Board,
     /// The chip on the board. Its package determines which pins the file may use.
     pub chip: &'static Chip,
     /// Frequency of the oscillator in MHz; `None` if it is measured at the start.
     pub oscillator_mhz: Option<u8>,
-    /// An external clock drives the oscillator's input, in place of a crystal.
+    /// `true` if an external clock drives the oscillator's input; `false` for a crystal.
     pub is_external: bool,
     /// Hints for the person who wires the board.
     pub remarks: Vec<String>,
@@ -85,7 +85,7 @@ pub struct Board {
 }
 
 impl Board {
-    /// Returns the board of this project with this name; `None` if there is none.
+    /// Returns the board of this project with this name, as in [`BOARDS`]; `None` if there is none.
     pub fn named(name: &str) -> Option<Board> {
         let (_, text) = BOARDS.iter().find(|(own, _)| *own == name)?;
         Board::parse(text).ok()
@@ -95,13 +95,12 @@ impl Board {
     ///
     /// # Errors
     ///
-    /// If the file has faults, returns all of them, in the order of the lines. In this case, nothing of the file may be
-    /// used.
+    /// If the file has faults, returns all of them, in the order of the lines. Nothing of such a file may be used.
     pub fn parse(text: &str) -> Result<Board, Vec<Fault>> {
         check::parse(text)
     }
 
-    /// Returns the pin table to be written into the image.
+    /// Returns the pin table of the board, for [`image_file::write`].
     pub fn table(&self) -> PinTable {
         let number = self.image.image;
         let pin = |role| self.pins.get(name_of(role)).map(|found| found.pin);

@@ -32,7 +32,7 @@ fn faults(before: &str, after: &str) -> Vec<String> {
     )
 }
 
-/// Faults to make in [`GOOD`]: the text that is replaced, its replacement, and the beginning of the expected sentence.
+/// Faults to make in [`GOOD`]: the text to replace, its replacement, and the beginning of the expected message.
 const FAULTS: &[(&str, &str, &str)] = &[
     ("name = \"mine\"", "name = mine", "1: no TOML: "),
     ("step_x = \"A1\"", "step_x = \"A1\"\nstep_x = \"A8\"", "7: no TOML: duplicate key"),
@@ -162,7 +162,7 @@ fn the_number_of_a_function_is_its_place_in_the_list() {
     assert_eq!(names.len(), Role::ALL.len());
 }
 
-/// Returns the bytes of an invented image: a table between 1000 other bytes before it and after it.
+/// Returns the bytes of an invented image: 1000 bytes, the table, and 1000 bytes.
 fn image(table: &PinTable) -> Vec<u8> {
     let before = (0..1000_u32).map(|n| (n * 7) as u8);
     before.clone().chain(*table.bytes()).chain(before).collect()

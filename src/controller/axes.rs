@@ -1,19 +1,21 @@
 //! The axes of the machine: their letters, sets of axes ([`AxisMask`]), and [`PerAxis`], which holds one value for each
 //! axis. Also how the motors move the axes: Cartesian or CoreXY.
 //!
-//! The number of axes `N` (3 to 6) is a constant of the board and a const generic here, so a three-axis board spends
-//! memory and time on three axes only. X, Y and Z always exist. A, B and C exist if `N` includes them and `$930` puts
-//! them in use; an axis that is not in use never moves and appears in no report. X, Y and Z are lengths in millimetres;
-//! A, B and C are angles in degrees: for them, read degrees wherever a comment says millimetres.
+//! The number of axes `N` (3 to 6) is a constant of the board and a const generic here. So a board with three axes
+//! spends memory and time on three axes only. X, Y and Z always exist. A, B and C exist if `N` includes them and
+//! `$930` puts them in use. An axis that is not in use never moves and appears in no report.
+//!
+//! X, Y and Z are lengths in millimetres, A, B and C are angles in degrees. Where a comment says millimetres, read
+//! degrees for A, B and C.
 
 /// An axis of the machine. Axes are ordered as in [`Axis::ALL`]: X, Y, Z, A, B, C.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Axis {
-    /// First linear axis.
+    /// First axis: linear, in millimetres.
     X,
-    /// Second linear axis.
+    /// Second axis: linear, in millimetres.
     Y,
-    /// Third linear axis, along the spindle.
+    /// Third axis: linear, in millimetres, along the spindle.
     Z,
     /// Fourth axis: rotary, in degrees.
     A,
@@ -62,7 +64,8 @@ impl Axis {
         self as usize >= LINEAR
     }
 
-    /// Returns whether the travel of the axis is limited. A rotary axis with `travel` 0 turns without limit.
+    /// Returns whether the travel of the axis is limited: always for X, Y and Z. A rotary axis turns without limit if
+    /// its `travel`, in degrees, is 0.
     pub fn has_ends(self, travel: f32) -> bool {
         !self.is_rotary() || travel > 0.0
     }
@@ -86,12 +89,12 @@ pub enum Arrangement {
     CoreXy,
 }
 
-/// One value for each axis.
+/// One value for each of the machine's `N` axes, X first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PerAxis<T, const N: usize>(pub [T; N]);
 
 impl<T: Copy, const N: usize> PerAxis<T, N> {
-    /// Returns the same value for every axis.
+    /// Returns a `PerAxis` in which every axis has this value.
     pub const fn all(value: T) -> Self {
         Self([value; N])
     }
@@ -113,23 +116,23 @@ impl<T: Copy, const N: usize> PerAxis<T, N> {
         }
     }
 
-    /// Transforms each value with `make`.
+    /// Returns `make(value)` for each axis.
     pub fn map<U: Copy>(&self, make: impl FnMut(T) -> U) -> PerAxis<U, N> {
         PerAxis(self.0.map(make))
     }
 
-    /// Combines the two values of each axis with `make`.
+    /// Returns `make(own, other)` for each axis, from its values in `self` and in `other`.
     #[allow(clippy::indexing_slicing, reason = "from_fn calls with i < N, and both arrays have N values")]
     pub fn zip<U: Copy, V: Copy>(&self, other: &PerAxis<U, N>, mut make: impl FnMut(T, U) -> V) -> PerAxis<V, N> {
         PerAxis(core::array::from_fn(|i| make(self.0[i], other.0[i])))
     }
 
-    /// Returns the values in axis order.
+    /// Returns the values, X first.
     pub fn iter(&self) -> impl Iterator<Item = &T> {
         self.0.iter()
     }
 
-    /// Returns the values in axis order, so that the caller can change them.
+    /// Returns the values, X first, so that the caller can change them.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut T> {
         self.0.iter_mut()
     }
@@ -141,12 +144,12 @@ impl<T: Copy + Default, const N: usize> Default for PerAxis<T, N> {
     }
 }
 
-/// A set of axes, bit 0 for X.
+/// A set of axes, one bit for each: 1 for X, 2 for Y, 4 for Z, and so on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AxisMask(pub u8);
 
 impl AxisMask {
-    /// The empty set.
+    /// The empty set, as for a line without axis words.
     pub const NONE: AxisMask = AxisMask(0);
 
     /// Returns the set with `axis` added.

@@ -1,9 +1,8 @@
-//! Hashes (FNV-1a) of a step stream: one over its step events with their times, one over the events in their order,
-//! without times. Two machines with the same steps at the same times have the same hashes. The simulator computes the
-//! hashes from its trace; an emulated board without step pins computes them from the words that it would have written
-//! to the pins.
+//! Two hashes (FNV-1a) of the step events of a machine, to compare machines. One covers the events and their times,
+//! the other only the events in their order. The simulator computes the hashes from its trace. An emulated board
+//! without step pins computes them from the words that it would have written to the pins.
 
-/// Running digest over (time, step bits, direction bits) of each step event.
+/// The two hashes of the step events so far.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Digest {
     time: u64,
@@ -26,8 +25,8 @@ impl Digest {
         Self { time: BASIS, order: BASIS }
     }
 
-    /// Adds a step event. `ticks`: for how long the step task has been busy so far, in ticks of the step clock; pauses
-    /// between motions do not count. `steps` and `directions` have bit 0 for X.
+    /// Adds a step event. `ticks`: time for which the step task has run so far, without the pauses between motions, in
+    /// ticks of the step clock. `steps`, `directions`: step bits and direction bits of the event, bit 0 for X.
     pub fn add(&mut self, ticks: u64, steps: u8, directions: u8) {
         let bits = u64::from(steps) | u64::from(directions) << 8;
         self.time = (self.time ^ ticks).wrapping_mul(PRIME);
@@ -35,12 +34,12 @@ impl Digest {
         self.order = (self.order ^ bits).wrapping_mul(PRIME);
     }
 
-    /// Returns the digest over the time, step bits and direction bits of all events.
+    /// Returns the hash of the events and their times.
     pub fn time_hash(&self) -> u64 {
         self.time
     }
 
-    /// Returns the digest over the step and direction bits in their order, without the times.
+    /// Returns the hash of the events in their order, without the times.
     pub fn order_hash(&self) -> u64 {
         self.order
     }

@@ -20,41 +20,41 @@ use crate::units::{Duration, Instant};
 use crate::work::line::LineInWork;
 use crate::work::task::Task;
 
-/// While a change of an output (M62) waits for the start of a motion, the controller checks at this interval whether
-/// the motion has started. The change is late by at most this time.
+/// Interval at which the controller checks whether a motion has started, while a change of an output (M62) waits for
+/// this start. The change is late by at most this interval.
 const OUTPUTS_LOOK: Duration = Duration::millis(1);
 
-/// Properties of the board that the controller needs.
+/// Properties of the board that the controller needs; constant while the firmware runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Profile {
-    /// Name of the board.
+    /// Name of the board, such as `blackpill_f411`.
     pub name: &'static str,
     /// Frequency of the step timer, in ticks per second.
     pub step_clock_hz: u32,
     /// Step rates that the step task can follow.
     pub rates: StepRates,
-    /// Number of outputs and number of inputs for programs (M62 to M66).
+    /// Number of outputs (M62 to M65) and of inputs (M66) for programs, in this order.
     pub program_pins: [u8; 2],
     /// Number of axes with motors, at most `N` of the controller. A fourth motor drives A, or is the second motor of
     /// another axis.
     pub axes: usize,
-    /// Whether there are pins for a motor besides those of X, Y and Z.
+    /// `true` if there are pins for a fourth motor besides those of X, Y and Z.
     pub has_second_motor: bool,
-    /// Whether there is an input for the spindle's at-speed signal.
+    /// `true` if there is an input for the spindle's at-speed signal.
     pub has_at_speed: bool,
     /// Maximum rate of the UART (`$931`), baud.
     pub most_baud: u32,
     /// Frequency of the board's oscillator in MHz, as found at start-up; 0 if the board has none.
     pub oscillator_mhz: u8,
-    /// Whether settings survive power-off. If not, the controller requests no store operations.
+    /// `true` if settings survive power-off; if `false`, the controller requests no store operations.
     pub has_store: bool,
-    /// Whether `$DFU` may restart the board into the chip's boot loader: hosts can reach the boot loader over USB, and
-    /// the boot loader switches on no load of the board.
+    /// `true` if `$DFU` may restart the board into the chip's boot loader. This needs two things: hosts can reach the
+    /// boot loader over USB, and the boot loader switches on nothing that is connected to the board.
     pub has_loader: bool,
 }
 
-/// The controller of a machine with `N` axes: makes all decisions.
-// Small fields come first, because one load or store instruction reaches only 4 KiB from the base.
+/// The controller of a machine with `N` axes. It makes all decisions; drivers and tasks around it carry them out.
+// Small fields come first: one load or store instruction reaches only the first 4 KiB of the structure.
 #[cfg_attr(feature = "alloc", derive(Clone))]
 #[repr(C)]
 pub struct Controller<const N: usize> {
@@ -71,8 +71,8 @@ impl<const N: usize> Controller<N> {
         Self { state: State::Normal, task: Task::None, line: LineInWork::NONE, m: Machine::new(profile, memory) }
     }
 
-    /// Takes the report of how the previous run of the firmware ended; call before [`Controller::start`]. After a
-    /// failure the machine is locked, because a host that has not noticed the restart may still be sending its job.
+    /// Takes the report of how the previous run of the firmware ended; call this before [`Controller::start`]. After a
+    /// failure the machine is locked, because a host that has not noticed the restart may still send its job.
     pub fn restarted(&mut self, restart: Restart) {
         if restart.crash.as_ref().is_some_and(|crash| crash.kind == CrashKind::Board) {
             self.m.settings_lock.board_failed();
@@ -100,14 +100,14 @@ impl<const N: usize> Controller<N> {
         self.initialise();
     }
 
-    /// Passes the step task's counters and the counts of received line bytes to the parts that use them. Must be called
-    /// before [`Controller::output`], and before each event that separates earlier bytes from later bytes: a realtime
-    /// command, a change of signals, a disconnect.
+    /// Passes the counters of the step task and of received line bytes to the parts that use them. Must be called
+    /// before [`Controller::output`]. Must also be called before each event that separates earlier bytes from later
+    /// ones: a realtime command, a change of signals, a disconnect.
     pub fn observe(&mut self, observed: Observed) {
         self.m.step_supply.observe(observed);
         self.m.lines.observe(observed.received, observed.activity);
         if observed.rx_free == 0 {
-            // The queue is full, so bytes from the host may be waiting outside of it: the host does not count as
+            // The queue is full, so bytes from the host may be waiting outside of the queue. Do not count the host as
             // silent.
             self.m.lines.heartbeat_mut().record_activity();
         }
@@ -130,14 +130,14 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Takes a byte if it only extends the current line; nearly all events are such bytes, and their time does not
-    /// matter. Returns false if the byte was not taken: pass it to [`Controller::event`] as an [`Event::Line`].
+    /// Takes a byte that only extends the current line, as nearly all bytes do; their time does not matter. Returns
+    /// `false` if the byte has another effect. Then pass it to [`Controller::event`] as an [`Event::Line`].
     pub fn take_text_byte(&mut self, byte: LineByte) -> bool {
         self.m.lines.take_plain(byte)
     }
 
-    /// Takes `bytes` from the front, as long as they only extend the current line. All of them must be of this one
-    /// `epoch`: see [`LineByte`]. Returns how many were taken.
+    /// Takes `bytes` from the front, as long as they only extend the current line. `epoch`: the epoch of all these
+    /// bytes, the count of resets before them ([`LineByte`]). Returns how many bytes were taken.
     pub fn take_text(&mut self, epoch: u16, bytes: &[u8]) -> usize {
         self.m.lines.take_text(epoch, bytes)
     }
@@ -171,7 +171,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns whether the controller accepts a byte of a line now.
+    /// Returns whether the controller accepts a byte of a line now. The controller accepts none while a task is in
+    /// work, while the machine stops or waits, or while replies have no room.
     pub fn wants_line(&self) -> bool {
         self.task.is_none()
             && !self.m.lines.holds()
@@ -181,7 +182,7 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Returns whether received lines stay in the queue, because the machine waits for the operator, homes or brakes.
-    /// Bytes that a later reset has made invalid stay there too, until [`Controller::drop_old`] drops them.
+    /// Bytes that a later reset has made invalid stay there, too; [`Controller::drop_old`] drops them.
     pub fn lets_lines_wait(&self) -> bool {
         !self.state.takes_lines()
     }
@@ -193,8 +194,8 @@ impl<const N: usize> Controller<N> {
 
     /// Returns when the controller must be called again if nothing happens before; `None` if it need not be called.
     pub fn next_wakeup(&self) -> Option<Instant> {
-        // Motion that a hold or a door has interrupted continues only after an event. While such motion is at rest, no
-        // wake-up is needed.
+        // Motion that a hold or a door has interrupted continues only after an event. It needs no wake-up while it is
+        // at rest.
         let moving = !self.m.motion.is_at_rest()
             || !self.m.parking.motion().is_at_rest()
             || self.m.step_supply.is_running() && !self.state.is_suspended();
@@ -214,8 +215,8 @@ impl<const N: usize> Controller<N> {
             State::Hold(hold) => hold.ends_with_spindle().map(|until| self.next_look_at_spindle(until)),
             _ => None,
         };
-        // A suspended dwell needs no wake-up either. Its end may already be past, and a wake-up in the past would call
-        // the controller again and again.
+        // A suspended dwell needs no wake-up either. Its end may already be past. A wake-up in the past would call the
+        // controller again and again.
         let task = match &self.state {
             State::Homing(homing) => homing.wakeup(),
             state if state.is_suspended() => None,
@@ -228,23 +229,24 @@ impl<const N: usize> Controller<N> {
         [moving, spindle, task, outputs, self.m.drivers.off_at(), silent, lost].into_iter().flatten().min()
     }
 
-    /// Returns `Some` if the board must restart now (`$REBOOT`, `$DFU`); the value is whether it restarts into the
-    /// chip's boot loader. The platform calls this after its rounds. By then the answer to the command has been sent.
+    /// Returns `Some` if the board must restart now: `Some(false)` for `$REBOOT`, `Some(true)` for `$DFU` (into the
+    /// chip's boot loader). The platform asks when it has no more work to do, so the answer to the command has been
+    /// sent by then.
     pub fn reboot_due(&self) -> Option<bool> {
-        // Any change of the state cancels the restart (`Controller::enter`), so here nothing moves.
+        // Nothing moves here: any change of the state (`Controller::enter`) cancels the restart.
         match self.task {
             Task::Rebooting { into_loader, at } if self.m.now >= at => Some(into_loader),
             _ => None,
         }
     }
 
-    /// Call this when no more bytes will come: queued motion then starts without waiting for further moves.
+    /// Notes that no more bytes will come. Queued motion then starts without waiting for further moves.
     pub fn input_ended(&mut self) {
         self.m.step_supply.end_input();
     }
 
-    /// Does a bounded piece of work at `now` and returns the next output for which the pump has `room`. Call until it
-    /// returns `None`.
+    /// Does a bounded piece of work at `now`. Returns the next output for which the pump (the loop that calls the
+    /// controller) has `room`. Call this until it returns `None`.
     ///
     /// Everything that takes longer than handling an event happens here, in order of urgency:
     /// 1. handle ended motions and delays;
@@ -255,8 +257,8 @@ impl<const N: usize> Controller<N> {
     /// 6. hand further segments to the step task.
     ///
     /// After a piece of a task the result is [`Output::Worked`] or [`Output::Answer`], and there may be more to do. A
-    /// line that moves takes at least three calls: to execute and answer it, to start its motion, and to hand its
-    /// segments to the step task, one segment per call.
+    /// line that moves takes at least three calls: one executes and answers it, one starts its motion, and each
+    /// further call hands over one segment.
     pub fn output(&mut self, now: Instant, room: Room) -> Option<Output> {
         self.m.now = now;
         if self.may_have_changed()
@@ -302,8 +304,8 @@ impl<const N: usize> Controller<N> {
         !self.m.pins.are_calm() || self.m.step_supply.is_running() && self.m.motion.is_idle()
     }
 
-    /// Returns whether only motion is in progress. Until that motion ends, passing time and the progress of the step
-    /// task change nothing that [`Controller::look_round`] checks.
+    /// Returns whether only motion is in progress. If so, nothing that [`Controller::look_round`] checks changes
+    /// before the motion ends.
     fn only_moves(&self) -> bool {
         matches!(self.state, State::Normal)
             && self.m.probe.is_over()
@@ -313,19 +315,18 @@ impl<const N: usize> Controller<N> {
             && self.m.drivers.off_at().is_none()
             && !self.m.accessories.is_on()
             && !self.m.accessories.digital().is_waiting()
-            // The host's silence is timed from the start of the work, and `look_for_host`, which starts this timer,
-            // runs only within `look_round`. So while one of these limits is set, `look_round` must not be skipped.
+            // Only `look_round` calls `look_for_host`, which starts to time the host's silence when work begins. So
+            // while one of these two limits is set, `look_round` must not be skipped.
             && !self.m.settings.is_on(Key::HostSilence)
             && !self.m.settings.is_on(Key::JogSilence)
     }
 
-    /// Returns the change to store for an [`Output::Store`].
+    /// Returns the change to store. The pump calls this after an [`Output::Store`].
     pub fn next_store(&mut self) -> Option<Store> {
         self.m.records.next_store()
     }
 
-    /// Handles whatever takes precedence over segments and answers: ended motions and delays, stops, wiring, pins,
-    /// records.
+    /// Handles what comes before segments and answers: ended motions and delays, stops, wiring, pins, records.
     #[inline(never)]
     fn look_round(&mut self) -> Option<Output> {
         // From here on the outputs can change, because `settle` can end a motion or start a delay.
@@ -333,7 +334,8 @@ impl<const N: usize> Controller<N> {
         let wanted = self.wants_line();
         self.settle();
         if !wanted && self.wants_line() {
-            // Waiting bytes may be taken from here on, and nothing else would wake the pump for them.
+            // Waiting bytes may be taken from here on. Without this output, nothing would wake the pump (the calling
+            // loop) for them.
             return Some(Output::Worked);
         }
         if self.m.stops.take_order() {
@@ -376,8 +378,8 @@ impl<const N: usize> Controller<N> {
         if let Some(ToStep::Segment(segment)) = &mut message {
             segment.power = self.overridden_power(segment.power);
         }
-        // A message that lets the step task run again or watches the probe moves nothing, so the drivers need not be on
-        // for it.
+        // `Resume` lets the step task run again, and `Watch` watches the probe. Both move nothing, so the drivers may
+        // be off.
         let moves = !matches!(message, None | Some(ToStep::Resume { .. } | ToStep::Watch { .. }));
         if moves && self.m.drivers.switch_on() {
             self.m.pins.disturb();
@@ -404,7 +406,7 @@ impl<const N: usize> Controller<N> {
         self.m.parking.next_message().or_else(|| self.m.motion.next_message())
     }
 
-    /// Handles what has ended since the last call: a motion, the ramp of a hold, a jog, the delays of a door.
+    /// Handles what has ended since the last call: a motion, the braking of a hold, a jog, the delays of a door.
     fn settle(&mut self) {
         if self.m.accessories.take_overrides_due() {
             self.apply_overrides();
@@ -451,8 +453,8 @@ impl<const N: usize> Controller<N> {
 
     /// Starts queued motion when there is no reason to wait for further moves.
     fn auto_start(&mut self) {
-        // Motion is still running, but the last segment of the previous move may already be in the step queue. A move
-        // queued after that segment continues this motion. It would never begin without this start.
+        // Motion is still running, but its last segment may already be in the step queue. A move that was queued after
+        // that would never begin without this start.
         if self.m.step_supply.is_running() && matches!(self.state, State::Normal | State::Jog { cancelling: false }) {
             self.m.motion.start();
             return;
@@ -466,9 +468,9 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Records the store's answer to a change: whether the change was stored (`done`). Once all changes have been
-    /// answered, a failure is reported in a message of its own, because a reset may already have ended the command that
-    /// made the change.
+    /// Records the store's answer to a change. `done`: `true` if the change was stored. A failure is reported in a
+    /// message of its own when all changes have been answered, because a reset may have ended the command that made
+    /// the change.
     fn stored(&mut self, done: bool) {
         if self.m.records.answered(done) {
             self.say(|out| reply_texts::message(out, "Change active but not stored: lost at power-off"));

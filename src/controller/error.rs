@@ -1,8 +1,8 @@
 //! The errors that refuse a line and the alarms that lock the machine, each with its number and English text. The
-//! numbers on the wire are those of Grbl 1.1. Errors and alarms that Grbl does not have mostly have grblHAL's numbers;
-//! if grblHAL has none either, they have Oxmill's own.
+//! numbers are those of Grbl 1.1. An error or alarm that Grbl does not have mostly has grblHAL's number. If grblHAL
+//! has none either, the number is Oxmill's own.
 
-/// Declares a table of codes. Each code has a name, a number on the wire, and a text for people.
+/// Declares an enum of codes. Each code has a name, the number that the host gets, and a text for people.
 macro_rules! codes {
     ($(#[$doc:meta])* $codes:ident; $($(#[$attribute:meta])* $name:ident = $number:literal, $text:literal;)*) => {
         $(#[$doc])*
@@ -17,7 +17,7 @@ macro_rules! codes {
             /// All codes in the order of their numbers.
             pub const ALL: &'static [$codes] = &[$($codes::$name),*];
 
-            /// Returns the number on the wire.
+            /// Returns the number that the host gets, as 9 in `error:9`.
             pub const fn code(self) -> u8 {
                 self as u8
             }
@@ -70,7 +70,7 @@ codes! {
     UnusedWords = 36, "value words stand in the line that no command uses";
     ToolLengthAxis = 37, "the tool length offset is for the tool axis only";
     ToolNumberTooHigh = 38, "the tool number is out of range";
-    /// Not in Grbl. The numbers from here to 54 are grblHAL's.
+    /// Not in Grbl. From here to 54 the numbers are grblHAL's.
     ValueOutOfRange = 39, "the value of a word is out of range";
     SpindleNotTurning = 41, "the cycle stops the spindle, which does not turn";
     UnknownTool = 47, "the tool is not in the table, or the table is full";
@@ -78,7 +78,7 @@ codes! {
     DriverFault = 51, "a motor driver reports a fault";
     SettingOutOfRange = 52, "the setting does not take this value";
     RetractBelowBottom = 54, "R of the cycle lies below the bottom of the hole";
-    /// The numbers from here to 83 are grblHAL's.
+    /// From here to 83 the numbers are grblHAL's.
     UnknownOperation = 71, "the operator or function in the expression is unknown";
     DivisionByZero = 72, "the expression divides by zero";
     ArgumentOutOfRange = 73, "the argument is outside the range of the function or operator";
@@ -138,8 +138,8 @@ codes! {
     /// The at-speed input did not report the speed in time (`$915`, `$916`), or the spindle lost it during a job
     /// (`$929`). Not in Grbl; the number is grblHAL's.
     SpindleSpeed = 14, "the spindle did not come up to speed in time, or lost it";
-    /// The step queue ran dry at speed. Grbl has no number for this: there the machine loses steps unnoticed. Other
-    /// controllers use numbers from 11 on, so this one is above theirs.
+    /// The step queue became empty while the motors were moving fast. Grbl has no alarm for this: its machine loses
+    /// steps unnoticed. Other controllers use numbers from 11 on, so this number is above theirs.
     Underrun = 100, "motion data ran out at speed; the position may be lost";
     /// Not in Grbl. grblHAL's number for it is 10, which Grbl and Oxmill use for the squaring alarm.
     EmergencyStop = 101, "the emergency stop was pressed; the position may be lost if something moved";

@@ -1,6 +1,6 @@
-//! Memory for the large parts of a controller, which the caller provides permanently: motion with its look-ahead, the
-//! interpreter, queued replies and stored texts, 20 to 70 KB in all. The parts are built one after the other, so the
-//! stack never holds more than one of them.
+//! Memory for the large parts of a controller: motion with its look-ahead, the interpreter, queued replies and stored
+//! texts, 20 to 70 KB in all. The caller provides the memory for as long as the program runs. The parts are built one
+//! after the other, so the stack never holds more than one of them.
 
 use crate::dispatch::Profile;
 use crate::gcode::Interpreter;
@@ -21,8 +21,8 @@ pub struct Memory<const N: usize> {
 
 #[cfg(feature = "alloc")]
 impl<const N: usize> Memory<N> {
-    /// Allocates the parts on the heap, with a look-ahead of `blocks` blocks, and `held` bytes for stored lines: those
-    /// of subroutines, loops, macros and held programs.
+    /// Allocates the parts on the heap. `blocks`: length of the look-ahead, in blocks. `held`: bytes for stored lines
+    /// (subroutines, loops, macros and held programs).
     pub fn on_heap(profile: &Profile, blocks: usize, held: usize) -> Self {
         let motion = |memory| Lent::new(Motion::unconfigured(profile.step_clock_hz, memory));
         Self {
@@ -35,8 +35,8 @@ impl<const N: usize> Memory<N> {
     }
 }
 
-/// Static memory for the large parts of the controller on a board, with a look-ahead of `BLOCKS` blocks, and `HELD`
-/// bytes for stored lines: those of subroutines, loops, macros and held programs.
+/// Static memory for the large parts of the controller on a board. `BLOCKS`: length of the look-ahead, in blocks.
+/// `HELD`: bytes for stored lines (subroutines, loops, macros and held programs).
 #[cfg(not(feature = "alloc"))]
 pub use on_board::Storage;
 
@@ -47,8 +47,8 @@ mod on_board {
     use crate::motion::{MotionStorage, SingleMoveStorage};
     use core::mem::MaybeUninit;
 
-    /// Static memory for the large parts of the controller on a board, with a look-ahead of `BLOCKS` blocks, and `HELD`
-    /// bytes for stored lines: those of subroutines, loops, macros and held programs.
+    /// Static memory for the large parts of the controller on a board. `BLOCKS`: length of the look-ahead, in blocks.
+    /// `HELD`: bytes for stored lines (subroutines, loops, macros and held programs).
     #[derive(Debug)]
     pub struct Storage<const N: usize, const BLOCKS: usize, const HELD: usize> {
         job: MotionStorage<N, BLOCKS>,

@@ -13,11 +13,9 @@ pub enum Digits {
     Eight,
 }
 
-/// Number of digits that [`Digits::Eight`] keeps.
 const EIGHT: u32 = 8;
 /// A mantissa below this can take one more digit without overflowing `u64`.
 const ROOM_FOR_A_DIGIT: u64 = 1_000_000_000_000_000_000;
-/// Powers of ten up to [`DECIMAL_PLACES`].
 const POWERS: [u32; 8] = [1, 10, 100, 1000, 10_000, 100_000, 1_000_000, 10_000_000];
 
 /// A number that was read from text.
@@ -37,7 +35,7 @@ pub fn read(text: &[u8], digits: Digits) -> Option<Number> {
     read_here(text, digits)
 }
 
-/// Does the same as [`read`], but is always inlined, for the words of lines.
+/// Does the same as [`read`], but is always inlined. For the words of G-code lines.
 #[inline(always)]
 pub fn read_here(text: &[u8], digits: Digits) -> Option<Number> {
     let negative = text.first() == Some(&b'-');
@@ -90,7 +88,8 @@ fn read_long(text: &[u8], digits: Digits) -> Option<(i64, usize, u8)> {
     };
     let mut mantissa: u64 = 0;
     let mut count: u32 = 0;
-    // `fraction`: digits of the mantissa after the point. `zeros`: zeros to append to the mantissa for dropped digits.
+    // `fraction`: number of digits of the mantissa after the point. `zeros`: number of digits dropped before the
+    // point; each multiplies the mantissa by 10.
     let mut fraction: u32 = 0;
     let mut zeros: u32 = 0;
     let mut point = false;
@@ -142,8 +141,7 @@ mod tests {
         read(text.as_bytes(), Digits::Eight).map(|number| (number.value.0, number.used))
     }
 
-    /// The conversions in a table of the document with which the project began. That document keeps eight digits of a
-    /// number.
+    /// A table of the document with which the project began. The document keeps eight digits of a number.
     #[test]
     fn table_of_the_document() {
         for (text, value) in [
@@ -176,7 +174,8 @@ mod tests {
         }
     }
 
-    /// In the worked example of that document, 123.456789 (nine digits) becomes 12345678 with exponent -5.
+    /// In the worked example of the document with which the project began, 123.456789 (nine digits) becomes 12345678
+    /// with exponent -5.
     #[test]
     fn worked_example_of_the_document() {
         assert_eq!(eight("123.456789"), Some((1_234_567_800, 10)));

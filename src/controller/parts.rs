@@ -24,9 +24,9 @@ use crate::states::stops::orders::Stops;
 use crate::units::{Duration, Instant};
 use crate::work::probe::phases::Probe;
 
-/// Pause of the host after which its next line may belong to another program, 5 s after the answer to the line before.
-/// An O number in such a line begins the next program, and a program that waits for one of its subprograms is dropped.
-/// A sender that continues its file sends its next line sooner.
+/// If the host sends nothing for this time (5 s) after the answer to its last line, its next line may belong to
+/// another program. An O number in such a line begins the next program, and a program that waits for one of its
+/// subprograms is dropped. A sender that continues its file sends its next line sooner.
 const REST: Duration = Duration::from_ticks(5_000_000);
 
 // Small fields come first, because one load or store instruction reaches only 4 KiB from the base.
@@ -44,9 +44,9 @@ pub(crate) struct Machine<const N: usize> {
     pub pins: Pins,
     pub settings_lock: SettingsLock,
     pub now: Instant,
-    /// When the host's last line was answered, or when the last hold, door or other suspended state ended, whichever
-    /// was later. Of the `$` lines, only jogs, `$H`, `$I=` and others that end in `Controller::finish` with
-    /// `Answer::Host` count.
+    /// When the host's last line was answered. If a hold, an open door or another suspended state ended later, the
+    /// end of that state. Of the `$` lines, only those count that end in `Controller::finish` with `Answer::Host`,
+    /// such as jogs, `$H` and `$I=`.
     pub last_line_at: Instant,
     pub lines: LineIntake,
     pub interpreter: Lent<Interpreter<N>>,

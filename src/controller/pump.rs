@@ -7,13 +7,14 @@
 //!    ▲                                                                        │
 //!    └── a segment for the step task, a line, a stop, a change for the store ─◀┘
 //! ```
-//! Each segment for the step task and each executed line starts another round. So before each segment is cut, the
-//! look-ahead is as full as the received bytes allow, and the steps do not depend on the speed of the processor.
-//! Segments come before lines only if the processor is so slow that the step task will soon run out of segments during
-//! a motion.
+//! Each segment for the step task and each executed line starts another round. So the look-ahead takes in all received
+//! lines for which it has room before the next segment is cut, and the steps do not depend on the speed of the
+//! processor. There is one exception: if the step task will soon run out of segments during a motion, segments come
+//! before lines.
 //!
-//! Some outputs are answered by an event: a stop, a stored record, the view of the pins. They start another round too,
-//! in which the answer is passed on before the next output. So at most one output of each kind is pending.
+//! Some outputs get their answer as an event: a stop, a stored record, the view of the pins. Such an output also
+//! starts another round, which passes on the answer before the next output. So at most one output of each kind is
+//! pending.
 
 use crate::dispatch::Controller;
 use crate::messages::{Event, LINES_DEPTH, LineByte, Observed, Output, REALTIME_DEPTH, Room};
@@ -39,43 +40,43 @@ pub enum Source {
 /// Maximum number of realtime commands between two checks whether the step task is short of segments. A flood of
 /// commands must not starve the step task.
 const COMMANDS_AT_ONCE: u32 = 16;
-/// Maximum number of realtime commands in a round. The round takes them before inputs and lines, so without this limit
-/// a flood of commands would keep inputs and lines waiting. The limit exceeds the number of commands that can wait at
-/// the start of the round.
+/// Maximum number of realtime commands in a round. The round takes commands before inputs and lines, so without this
+/// limit a flood of commands would keep inputs and lines waiting. The limit is higher than the number of commands that
+/// can wait at the start of a round.
 const MOST_COMMANDS: u32 = 2 * REALTIME_DEPTH as u32;
 
 /// The platform under a controller: provides queues, time and outputs, and makes no decisions.
 pub trait Pump<const N: usize> {
-    /// Whether the pump is woken again if input arrives or room is made during a round. If not, a round in which
-    /// anything was done is followed by another round.
+    /// `true` (the firmware): input that arrives during a round, or room that is made, wakes the pump again. `false`:
+    /// a round in which anything was done is followed by another round.
     const IS_WOKEN: bool;
     /// Returns the controller that this pump drives.
     fn controller(&mut self) -> &mut Controller<N>;
-    /// Begins a round, one run of [`round`], and returns the time that is used for the whole round. Only line bytes
-    /// queued by now are read in the round, so a report requested by `?` comes before the answer to a line that ends
-    /// after the `?`.
+    /// Begins a round (one call of [`round`]). Returns the time that counts for the whole round. The round reads only
+    /// the line bytes that are queued now. So the report for a `?` comes before the answer to a line that ends after
+    /// the `?`.
     fn begin(&mut self) -> Instant;
-    /// Returns the progress of the step task and the counts of bytes: free in the line queue, received but not yet
-    /// read, and received since power-up.
+    /// Returns the progress of the step task and three counts of bytes: free bytes of the line queue, bytes received
+    /// but not read yet, and bytes received since power-up.
     fn observed(&mut self) -> Observed;
     /// Removes and returns the oldest event of a source; `None` if none is waiting.
     fn next_event(&mut self, source: Source) -> Option<Event<N>>;
     /// Takes the next byte of a line; `None` if there is none that the controller accepts now.
     fn next_line_byte(&mut self) -> Option<LineByte>;
     /// Removes and returns the next line byte if the controller would drop it ([`Controller::is_old`]), for instance
-    /// because it was received before a reset. Otherwise leaves the byte and returns `None`.
+    /// because a reset came after it. Otherwise returns `None` and leaves the byte in the queue.
     fn next_old_byte(&mut self) -> Option<LineByte> {
         None
     }
-    /// Passes text, which is bytes that only extend the current line, to the controller, several bytes at a time.
-    /// Passes only text that [`Pump::next_line_byte`] would return now, and leaves all other bytes to that function.
-    /// Records the text as [`Pump::record`] would. Returns whether there was any text.
+    /// Passes text to the controller, several bytes at a time. Text means bytes that only extend the current line.
+    /// Takes only bytes that [`Pump::next_line_byte`] would return now, stops before the first byte that is not text,
+    /// and records the bytes as [`Pump::record`] would. Returns whether it took any.
     #[inline(always)]
     fn give_text(&mut self, _now: Instant) -> bool {
         false
     }
-    /// Called after events and lines were taken, which can have made room in queues. The platform then queues input
-    /// that found no room before. `took`: whether any event or line was taken. Returns whether anything was queued.
+    /// Queues input that found no room before. Called after the round has taken events and lines, because that can
+    /// make room. `took`: `true` if the round has taken any. Returns whether anything was queued.
     fn make_room(&mut self, took: bool) -> bool;
     /// Returns which output queues have room.
     fn room(&mut self) -> Room;
@@ -94,9 +95,9 @@ pub trait Pump<const N: usize> {
 pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
     let now = pump.begin();
     observe(pump);
-    // Commands come after the earlier reports of the step task and the store, and a disconnect comes before the
-    // commands of the next host. The calls are written out: a loop over the sources would take a third more time, and a
-    // round runs for each segment.
+    // The order matters: a report of the step task or the store comes before later commands, and a disconnect before
+    // the commands of the next host. The calls are written out, because a round runs for each segment, and a loop over
+    // the sources would take a third more time.
     let mut events = pass_events(pump, now, Source::Step);
     events |= pass_events(pump, now, Source::Store);
     events |= pass_events(pump, now, Source::Hosts);
@@ -140,14 +141,15 @@ pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
     }
     again |= pump.make_room(events || lines) || lines;
     let wanted = pump.controller().wants_line();
-    // Sent answers may make room for the answers to waiting lines.
+    // Sending replies can make room for further answers, so the controller may want a line that it did not want
+    // before.
     carry_outputs(pump, now, &mut again) || again || !wanted && pump.controller().wants_line()
 }
 
-/// Drops bytes received before a reset while lines wait (for example at an open door, or in a state that only a reset
-/// ends). Left in the queue, these bytes would take the room of later bytes, and in the end not even another reset
-/// would get through. Drops at most as many bytes as the queue holds, so that a host that keeps sending cannot delay
-/// the round. Returns whether any byte was dropped.
+/// Drops bytes of waiting lines that a reset has made invalid, or will make invalid in a state that only a reset ends.
+/// Lines wait, for example, at an open door. If these bytes stayed, they would fill the queue, and in the end the next
+/// reset would not get through. Drops at most as many bytes as the queue holds, so that a host that keeps sending
+/// cannot delay the round. Returns whether any byte was dropped.
 #[cold]
 #[inline(never)]
 fn drop_old_bytes<const N: usize>(pump: &mut impl Pump<N>, now: Instant) -> bool {
@@ -186,8 +188,8 @@ fn carry_outputs<const N: usize, P: Pump<N>>(pump: &mut P, now: Instant, again: 
     }
 }
 
-/// Passes text to the controller and returns the next byte that is not text. Text only extends a line and does not
-/// change whether lines are wanted. Sets `took` if any byte was taken.
+/// Passes text to the controller and returns the next byte that is not text. While only text comes, the caller need
+/// not check again whether lines are wanted. Sets `took` if any byte was taken.
 #[inline(always)]
 fn next_byte_past_text<const N: usize>(pump: &mut impl Pump<N>, now: Instant, took: &mut bool) -> Option<LineByte> {
     loop {
@@ -214,7 +216,7 @@ fn pass_events_up_to<const N: usize>(pump: &mut impl Pump<N>, now: Instant, sour
     while passed < most
         && let Some(event) = pump.next_event(source)
     {
-        // Observe first, because bytes received up to here count as earlier than the event.
+        // Observe first: the controller must count the bytes received up to here as earlier than the event.
         observe(pump);
         pump.record(now, &event);
         pump.controller().event(now, event);

@@ -1,4 +1,4 @@
-//! How fast a board can step: the maximum step rate for a length of step pulse, up to the rate that is safe for its
+//! Computes how fast a board can step. The length of the step pulse limits the step rate, and so does the speed of the
 //! processor.
 
 /// Nanoseconds in the unit of `$0`, a tenth of a microsecond.
@@ -6,8 +6,8 @@ const TENTH_NS: u32 = 100;
 /// Longest pause between step pulses that common drivers require: 2.5 us (DM542) or 1.9 us (DRV8825), with equally long
 /// pulses. Drivers that accept shorter pulses also accept shorter pauses, such as the A4988 with 1 us for both.
 const LONGEST_PAUSE_NS: u32 = 2_500;
-/// After a pulse shorter than this, the pause may be shorter than the pulse, by [`ROUNDING_NS`]. This is safe: drivers
-/// that accept pulses below 1 us accept pauses far shorter than this one.
+/// After a pulse shorter than this, the pause may be shorter than the pulse by [`ROUNDING_NS`]. That is safe: a driver
+/// that accepts pulses below 1 us also accepts a pause far shorter than this one.
 const SHORT_PULSE_NS: u32 = 1_000;
 /// A step can come this much earlier than planned, because intervals are rounded to whole ticks. (Two ticks are 0.024
 /// us at 84 MHz.)
@@ -16,9 +16,9 @@ const ROUNDING_NS: u32 = 40;
 /// Limits of the step rate of one axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StepRates {
-    /// Maximum rate with the shortest pulse, steps/s.
+    /// Maximum step rate that is safe for the processor, with the shortest pulse, in steps/s.
     pub safe_hz: u32,
-    /// The shortest pulse (`$0`), tenths of a microsecond.
+    /// The shortest pulse (`$0`) that the board can make, in tenths of a microsecond.
     pub least_pulse_tenths: u16,
 }
 

@@ -15,8 +15,8 @@ use crate::step_rates::least_pause_ns;
 /// Minimum set-up time of a direction, even if `$29` is less, microseconds.
 const LEAST_SETUP_US: u32 = 2;
 /// Maximum time between two events, microseconds. If the next event is farther away, events that change nothing are
-/// inserted before it. A few events are always queued ahead, so that the output never runs dry. This limit ensures that
-/// each of them is queued only shortly before its time.
+/// inserted before it. A few events are always queued ahead, so that the output never runs dry. With this limit, each
+/// of them is queued only shortly before its time.
 const SPLIT_US: u32 = 250;
 
 /// Minimum and maximum times between step events, in ticks of the step clock.
@@ -49,16 +49,16 @@ impl StepTiming {
         }
     }
 
-    /// Returns whether a sequence of step events can be output at its planned times, so that no event has to be delayed
-    /// or inserted. The argument is the minimum and the maximum interval between the events, in ticks.
+    /// Returns whether all step events of a sequence can be output at their planned times, without a delay and without
+    /// inserted events. The argument is the shortest and the longest interval between the events, in ticks.
     pub fn is_regular(&self, (least, greatest): (u32, u32)) -> bool {
         least >= self.gap && greatest < self.split
     }
 
     /// Returns the time of an event to insert between `last` and `next`; `None` if no event is needed. An inserted
-    /// event changes nothing. It is needed if `next` is too far from `last`, or if few events are queued ahead
-    /// (`short`) and there is time for one more between the two. The inserted event is half-way between the two, but at
-    /// most `split` ticks after `last`.
+    /// event changes nothing. One is needed in two cases: `next` is more than `split` ticks after `last`, or few
+    /// events are queued ahead (`short`) and there is time for one more. The inserted event is half-way between `last`
+    /// and `next`, but at most `split` ticks after `last`.
     pub fn between(&self, last: u32, next: u32, short: bool) -> Option<u32> {
         let away = next.wrapping_sub(last) as i32;
         if away <= self.split as i32 && !(short && away >= 2 * self.gap as i32) {
@@ -114,8 +114,8 @@ mod tests {
         }
     }
 
-    /// At any pulse length, the interval at the highest allowed rate is not shorter than a pulse and the pause after it
-    /// ([`StepTiming::gap`]). At the clocks of the boards it is longer by at least a tick.
+    /// At the highest rate that [`crate::StepRates`] allows, the interval is at least a pulse and its pause
+    /// ([`StepTiming::gap`]), for every pulse length. At the clocks of the boards, at least one tick is left over.
     #[test]
     fn the_greatest_rate_leaves_the_gap() {
         let rates = crate::StepRates { safe_hz: u32::MAX, least_pulse_tenths: 1 };

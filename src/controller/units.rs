@@ -1,11 +1,10 @@
-//! The quantities with which the controller computes. Each has a type of its own: `Coordinate` in 0.1 nm (50 m at
-//! most), `Decimal` in 10^-7, `StepsPerMm`, `Instant` and `Duration` in microseconds, and `WeightedPoint` for the
-//! control points of a curve. Integer arithmetic is exact; sums saturate.
+//! The quantities with which the controller computes, each with its own type: positions, numbers of a program, steps
+//! per millimetre, times, and control points of a curve.
 //!
-//! Positions are integers: [`Coordinate`] counts 0.1 nm (exact for seven decimals of a millimetre and for six of an
-//! inch), steps count motor steps. The conversion between them is integer arithmetic ([`StepsPerMm`]), so a million
-//! moves of 0.001 mm end at exactly 1000 mm. Speeds and accelerations are `f32` in mm/s and mm/s²; mm/min exists only
-//! where text is read or written.
+//! Positions are integers, so a million moves of 0.001 mm end at exactly 1000 mm. [`Coordinate`] counts 0.1 nm, which
+//! is exact for seven decimals of a millimetre and six of an inch. [`StepsPerMm`] converts it to motor steps with
+//! integers, too. Sums saturate. Speeds and accelerations are `f32` in mm/s and mm/s²; mm/min exists only where text
+//! is read or written.
 
 /// Decimal places that a number of a program keeps.
 pub const DECIMAL_PLACES: u32 = 7;
@@ -31,9 +30,9 @@ pub(crate) const fn ones(value: u64) -> u64 {
     estimate + (rest / ODD) as u64
 }
 
-/// Returns the lowest 64 bits of the quotient of a 96-bit number (highest word first) and a divisor below 2^24. Divides
-/// a word at a time while the remainder is 0, otherwise a byte at a time. A remainder and a byte together fit into the
-/// 32 bits that the processor divides in one instruction.
+/// Divides a 96-bit number (`words`, highest word first) by a divisor below 2^24, and returns the lowest 64 bits of
+/// the quotient. Each step divides a word while the remainder is 0, otherwise a byte. A remainder and a byte together
+/// fit into the 32 bits that the processor divides in one instruction.
 fn quotient(words: [u32; 3], divisor: u32) -> u64 {
     let (mut quotient, mut rest) = (0, 0);
     for word in words {
@@ -51,7 +50,7 @@ fn quotient(words: [u32; 3], divisor: u32) -> u64 {
     quotient
 }
 
-/// Returns the whole part of a square root. Not inlined, because the code is long.
+/// Returns the square root of `square`, rounded down. Not inlined, because the code is long.
 #[inline(never)]
 pub(crate) fn integer_root(square: u128) -> u128 {
     square.isqrt()
@@ -71,9 +70,9 @@ pub(crate) fn wide_to_f32(value: i64) -> f32 {
     }
 }
 
-/// A moment of the controller's clock, in microseconds since power-up.
+/// A time of the controller's clock, in microseconds since power-up.
 pub type Instant = fugit::Instant<u64, 1, 1_000_000>;
-/// A span of the controller's clock, in microseconds.
+/// A length of time, in microseconds.
 pub type Duration = fugit::Duration<u64, 1, 1_000_000>;
 
 /// A number as a program writes it, in units of 10⁻⁷, without a physical unit yet.
@@ -89,12 +88,12 @@ impl Decimal {
         Decimal(value as i64 * DECIMAL_ONE)
     }
 
-    /// Returns the nearest `f32`, computed with one exact conversion and one division, so it is equal on every
-    /// processor.
+    /// Returns the number as an `f32`. The result is the same on every processor: each part is converted on its own,
+    /// and the decimals need one division.
     #[inline]
     pub fn to_f32(self) -> f32 {
-        // Whole part and rest are converted separately, so that the wide integer is not rounded before the division.
-        // Otherwise a printed setting could be read back as another value.
+        // Whole part and decimals are converted separately, so that the wide integer is not rounded before the
+        // division. Otherwise a printed setting could be read back as another value.
         let size = self.0.unsigned_abs();
         let whole = ones(size);
         let rest = (size as u32).wrapping_sub((whole as u32).wrapping_mul(DECIMAL_ONE as u32));
@@ -154,13 +153,13 @@ impl Coordinate {
         if self.0 < 0 { whole.wrapping_neg() } else { whole }
     }
 
-    /// Returns the length in mm as the nearest `f32`.
+    /// Returns the length in mm, rounded to `f32` (seven digits).
     #[inline]
     pub fn to_mm(self) -> f32 {
         wide_to_f32(self.0) / DECIMAL_ONE as f32
     }
 
-    /// Returns the coordinate nearest to a length in mm.
+    /// Converts a length in mm, rounded to 0.1 nm.
     ///
     /// Beyond ±9 × 10¹¹ mm the result saturates.
     #[inline]
@@ -201,14 +200,16 @@ impl core::ops::Neg for Coordinate {
     }
 }
 
-/// Returns `size` × `mantissa` + `half`, saturated, for coordinates beyond those that the controller computes with.
+/// Returns `size` × `mantissa` + `half`, saturated. Only for coordinates of 2^39 (55 m) or more, beyond the 50 m with
+/// which the controller computes.
 #[inline(never)]
 fn far_product(size: u64, mantissa: u32, half: u64) -> u64 {
     let product = size.saturating_mul(u64::from(mantissa)).min(i64::MAX as u64);
     product.saturating_add(half).min(i64::MAX as u64)
 }
 
-/// Motor steps per millimetre: exactly the value of the `f32` setting, as mantissa × 2^-shift.
+/// Motor steps per millimetre: the exact value of the `f32` setting, as mantissa × 2^-shift. 2.5 steps/mm has mantissa
+/// 5 and shift 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StepsPerMm {
     mantissa: u32,
@@ -268,7 +269,7 @@ impl StepsPerMm {
     pub fn sevenths_beyond(self, coordinate: Coordinate, steps: i32) -> i32 {
         /// One step in the unit of `rest`.
         const STEP: i32 = DECIMAL_ONE as i32;
-        // Both products can overflow, but their wrapping difference is right. The difference is at most half a step:
+        // Both products can overflow, but the wrapping difference between them is right. It is at most half a step:
         // below 2^56 before the shift, at most 10^7 / 2 after it.
         let product = coordinate.0.wrapping_mul(i64::from(self.mantissa));
         let whole = i64::from(steps).wrapping_mul(DECIMAL_ONE << self.shift);

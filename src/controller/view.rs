@@ -12,7 +12,7 @@ use crate::states::stops::reaction::Reaction;
 use crate::units::{Coordinate, Instant};
 use crate::work::task::{Stage, Task};
 
-/// A time that is never reached. Not `u64::MAX`, because times in the upper half of the range count as past.
+/// A time that is never reached. `u64::MAX` would not do, because times in the upper half of the range count as past.
 const NEVER: Instant = Instant::from_ticks(u64::MAX / 4);
 
 impl<const N: usize> Controller<N> {
@@ -27,8 +27,7 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Returns whether another host may take over: the controller is idle, and no subroutine, loop or condition is
-    /// open. Otherwise the remaining lines of an open subroutine, loop or condition would be executed as if they were
-    /// outside of it.
+    /// open. A change of hosts would drop an open one, and then run its remaining lines as if they were outside of it.
     pub fn is_free(&self) -> bool {
         self.is_idle() && !self.m.interpreter.is_within_block()
     }
@@ -62,7 +61,9 @@ impl<const N: usize> Controller<N> {
         matches!(self.state, State::Normal) && works && !self.task.is_spinning_up()
     }
 
-    /// Returns whether a turning spindle stays on at this alarm.
+    /// Returns whether a turning spindle stays on at this alarm. The reaction that the settings give for the alarm
+    /// must allow that. While the door is open, or while the spindle is stopped although the program has it on, the
+    /// spindle does not stay on.
     pub(crate) fn keeps_spindle_on(&self, alarm: Alarm) -> bool {
         let reaction = match alarm {
             Alarm::AbortInMotion => Reaction::of(Key::HostReaction, &self.m.settings),
@@ -76,7 +77,8 @@ impl<const N: usize> Controller<N> {
         reaction.spindle_on && door_allows && !self.m.accessories.is_suspended()
     }
 
-    /// Returns why motion is stopping or braking; `None` if it is not, or if it will resume afterwards.
+    /// Returns why motion is stopping or braking; `None` if it is not, or if it will resume afterwards. Of two
+    /// reasons, returns the heavier one.
     pub(crate) fn stop_under_way(&self) -> Option<StopReason> {
         let alarm = match self.state {
             State::Braking { then } => then.alarm(),
@@ -100,8 +102,8 @@ impl<const N: usize> Controller<N> {
         self.is_idle() && self.is_off()
     }
 
-    /// Like [`Controller::is_quiet`], except that answers, stops and stored records may still be pending. The
-    /// controller will soon be quiet if no more lines come.
+    /// Like [`Controller::is_quiet`], but answers, stops and records that are being stored may still be pending. So
+    /// the controller will soon be quiet if no more lines come.
     pub fn is_nearly_quiet(&self) -> bool {
         self.has_nothing_to_do() && self.m.motion.is_idle() && self.m.parking.motion().is_idle() && self.is_off()
     }
@@ -130,8 +132,8 @@ impl<const N: usize> Controller<N> {
         self.m.motion.line_number()
     }
 
-    /// Returns the N word of the move that was last handed to the step task. [`Controller::line_number`] returns the N
-    /// word of the move in execution.
+    /// Returns the N word of the move that was last handed to the step task. The step task may still execute an
+    /// earlier one ([`Controller::line_number`]).
     pub fn handed_line_number(&self) -> u32 {
         self.m.motion.running_line_number()
     }
@@ -141,14 +143,14 @@ impl<const N: usize> Controller<N> {
         self.m.motion.queued_line_numbers()
     }
 
-    /// Moves queued from now on carry `number` instead of their N words, so that a simulator can show to which line a
-    /// move belongs. Motion does not depend on the number.
+    /// Makes all moves that are queued from now on carry `number` instead of their N words. A simulator finds by this
+    /// number to which line a move belongs. Motion does not depend on the number.
     pub fn number_moves(&mut self, number: u32) {
         self.m.motion.number_moves(number);
     }
 
-    /// Returns the tool in the spindle during the motion of the line being executed; without such a line, the current
-    /// tool; 0 if no M6 has named one.
+    /// Returns the number of the tool in the spindle. While a line is being executed, this is the tool after the M6 of
+    /// that line. 0 if no M6 has named a tool.
     pub fn tool_in_work(&self) -> u32 {
         match self.task {
             Task::Job(_) => self.line.action.spindle_tool(),
@@ -156,8 +158,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns S of the line being executed, without overrides; 0 while the spindle is off or no line is being
-    /// executed.
+    /// Returns S of the line being executed, in revolutions per minute without overrides; 0 while the spindle is off
+    /// or no line is being executed.
     pub fn speed_in_work(&self) -> f32 {
         if matches!(self.task, Task::Job(_)) { self.line.action.turning_speed() } else { 0.0 }
     }
@@ -171,8 +173,9 @@ impl<const N: usize> Controller<N> {
             )
     }
 
-    /// Returns when the line being executed ends its wait for the spindle, so that its own dwell (G4) begins. Returns 0
-    /// if the line waits only for its dwell, `NEVER` if the line has no dwell, and `None` if the line does not wait.
+    /// Returns when the line being executed has waited for the spindle, and begins its own dwell (G4). The simulator
+    /// counts the two waits apart. Returns 0 if the line waits only for its dwell, `NEVER` if the line has no dwell,
+    /// and `None` if the line does not wait.
     pub fn waits_for_spindle_until(&self) -> Option<Instant> {
         let Task::Job(job) = &self.task else { return None };
         match (job.stage, self.line.action.dwell) {
@@ -188,14 +191,15 @@ impl<const N: usize> Controller<N> {
         self.m.lines.lines_read()
     }
 
-    /// Returns the line, as counted by [`Controller::lines_read`], that began the outermost subroutine, loop or
-    /// condition that is open now, or that was open when the program ended.
+    /// Returns the line that began the outermost open subroutine, loop or condition, as counted by
+    /// [`Controller::lines_read`]. If the program ended while one was open, returns the line that began that one.
+    /// `None` if none was open.
     pub fn open_since(&self) -> Option<u32> {
         self.m.interpreter.open_since()
     }
 
-    /// Returns the minimum number of bytes by which a held program exceeded the memory; `None` if it did not. A program
-    /// is held in memory if it calls a subprogram that is defined after it.
+    /// Returns by how many bytes, at least, a held program was too long for the memory; `None` if it was not. A
+    /// program is held in memory if it calls a subprogram that is defined after it.
     pub fn excess_bytes(&self) -> Option<usize> {
         self.m.interpreter.excess_bytes()
     }

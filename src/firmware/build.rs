@@ -1,18 +1,17 @@
-//! Build script of the firmware: passes the image's linker options to the linker, with `oxmill_images::link`, and
-//! writes the pin table of a board for `pin_table.rs`. The variable `OXMILL_BOARD` names the board; without it, the
-//! script takes the first board that has the image.
+//! Build script of the firmware. Passes the linker options of the image to the linker, and writes the pin table of a
+//! board for `pin_table.rs`. The environment variable `OXMILL_BOARD` names the board. Without it, the script takes the
+//! first board that uses this image.
 
 use oxmill_tables::{BOARDS, Board, PinTable};
 use std::path::Path;
 use std::{env, fs};
 
-/// The variable with the name of the board.
 const BOARD: &str = "OXMILL_BOARD";
 
 fn main() {
     // 16 KiB of stack. The largest use in the QEMU sessions is 6.9 KiB (`cargo xtask converse`). The images `control_*`
-    // get 20 KiB: they are built for size, so less of their set-up is inlined, and they have four axes. Both take more
-    // stack.
+    // get 20 KiB: they have four axes, and because they are built for size, less of their set-up is inlined. Both take
+    // more stack.
     let is_control = oxmill_images::chosen().is_some_and(|image| image.starts_with("control_"));
     let stack_kib = if is_control { 20 } else { 16 };
     oxmill_images::link(&["bins"], stack_kib);
@@ -23,7 +22,7 @@ fn main() {
     write(table_for(image)).expect("cargo's OUT_DIR can be written");
 }
 
-/// Returns the pin table for an image; one without pins for QEMU's board.
+/// Returns the pin table for an image. QEMU's board has no pins, so its table is empty.
 fn table_for(image: &str) -> PinTable {
     if image == "qemu_mps2" {
         return PinTable::none(0);

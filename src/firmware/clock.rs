@@ -1,8 +1,8 @@
 //! The time in microseconds, and the alarm clock of `control`.
 //!
-//! The board's counter of ticks has 32 bits. Only `control` reads this time, and does so often enough to notice each
-//! wrap. The alarm is checked at each sample of the inputs, so it needs no timer of its own and is late by at most one
-//! sample.
+//! The board's tick counter has 32 bits. Only `control` reads this time, and often enough to notice each wrap of the
+//! counter. The alarm needs no timer of its own: `inputs` checks it at each sample of the input pins. So it is late by
+//! at most one sample.
 
 use crate::boards;
 use oxmill_controller::units::{Duration, Instant};
@@ -13,11 +13,11 @@ const LONGEST_SLEEP: Duration = Duration::from_ticks(10_000_000);
 
 const NOW: Duration = Duration::from_ticks(0);
 
-/// The time since power-up.
+/// Counts the microseconds since power-up, with the board's tick counter.
 pub struct Clock {
     /// Value of the board's tick counter when the time was last read.
     seen: u32,
-    /// Ticks up to the last reading that do not make a whole microsecond, so `micros` does not count them yet.
+    /// Ticks at the last reading that did not make a whole microsecond. The next reading adds them.
     rest: u32,
     /// Microseconds since power-up at the last reading.
     micros: u64,
@@ -25,12 +25,12 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Creates a clock that starts at 0.
+    /// Creates a clock that starts at 0. `alarm`: passes the time of the alarm, in ticks, to [`Alarm`].
     pub fn new(alarm: SignalWriter<'static, u32>) -> Clock {
         Clock { seen: boards::clock_ticks(), rest: 0, micros: 0, alarm }
     }
 
-    /// Returns the time since power-up.
+    /// Returns the time since power-up, and adds the ticks since the last call to it.
     pub fn now(&mut self) -> Instant {
         let ticks = boards::clock_ticks();
         // In 32 bits, because the compiler then turns the division by a constant into a multiplication.
@@ -42,7 +42,8 @@ impl Clock {
         Instant::from_ticks(self.micros)
     }
 
-    /// Sets the alarm. With `None`, it still goes off after `LONGEST_SLEEP`, before the counter wraps.
+    /// Sets the alarm to the time `at`. The alarm goes off after `LONGEST_SLEEP` at the latest, even with `None`, so
+    /// that each wrap of the counter is noticed.
     pub fn set_alarm(&mut self, at: Option<Instant>) {
         let now = self.now();
         let sleep = at.map_or(LONGEST_SLEEP, |at| at.checked_duration_since(now).unwrap_or(NOW).min(LONGEST_SLEEP));
@@ -58,7 +59,7 @@ pub struct Alarm {
 }
 
 impl Alarm {
-    /// Creates an alarm that is not set.
+    /// Creates an alarm that is not set. `set`: receives the tick count of each new alarm from [`Clock::set_alarm`].
     pub fn new(set: SignalReader<'static, u32>) -> Alarm {
         Alarm { set, at: None }
     }

@@ -1,5 +1,5 @@
 //! The control task: passes the messages of other tasks to the controller, and carries out the controller's outputs. It
-//! does this in rounds; [`oxmill_controller::pump`] defines the order within a round.
+//! works in rounds; [`oxmill_controller::pump`] defines the order within a round.
 
 use crate::BoardController;
 use crate::boards::{self, AXES};
@@ -22,7 +22,7 @@ use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalWriter;
 
 /// Interval at which `control` wakes while the queue to the step task is full, 500 us. The wake-up time that the
-/// controller requests can be too late then, because short segments leave the queue earlier.
+/// controller requests could then be too late: short segments leave the queue earlier.
 const FULL_QUEUE_WAKEUP: Duration = Duration::from_ticks(500);
 
 /// The channel ends of `control`: receivers from other tasks, and senders to them.
@@ -68,20 +68,21 @@ pub struct Control {
     /// Value of `bytes_queued` in [`SERIAL`] when the present round of this task began. Line bytes queued after that
     /// belong to a later round.
     lines_in: u32,
-    /// At the start of the round, the serial task held commands for which the queue had no room (deferred commands).
+    /// `true` if the serial task had deferred commands (commands that found no room in the queue) when the round began.
     has_deferred: bool,
-    /// Deferred commands (those for which the queue had no room) that were taken from the serial task but not yet
-    /// passed to the controller.
+    /// Deferred commands (see `has_deferred`) that were taken from the serial task but not yet passed to the
+    /// controller.
     deferred: DeferredCommands,
     coalescing: Coalescing,
-    /// Whether the most recent change of a setting was stored; `None` once the controller has been informed.
+    /// Result of the last change of a setting: `true` if it was stored. `None` after the controller has got this
+    /// result.
     stored: Option<bool>,
     /// Mask of the inputs that the board has.
     fitted: u32,
-    /// The controller has requested the state of the input pins.
+    /// `true` if the controller has requested the state of the input pins and has not got it yet.
     pins_asked: bool,
-    /// The settings log in flash will soon have no room without an erase. Updated only when a round begins, so that it
-    /// does not change within a round.
+    /// `true` if the settings log in flash will soon be full without an erase. Updated only at the beginning of a
+    /// round, so that it does not change within a round.
     wants_erase_soon: bool,
 }
 
@@ -92,7 +93,7 @@ struct Job {
 }
 
 impl Control {
-    /// Creates the task, ready to start.
+    /// Creates the task. `fitted`: mask of the inputs that the board has.
     pub fn new(
         controller: &'static mut BoardController,
         ends: Ends,
@@ -128,7 +129,7 @@ impl Control {
         }
     }
 
-    /// Starts the controller, when power-up is complete.
+    /// Starts the controller. Called once, before the first [`Control::turn`].
     pub fn start(&mut self) {
         let now = self.clock.now();
         self.controller.start(now);
@@ -155,7 +156,7 @@ impl Control {
             self.recorder.at_rest(self.round_began, self.controller);
         }
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
-        // Whether the replies have been sent is not considered here: the serial task itself checks that.
+        // Ignore replies that have not been sent yet: the serial task itself checks them.
         shared::set_free(activity, nothing_waits && self.controller.is_free() && observed.step_idle);
         CONTROL.reads_characters.store(self.controller.reads_characters(), Ordering::Relaxed);
         CONTROL.speaks_grblhal.store(self.controller.speaks_grblhal(), Ordering::Relaxed);
@@ -179,8 +180,8 @@ impl Control {
         self.line_bytes_out != self.lines_in
     }
 
-    /// Call when there is nothing else to do: releases the answers that `Coalescing` holds back so that several can be
-    /// sent together. Returns whether there were any.
+    /// Releases the answers that `Coalescing` holds back so that several can be sent together. Call when there is
+    /// nothing else to do. Returns whether there were any.
     #[inline(always)]
     fn release_answers(&mut self) -> bool {
         let are_held = self.coalescing.holds(self.lines_wait()) && self.controller.has_answers();
@@ -190,7 +191,7 @@ impl Control {
         are_held
     }
 
-    /// Notes machine position and line number, for the record of a later failure that ends the program.
+    /// Stores machine position and line number, for the report of a failure that may follow ([`last_words`]).
     fn note_place(&mut self) {
         let mut place = [0; 3];
         for (slot, at) in place.iter_mut().zip(self.controller.machine_position().iter()) {
@@ -200,10 +201,11 @@ impl Control {
         last_words::note(Whereabouts { place, line, moment });
     }
 
-    /// Erases the spare sector of the settings log if that is due. The machine must be at rest with its spindle off,
-    /// and neither commands nor lines may wait. If the log is nearly full, waiting lines do not prevent the erase. The
-    /// erase stalls the processor for a quarter of a second; the board keeps the bytes that the host sends meanwhile.
-    /// Returns whether it erased.
+    /// Erases the spare sector of the settings log if that is due. Returns whether it erased. The machine must be at
+    /// rest with its spindle off, and no command or line may wait. If the log is nearly full, waiting lines do not
+    /// prevent the erase.
+    /// The erase stalls the processor for a quarter of a second. The board keeps the bytes that the host sends
+    /// meanwhile.
     fn erase_ahead(&mut self) -> bool {
         let observed = self.observe();
         let nothing_waits =
@@ -216,7 +218,8 @@ impl Control {
     }
 
     /// Sends the wiring data (polarity and similar settings of the pins) to the tasks `step` and `inputs`. If a queue
-    /// is full, a later call of this function sends them: at rest both tasks empty their queue within a millisecond.
+    /// is full, the data stays in `unsent_wiring` for a later call. At rest, both tasks empty their queue within a
+    /// millisecond.
     fn send_wiring(&mut self) {
         if let Some(wiring) = self.unsent_wiring
             && !self.ends.step_wiring.is_full()
@@ -230,19 +233,19 @@ impl Control {
     }
 
     fn observe(&self) -> Observed {
-        // Read the queue before `STEP`. The step task takes a message out of the queue and clears `at_rest` in the same
-        // run, so a message that has left the queue is visible in `STEP`.
+        // Read the queue before `STEP`. The step task clears `at_rest` in the same run in which it takes a message out
+        // of the queue. So if it has just emptied the queue, `at_rest` is already cleared.
         let queue_empty = self.ends.segments.is_empty();
         let step_idle = queue_empty && STEP.at_rest.load(Ordering::Relaxed);
         let used = SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_sub(self.line_bytes_out) as usize;
-        // As long as bytes of a preloaded job are left, report the queue of received bytes as full, because the next
-        // bytes of the job are always ready.
+        // While bytes of a preloaded job are left, report the queue of received bytes as full: the next bytes of the
+        // job are always ready.
         let arrived = SERIAL.bytes_received.load(Ordering::Relaxed);
         let activity = arrived.wrapping_add(SERIAL.bytes_ignored.load(Ordering::Relaxed));
         let received = arrived.wrapping_sub(self.line_bytes_out) as usize;
         let has_job = self.job.as_ref().is_some_and(|job| job.next < job.text.len());
         let (used, received) = if has_job { (LINES_DEPTH, LINES_DEPTH) } else { (used, received) };
-        // If received bytes wait for room in a queue, report no free space, whatever the number of queued bytes.
+        // Report no free space while received bytes wait for room in a queue.
         let rx_free = if self.has_no_room() { 0 } else { LINES_DEPTH.saturating_sub(used) as u16 };
         Observed {
             segments_begun: STEP.segments_begun.load(Ordering::Relaxed),
@@ -258,7 +261,7 @@ impl Control {
         SERIAL.bytes_received.load(Ordering::Relaxed) != SERIAL.bytes_queued.load(Ordering::Relaxed)
     }
 
-    /// Returns whether the serial task must be called: it holds gathered line bytes, although the queue of lines is
+    /// Returns whether the serial task must be called because it still has line bytes while the queue of lines is
     /// empty.
     fn are_gathered(&self) -> bool {
         SERIAL.bytes_queued.load(Ordering::Relaxed) != self.line_bytes_out
@@ -268,8 +271,8 @@ impl Control {
 
     /// Returns an event if a host has disconnected or connected since the last call.
     fn next_of_hosts(&mut self) -> Option<Event<AXES>> {
-        // The counts are read in this order because a host may disconnect and another connect between the two reads.
-        // The new host is then reported in the next round.
+        // Read `hosts_came` first. One host may disconnect and another may connect between the two reads. This round
+        // then reports the disconnection, and the next round the new host.
         let (came, went) = (SERIAL.hosts_came.load(Ordering::Relaxed), SERIAL.hosts_went.load(Ordering::Relaxed));
         if went != self.hosts_went {
             self.hosts_went = went;
@@ -278,10 +281,10 @@ impl Control {
         (came != core::mem::replace(&mut self.hosts_came, came)).then_some(Event::Connected)
     }
 
-    /// Returns the next command: first the rest of the deferred commands (those for which the queue had no room) that
-    /// have already been taken over, then queued commands. When the queue is empty, takes over the deferred commands,
-    /// if there were any when the round began. While the serial task has deferred commands, it queues no further
-    /// command, so the order is kept.
+    /// Returns the next command. The order of arrival is: deferred commands taken over earlier, queued commands, new
+    /// deferred commands. (A deferred command is one that found no room in the queue.) New deferred commands are taken
+    /// over only if there were any when the round began. While the serial task has some, it queues no further command,
+    /// so the order is kept.
     fn next_command(&mut self) -> Option<Realtime> {
         if let Some(command) = self.deferred.pop() {
             return Some(command);
@@ -297,14 +300,14 @@ impl Control {
         self.deferred.pop()
     }
 
-    /// Returns whether lines must wait for an erase. This makes a host that sends many settings wait before the
-    /// settings log is full.
+    /// Returns whether lines must wait for an erase. So a host that sends many settings waits before the settings log
+    /// is full.
     #[inline(always)]
     fn waits_for_erase(&self) -> bool {
         self.wants_erase_soon && self.controller.is_nearly_quiet()
     }
 
-    /// Passes the next part of the recording (`$REC`) to the controller, or with `first` its first part.
+    /// Passes the next item of the recording (`$REC`) to the controller. `first`: begins again at the first item.
     #[inline(never)]
     fn read_recording(&mut self, first: bool) {
         let Control { controller, recorder, settings, .. } = self;
@@ -349,7 +352,7 @@ impl Pump<AXES> for Control {
 
     #[inline(always)]
     fn next_event(&mut self, source: Source) -> Option<Event<AXES>> {
-        // Check for an empty queue first, because this takes half as long as a failed receive.
+        // Check for an empty queue first: that takes half as long as a failed receive.
         match source {
             Source::Step if self.ends.events.is_empty() => None,
             Source::Step => self.ends.events.try_recv().ok().map(Event::Step),
@@ -424,14 +427,14 @@ impl Pump<AXES> for Control {
 
     #[inline(always)]
     fn make_room(&mut self, took: bool) -> bool {
-        // Call the serial task only here, after the round has taken all messages out of the queue. In an earlier call,
-        // the serial task might still have found the last message there, and left its own bytes unqueued.
+        // Call the serial task only here, when the round has emptied the queue. Earlier, the serial task could still
+        // find the last message in the queue, and would leave its own bytes unqueued.
         if took && (self.has_no_room() || self.are_gathered()) {
             boards::call_serial();
         }
         self.send_wiring();
-        // Nothing has been queued here. The serial task queues the bytes that waited for room, and then wakes this
-        // task.
+        // `false`, because this function itself queues nothing for the controller. The serial task queues the waiting
+        // bytes and then wakes this task.
         false
     }
 
@@ -446,7 +449,7 @@ impl Pump<AXES> for Control {
         match output {
             Output::Step(message) => {
                 self.recorder.handed(&message);
-                // There is room, and only this task sends.
+                // This cannot fail: there is room, and only this task sends.
                 let _ = self.ends.segments.try_send(message);
                 if STEP.needs_message.load(Ordering::Relaxed) != 0 {
                     boards::call_step();

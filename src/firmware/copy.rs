@@ -8,7 +8,7 @@
 
 use core::arch::naked_asm;
 
-/// Run-time ABI for the Arm Architecture, 4.3.4: copies `r2` bytes from `r1` to `r0`, both aligned to 4. Changes only
+/// Copies `r2` bytes from `r1` to `r0`, both aligned to 4 (Run-time ABI for the Arm Architecture, 4.3.4). Changes only
 /// r0 to r3 and the flags.
 // SAFETY: unsafe because it replaces the compiler's routine by its name; safe because it does what the ABI specifies.
 #[unsafe(no_mangle)]
@@ -49,7 +49,7 @@ pub unsafe extern "C" fn __aeabi_memcpy8() {
 }
 
 /// Copies like [`__aeabi_memcpy4`], between any addresses. If one of them is not aligned to 4, copies word by word:
-/// this core can load or store a single word at any address, but several words at once only at an aligned address.
+/// this core can load and store a single word at any address, but several words at once only at an aligned address.
 // SAFETY: as above.
 #[unsafe(no_mangle)]
 #[unsafe(naked)]

@@ -1,17 +1,16 @@
-//! Ends the program after a failure of any kind: `fail` first brings the outputs into the safe state, stores kind and
-//! reason in RAM that survives a reset, logs the reason, then resets. The next welcome line reports the failure; the
-//! machine stays locked.
+//! Ends the program after a failure of any kind. `fail` brings the outputs into the safe state, stores kind and reason
+//! in RAM that survives a reset, logs the reason, and resets the board. The next welcome line reports the failure, and
+//! the machine stays locked.
 
 use crate::{boards, last_words};
 use core::sync::atomic::{AtomicBool, Ordering};
 use oxmill_controller::messages::CrashKind;
 
-/// Whether `fail` is already ending the program. A second failure must not run it again.
+/// `true` while `fail` is ending the program. A second failure must not run it again.
 static FAILING: AtomicBool = AtomicBool::new(false);
 
-/// Ends the program. If another failure happens meanwhile, the board resets at once and the record of the first failure
-/// stays. Such a failure can happen while the reason is formatted, or in the debug log, which allows no nested log
-/// frames.
+/// Ends the program. A second failure is possible while the reason is formatted or logged (the debug log allows no
+/// nested log frames). The board then resets at once, and the record of the first failure stays.
 pub fn fail(kind: CrashKind, why: core::fmt::Arguments<'_>) -> ! {
     cortex_m::interrupt::disable();
     boards::safe_state();

@@ -6,7 +6,7 @@
 //! reads the bytes received by the UART and calls the serial task for them.
 //!
 //! Inputs are sampled and have no edge interrupts. So two pins never compete for an interrupt line, and a bouncing
-//! switch cannot flood the CPU with interrupts. A changed level takes effect after eight equal samples (0.4 ms).
+//! switch cannot flood the processor with interrupts. A changed level takes effect after eight equal samples (0.4 ms).
 
 use crate::boards::calls::Calls;
 use crate::boards::{self, InputPins, UartInput, input_bits};
@@ -19,7 +19,7 @@ use oxmill_controller::messages::{SECOND_SWITCH, SIGNALS_DEPTH, Sensed, Wiring, 
 use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalReader;
 
-// Each input must have the same bit in the boards' word of inputs as in the controller's.
+// Each input must have the same bit number in the boards' code as in the controller.
 const _: () = assert!(
     input_bits::LIMITS == 0
         && 1 << input_bits::SECOND_LIMIT == SECOND_SWITCH
@@ -45,7 +45,7 @@ pub struct Inputs {
     alarm: Alarm,
     /// Decides when the serial task may be called for bytes that can wait.
     calls: Calls,
-    /// Signal from the serial task that it has left bytes unread and must be called again.
+    /// Signal from the serial task: it has left bytes unread and must be called again.
     left_unread: SignalReader<'static, ()>,
     supervisor: Supervisor,
 }
@@ -65,8 +65,7 @@ impl Inputs {
         Inputs { pins, inputs, wiring, signals, sent: None, wake, alarm, calls, left_unread, supervisor }
     }
 
-    /// Runs the task, once per sample: makes the checks of the watchdog, checks the alarm of `control`, samples the
-    /// input pins, and reads the bytes received by the UART.
+    /// Runs the task. Called once per sample.
     pub fn sample(&mut self, uart: &mut UartInput) {
         self.supervisor.sample(&mut self.wake);
         if self.alarm.goes_off() {
@@ -104,9 +103,8 @@ impl Inputs {
     #[inline(never)]
     fn send_levels(&mut self, uart: &mut UartInput) {
         let Some(sensed) = self.inputs.sensed() else { return };
-        // `control` must get the UART bytes read up to now before this message, so call the serial task, which passes
-        // them on. Bytes that are still in the buffer, because more arrived than one sample reads, come after the
-        // message.
+        // `control` must get the UART bytes read up to now before this message. So call the serial task first, which
+        // passes them on. If more bytes arrived than one sample reads, the rest comes after the message.
         uart.pass_on(true);
         boards::call_serial();
         let is_known = self.sent == Some(sensed);

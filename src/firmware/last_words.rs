@@ -1,16 +1,15 @@
 //! Record of a failure, in RAM that the start-up code does not initialise (`.uninit`). Before a failure resets the
-//! board, `keep` stores the reason, the machine position and the line. After the reset `take` reads the record, for the
-//! welcome line and `$RC`. The pages of the recording (`$REC`) are kept in the same way.
+//! board, `keep` stores the reason, the machine position and the line number. After the reset, `take` reads the record,
+//! for the welcome line and `$RC`. The pages of the recording (`$REC`) survive a reset in the same way.
 //!
 //! ```text
 //!  failure ──keep──▶ .uninit ──reset──▶ take ──▶ controller ──▶ host
 //! ```
-//! RAM keeps its contents over a reset. Without power it loses them, the checksum is wrong, and no record is found. So
-//! a record that was stored because the supply voltage dropped survives if the voltage stays above about 1.7 V; it does
-//! not survive a power-off.
+//! RAM keeps its contents over a reset. After a power-off the checksum is wrong, and `take` finds no record. If the
+//! supply voltage drops, the record survives as long as the voltage stays above about 1.7 V.
 //!
-//! Position and line in a record are those at the end of the control task's last run before the failure. While the
-//! machine moves, that run ended at most 2 ms earlier.
+//! Position and line in a record are those at the end of the last run of the control task. While the machine moves,
+//! that run ended at most 2 ms before the failure.
 
 use crate::boards;
 use core::cell::Cell;
@@ -36,7 +35,7 @@ pub struct Whereabouts {
     pub moment: u32,
 }
 
-/// A static instead of a task's resource, because a failure can happen in any task.
+/// The latest values from [`note`]. A static and not the resource of a task, because a failure can happen in any task.
 static LAST: Mutex<Cell<Whereabouts>> = Mutex::new(Cell::new(Whereabouts { place: [0; 3], line: 0, moment: 0 }));
 
 /// Stores position and line number, for the record of a failure that may follow. The control task calls this at the end
@@ -59,21 +58,21 @@ struct Kept {
 }
 
 #[unsafe(link_section = ".uninit.RECORD")]
-// unsafe because the linker takes the section on trust; safe because the name is the one of cortex-m-rt for RAM that is
-// not initialised, and every bit pattern is a record.
+// unsafe because the linker does not check the section; safe because `.uninit` is the section of cortex-m-rt for RAM
+// that is not initialised, and every bit pattern is a record.
 static mut RECORD: MaybeUninit<Words> = MaybeUninit::uninit();
 
 #[unsafe(link_section = ".uninit.RECORDING")]
-// unsafe because the linker takes the section on trust; safe because the name is the one of cortex-m-rt for RAM that is
-// not initialised, and every bit pattern is a `Page`.
+// unsafe because the linker does not check the section; safe because `.uninit` is the section of cortex-m-rt for RAM
+// that is not initialised, and every bit pattern is a `Page`.
 static mut RECORDING: MaybeUninit<[Page; boards::RECORDING_PAGES]> = MaybeUninit::uninit();
 
-/// The record as words. A volatile access to the struct would copy each byte of its text separately, which would take 2
-/// KB of code.
+/// The record as words. Volatile access to the struct would copy each byte of the text separately and take 2 KB of
+/// code.
 type Words = [u32; size_of::<Kept>() / size_of::<u32>()];
 
-/// Returns the CRC-32 of all words except the last one, which holds the CRC. The contents of RAM after power-up do not
-/// have the right CRC by accident.
+/// Returns the CRC-32 of all words except the last one, which holds the CRC. The CRC shows whether there is a record:
+/// the random contents of RAM after power-up do not have the right one.
 fn sum(words: &Words) -> u32 {
     let mut bytes = [0; size_of::<Words>() - size_of::<u32>()];
     for (to, word) in bytes.chunks_exact_mut(size_of::<u32>()).zip(words) {
@@ -127,8 +126,8 @@ pub fn keep(kind: CrashKind, why: core::fmt::Arguments<'_>) {
     }
 }
 
-/// Returns the record of a failure that was kept before the reset, or `None` if there is none. Later calls return
-/// `None`. Not inlined, so that its stack frame is not part of that of the set-up.
+/// Returns the record of a failure from before the reset; `None` if there is none, and in all later calls. Not inlined,
+/// so that the set-up does not need stack for this function as well.
 #[inline(never)]
 pub fn take() -> Option<Crash> {
     let record = addr_of_mut!(RECORD).cast::<u32>();
@@ -153,14 +152,15 @@ pub fn take() -> Option<Crash> {
     })
 }
 
-/// Returns the pages of the recording to the first caller, with their contents from before the reset. Later callers get
-/// no pages.
+/// Returns the pages of the recording, with their contents from before the reset. Only the first caller gets them;
+/// later callers get no pages.
 pub fn pages() -> &'static mut [Page] {
     static LENT: AtomicBool = AtomicBool::new(false);
     if LENT.swap(true, Ordering::Relaxed) {
         return &mut [];
     }
-    // `black_box` keeps the compiler from assuming that pages without a visible write have no contents.
+    // The compiler sees no write to `RECORDING`, so it could treat the contents as undefined. `black_box` prevents
+    // that.
     let pages = core::hint::black_box(addr_of_mut!(RECORDING)).cast::<[Page; boards::RECORDING_PAGES]>();
     // SAFETY: unsafe because memory is read that may never have been written, and a static is borrowed for ever; safe
     // because pages are plain numbers, for which any bit pattern is valid, and only the first call gets here.

@@ -9,9 +9,9 @@
 //!  priority 0  idle                    sleeps
 //! ```
 //! `main.rs` binds the tasks to their vectors; their code is here. No other task has the priority of `step`, and only
-//! the handlers that end the program are above it. Each channel has one sender and one receiver;
-//! `oxmill_controller::messages` describes, at each depth, what happens when the channel is full. A channel call takes
-//! 50 to 130 instructions and masks interrupts for at most 25 cycles (`cargo xtask count`).
+//! the handlers that end the program have a higher one. Each channel has one sender and one receiver.
+//! `oxmill_controller::messages` describes what happens when a channel is full. A channel call takes 50 to 130
+//! instructions and masks interrupts for at most 25 cycles (`cargo xtask count`).
 #![no_std]
 
 pub use oxmill_boards as boards;
@@ -31,5 +31,5 @@ pub mod stack;
 pub mod startup;
 mod watchdog;
 
-/// The controller of this board.
+/// The controller with as many axes as this board has.
 pub type BoardController = oxmill_controller::Controller<{ boards::AXES }>;

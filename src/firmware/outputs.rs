@@ -4,7 +4,7 @@
 use crate::boards::{SlowLevels, SlowPins};
 use oxmill_controller::messages::{SlowOutputs, SpindleDirection};
 
-/// The slow pins, the levels that `control` has last requested, and the polarity of the enable output.
+/// The slow outputs, with the levels that `control` has last requested.
 pub struct Outputs {
     pins: SlowPins,
     wanted: Option<SlowOutputs>,
@@ -17,13 +17,13 @@ impl Outputs {
         Outputs { pins, wanted: None, enable_invert: false }
     }
 
-    /// Sets the outputs to new levels.
+    /// Sets the outputs to the levels `wanted`. Called by `control` for each change.
     pub fn show(&mut self, wanted: SlowOutputs) {
         self.wanted = Some(wanted);
         self.write();
     }
 
-    /// Sets the polarity of the enable output.
+    /// Sets the polarity of the enable output (`$4`). `invert`: `true` if a high level switches the drivers on.
     pub fn set_enable_invert(&mut self, invert: bool) {
         self.enable_invert = invert;
         self.write();

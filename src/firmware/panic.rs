@@ -1,22 +1,21 @@
-//! The handlers that exist once per program. `before_start` enters the chip's boot loader on request. `panic` reports
-//! the location. `HardFault` reports the program counter from the stack frame, or a stack overflow. `NonMaskableInt`
-//! reports a failed clock. These reports end the program ([`oxmill_firmware::failure`]).
+//! The handlers that exist once per program. `before_start` enters the chip's boot loader on request. The others report
+//! a failure and end the program ([`oxmill_firmware::failure`]): `panic` reports the location, `HardFault` the program
+//! counter or a stack overflow, `NonMaskableInt` a failed clock.
 
 use core::panic::PanicInfo;
 use oxmill_controller::messages::CrashKind;
 use oxmill_firmware::boards;
 use oxmill_firmware::failure::fail;
 
-/// Runs first after a reset, before RAM is initialised: the chip's boot loader, if `$DFU` has requested it, must find
-/// the chip as it is after a reset.
+/// Runs first after a reset, before RAM is initialised. If `$DFU` has requested the chip's boot loader, that loader
+/// must find the chip as it is after a reset.
 ///
-/// Rust code may run here, because it uses no initialised static: only registers, and a number in RAM that is never
-/// initialised.
+/// Rust code may run here, because it uses only registers, and a number in RAM that is never initialised.
 extern "C" fn before_start() {
     boards::enter_loader_if_requested();
 }
 
-// The start-up code of cortex-m-rt calls `__pre_init` with an empty stack and returns from it to the initialisation.
+// The start-up code of cortex-m-rt calls `__pre_init` with an empty stack, and initialises RAM after the return.
 core::arch::global_asm!(
     ".section .text.__pre_init, \"ax\"",
     ".global __pre_init",
@@ -41,8 +40,9 @@ fn panic(info: &PanicInfo<'_>) -> ! {
     }
 }
 
-/// The clock of the board has failed, and the processor continues with a slower internal clock, so that all rates are
-/// wrong. On a board that does not watch its clock, the watchdog raises this interrupt before it resets the board.
+/// Handles a failure of the board's clock: the processor continues with a slower internal clock, so all rates are
+/// wrong. On a board that does not watch its clock, only the watchdog raises this interrupt, before it resets the
+/// board.
 // unsafe because it replaces the handler of cortex-m-rt by its name; safe because it has the signature of an exception
 // handler that does not return.
 #[unsafe(no_mangle)]
@@ -59,7 +59,8 @@ extern "C" fn NonMaskableInt() -> ! {
 /// Bus, usage and memory faults, including a stack that has run out of RAM.
 ///
 /// After a stack overflow the stack pointer is below RAM. Any push or load would then be a second fault, which locks up
-/// the processor with its outputs on. So the stack pointer is reset first; the contents of the stack are not needed.
+/// the processor with its outputs on. So the handler first sets the stack pointer to the top of the stack, whose
+/// contents are not needed any more.
 // SAFETY: unsafe because it replaces the handler of cortex-m-rt by its name and moves the stack pointer; safe because
 // it does not return, and the function that it branches to takes the old pointer as a number.
 #[unsafe(no_mangle)]
@@ -75,7 +76,8 @@ pub unsafe extern "C" fn HardFault() -> ! {
     )
 }
 
-/// Reports the fault. `frame`: address where the processor has stored the registers, if it could.
+/// Reports the fault. `frame`: the stack pointer at the fault, where the processor has stored the registers if it
+/// could.
 extern "C" fn hard_fault(frame: usize) -> ! {
     unsafe extern "C" {
         static _stack_end: u32;

@@ -2,9 +2,9 @@
 
 use crate::boards;
 
-/// The table, at the place that the linker script reserves for it; the board reads it from there.
+/// The table, in the section that the linker script reserves for it. The board reads the table from there.
 #[used]
 #[unsafe(link_section = ".pin_table")]
-// unsafe because the linker takes the section on trust; safe because it is read-only data in flash.
+// unsafe because the linker does not check the section; safe because this is read-only data in flash.
 static TABLE: boards::pin_table::PinTable =
     boards::pin_table::PinTable::from_bytes(*include_bytes!(concat!(env!("OUT_DIR"), "/pin_table")));

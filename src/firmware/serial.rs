@@ -1,15 +1,15 @@
-//! The links to the hosts, UART and USB: splits received bytes into realtime commands and line bytes, queues them for
-//! `control`, and sends replies to the active host: the host whose lines are accepted.
+//! The links to the hosts, UART and USB. Splits received bytes into realtime commands and line bytes, queues them for
+//! `control`, and sends replies to the active host (the host whose lines are accepted).
 //!
 //! ```text
 //!  USART ──▶ link ───┐                                   ┌─▶ USART
 //!                    ├─▶ realtime, lines   replies ───────┤
 //!  USB   ──▶ link ───┘                                   └─▶ USB
 //! ```
-//! Both links are always read. Realtime commands are accepted from both links; lines are accepted only from the link of
-//! the active host. The active host can change when the machine has nothing to do, when the active host disconnects,
-//! and with a reset. When a reset is received, this task itself requests a stop of the step task, before it queues
-//! anything or decides which host is active.
+//! Both links are always read. Realtime commands are accepted from both, lines only from the link of the active host.
+//! The active host can change when the machine has nothing to do, when the active host disconnects, and with a reset.
+//! When a reset arrives, this task first requests a stop of the step task. After that it queues bytes and decides which
+//! host is active.
 
 use crate::boards::{self, Incoming, Port, SerialPort, UsbPort};
 use crate::shared::{self, ASKED, CONTROL, SERIAL, Wake};
@@ -30,18 +30,17 @@ const UART_HELD: usize = 1;
 /// in their queue limits them. Without this limit, a host or noise on a wire could use all of the processor time by
 /// sending other bytes without end.
 const MOST_OTHERS: u32 = 128;
-/// Time, µs, in which the number of other bytes that may be processed grows by one, up to `MOST_OTHERS`.
+/// Each time this period in µs has passed, one more other byte may be processed, up to `MOST_OTHERS`.
 const OTHER_US: u32 = 200;
 /// Maximum number of bytes that are processed one at a time in `SINGLY_US` µs, from a link that cannot make its sender
-/// wait. (Plain text is processed several bytes at a time, and does not count.) Lines of 15 characters with CR LF, sent
-/// at 1 Mbaud, have fewer such bytes in that time. The number is low enough to leave processor time to `control`. A
-/// host that counts characters loses no bytes by this limit, because it never has more bytes in transit than there is
-/// room for.
+/// wait. (Plain text is processed several bytes at a time and does not count.) The limit leaves processor time to
+/// `control`. It is high enough for lines of 15 characters with CR LF at 1 Mbaud. A host that counts characters loses
+/// no bytes by it, because such a host never sends more bytes than there is room for.
 const MOST_SINGLY: usize = 12;
 /// Length, in µs, of the period in which at most `MOST_SINGLY` bytes are processed one at a time.
 const SINGLY_US: u32 = 800;
-/// A `!` in a comment of a line can be text or a feed hold. It becomes a feed hold only after at least this many runs
-/// of the serial task without a further byte. Runs are about 500 µs apart.
+/// A `!` in a comment can be text or a feed hold. It becomes a feed hold only after this many runs of the serial task
+/// without a further byte. Runs are about 500 µs apart.
 const QUIET_RUNS: u8 = 16;
 
 /// Link number of the USART.
@@ -51,10 +50,10 @@ const USB: usize = 1;
 
 /// The senders of the queues to `control`, and the limits on how many received bytes are processed.
 struct ToControl {
-    /// Whether the link being read cannot make its sender wait. If the queue has no room for resets, holds and door
-    /// commands from such a link, they are kept outside the queue ("deferred" commands, [`shared::defer`]).
+    /// `true` if the link being read cannot make its sender wait. If the queue then has no room for a reset, hold or
+    /// door command, the command is kept outside the queue ("deferred", [`shared::defer`]).
     may_defer: bool,
-    /// No reply waits or is partly sent, and the previous run of the task left no received bytes unread.
+    /// `true` if no reply waits or is partly sent, and the previous run of the task left no received bytes unread.
     flushed: bool,
     realtime: Sender<'static, Realtime, REALTIME_DEPTH>,
     lines: Sender<'static, LineBytes, LINE_MESSAGES>,
@@ -63,10 +62,10 @@ struct ToControl {
     bytes_queued: u32,
     /// How many other bytes (realtime commands and ignored bytes) may still be processed now, at most `MOST_OTHERS`.
     others: u32,
-    /// Time, in clock ticks, from which [`ToControl::allow_others`] counts until the next increase of `others`.
+    /// Time in clock ticks up to which [`ToControl::allow_others`] has increased `others`.
     others_since: u32,
-    /// A run of the task reached a limit and left bytes unread, so the task must be called again. Cleared by the next
-    /// run.
+    /// `true` if a run of the task reached a limit and left bytes unread, so that the task must be called again. The
+    /// next run clears it.
     leaves_unread: bool,
     left_unread: SignalWriter<'static, ()>,
 }
@@ -82,8 +81,8 @@ impl ToControl {
     /// Queues the line bytes gathered in this run. Returns whether a message was queued for `control`.
     fn flush(&mut self) -> bool {
         let Self { lines, line_sender, .. } = self;
-        // The number of partly filled messages in the queue is limited. An empty queue, from which `control` has taken
-        // all messages, makes `flush` count them from 0 again.
+        // The queue may contain only a limited number of partly filled messages. If `control` has emptied the queue,
+        // `flush` counts them from 0 again.
         line_sender.is_waiting() && line_sender.flush(lines.is_empty(), |message| lines.try_send(message).is_ok())
     }
 }
@@ -153,9 +152,9 @@ struct Ported<P> {
     singly: usize,
     /// Start of the period for which `singly` counts, in clock ticks.
     singly_since: u32,
-    /// For a `!` that may be text: time, in clock ticks, of the first run of the task in which no byte followed it.
+    /// Time in clock ticks of the first run of the task in which no byte followed a `!` that may be text.
     quiet_since: u32,
-    /// Number of runs of the task, from `quiet_since` on, in which no byte followed the `!`; 0 after any byte.
+    /// Number of runs since `quiet_since` in which no byte followed the `!`; 0 after any byte.
     quiet_runs: u8,
 }
 
@@ -217,8 +216,8 @@ impl<P: Port> Ported<P> {
                 }
                 Incoming::Byte(byte) => news |= self.link.take(byte, arbiter, other, queues),
             }
-            // `others` does not count line bytes, because the room in their queue limits them. On a link that cannot
-            // make its sender wait, it does not count the characters of comments either: `singly` limits these, and a
+            // `others` does not count line bytes: the room in their queue limits them. On a link that cannot make its
+            // sender wait, it does not count characters of comments either. `singly` limits these characters, and a
             // host that counts characters includes them.
             let is_other = queues.bytes_queued == queued && (P::WAITS || !self.link.is_in_comment());
             queues.others = queues.others.saturating_sub(u32::from(is_other));
@@ -241,10 +240,10 @@ impl<P: Port> Ported<P> {
         news
     }
 
-    /// Call while the byte received last is a `!` that may be text. If no further byte has come for `AMBIGUOUS_US` and
-    /// in `QUIET_RUNS` runs of the task, the `!` becomes a feed hold. The time alone is not enough: it may have passed
-    /// during a stall of the processor, while bytes that arrived during the stall are still unread. Returns whether
-    /// there is news for `control`.
+    /// Makes a `!` that may be text a feed hold, if no byte has followed it for `AMBIGUOUS_US` and in `QUIET_RUNS` runs
+    /// of the task. Call while such a `!` is the last byte received. Returns whether there is news for `control`.
+    /// The time alone is not enough: it can pass during a stall of the processor, while bytes from the time of the
+    /// stall are still unread.
     #[cold]
     fn await_rest(&mut self, arbiter: &mut HostArbiter, queues: &mut ToControl) -> bool {
         let now = boards::clock_ticks();
@@ -262,8 +261,8 @@ impl<P: Port> Ported<P> {
         self.link.pass_on(arbiter, queues)
     }
 
-    /// Sends the link's error answers to refused lines, as far as the port takes them. Returns `false` while some
-    /// remain.
+    /// Sends the error answers to lines that the link has refused, as far as the port takes them. Returns `false` while
+    /// some remain.
     fn refuse(&mut self) -> bool {
         let Self { port, link, .. } = self;
         link.refuse(|byte| port.send(byte))
@@ -318,9 +317,9 @@ impl Serial {
         }
     }
 
-    /// Runs the task. Called when bytes or a packet have been received, when a port has room to send, and by `control`
-    /// when there is a reply to send or room in the queues. Not inlined, so that the image contains it once and not in
-    /// each of two vectors.
+    /// Runs the task. Called when bytes have been received or a port has room to send, and by `control` when there is a
+    /// reply to send or room in the queues. Not inlined, so that the image contains it once and not in each of two
+    /// vectors.
     #[inline(never)]
     pub fn run(&mut self) {
         ASKED.serial.store(false, Ordering::Relaxed);
@@ -339,8 +338,8 @@ impl Serial {
         count(&SERIAL.bytes_queued, queued);
         news |= queues.flush();
         let held = uart.link.held() + usb.link.held();
-        // One more byte counts as received: a `HOST_CHANGED` that must precede held line bytes, or, while no line byte
-        // is held, a command that waits for room.
+        // One more byte counts as received in two cases. A `HOST_CHANGED` must be queued before the line bytes that
+        // wait. Or no line byte waits, but a command waits for room.
         let is_stuck = held == 0 && (uart.link.is_waiting() || usb.link.is_waiting());
         let held = (held + usize::from(held > 0 && arbiter.is_host_change_due() || is_stuck)) as u32;
         SERIAL.bytes_received.store(SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_add(held), Ordering::Relaxed);
@@ -361,8 +360,8 @@ impl Serial {
             self.sent = self.sending.as_bytes().len();
         }
         let mut more = false;
-        // Do not send a reply while an error answer is partly sent on the same port. Such an answer refuses a line of a
-        // host that is not the active one.
+        // An error answer to a refused line of another host can be partly sent on this port. Send no reply before it is
+        // complete.
         let clear = if to_usb { usb } else { uart };
         loop {
             if !clear {

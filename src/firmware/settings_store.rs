@@ -1,10 +1,9 @@
 //! The settings store of the firmware: opens the log of `oxmill-store` in the board's flash, restores its records into
 //! the controller, stores changes, and erases the spare sector before it is needed.
 //!
-//! A write programs only a few words, and is done when the controller requests it. An erase stalls the processor for a
-//! quarter of a second on the STM32 boards. So the erase is done ahead of need. The caller starts it only if no motor
-//! moves, the spindle and the laser are off, and no command waits. After a failed erase, no erase is tried until the
-//! next power-up.
+//! A write programs only a few words, so it is done at once. An erase stalls the processor for a quarter of a second on
+//! the STM32 boards, so it is done ahead of need. The caller starts it only if no motor moves, the spindle and the
+//! laser are off, and no command waits. After a failed erase, no erase is tried until the next power-up.
 
 use crate::BoardController;
 use crate::boards::SettingsFlash;
@@ -14,7 +13,7 @@ use oxmill_store::{Log, StoreError};
 /// The settings store. `log` is `None` if the flash cannot be used.
 pub struct SettingsStore {
     log: Option<Log<SettingsFlash>>,
-    /// An erase has failed, so no erase is tried before the next power-up.
+    /// `true` if an erase has failed. No erase is then tried before the next power-up.
     worn: bool,
 }
 
@@ -33,7 +32,7 @@ impl SettingsStore {
         SettingsStore { log, worn: false }
     }
 
-    /// Returns the record with this index among the valid records; `None` if there are fewer.
+    /// Returns the valid record with the index `number`, from 0; `None` if there are fewer.
     pub fn record(&mut self, number: u16) -> Option<Record> {
         let (mut left, mut found) = (number, None);
         let seek = |record: Record| match left.checked_sub(1) {
@@ -44,7 +43,7 @@ impl SettingsStore {
         found
     }
 
-    /// Stores a change. Returns whether it was stored.
+    /// Writes a change to the flash. Returns whether it was stored; `false` if there is no room or the write failed.
     pub fn store(&mut self, change: &Store) -> bool {
         match self.log.as_mut().map(|log| log.store(change)) {
             Some(Ok(())) => true,
@@ -58,7 +57,7 @@ impl SettingsStore {
         }
     }
 
-    /// Returns whether the spare sector needs an erase.
+    /// Returns whether the spare sector needs an erase and can be erased (no erase has failed since power-up).
     pub fn wants_erase(&self) -> bool {
         !self.worn && self.log.as_ref().is_some_and(Log::needs_erase)
     }
@@ -68,7 +67,8 @@ impl SettingsStore {
         !self.worn && self.log.as_ref().is_some_and(Log::needs_erase_soon)
     }
 
-    /// Erases the spare sector, which holds no valid records.
+    /// Erases the spare sector, which holds no valid records. Stalls the processor for a quarter of a second on the
+    /// STM32 boards.
     pub fn erase(&mut self) {
         if let Some(log) = &mut self.log
             && log.erase_spare().is_err()

@@ -10,11 +10,12 @@ const QUIET_TICKS: u32 = boards::CLOCK_TICKS_PER_US * 5_000;
 /// Minimum time between two measurements.
 const REST_TICKS: u32 = boards::CLOCK_TICKS_PER_US * 1_000_000;
 
-/// Logs each new maximum. Measures at most once per second, because a measurement takes a hundred microseconds.
+/// Logs each new maximum of the stack's use. Measures at most once per second, because a measurement takes a hundred
+/// microseconds.
 pub struct Watch {
-    /// Time of the last measurement.
+    /// Time of the last measurement, in clock ticks.
     looked: u32,
-    /// Time at which a motor or a host was last active.
+    /// Time at which a motor or a host was last active, in clock ticks.
     busy: u32,
     /// Value of `activity` in [`SERIAL`] at the time `busy`.
     activity: u32,
@@ -32,8 +33,8 @@ impl Watch {
     /// Measures the use of the stack if motors and hosts have been quiet for `QUIET_TICKS`, and the previous
     /// measurement was at least `REST_TICKS` ago. Call when there is nothing else to do.
     pub fn look(&mut self) {
-        // A log line masks interrupts for longer than a byte takes at 1 Mbaud, so no log line is written while motors
-        // turn or a host sends.
+        // While motors turn or a host sends, write no log line: it masks interrupts for longer than a byte takes at 1
+        // Mbaud.
         let (now, activity) = (boards::clock_ticks(), SERIAL.activity.load(Ordering::Relaxed));
         if activity != self.activity || !STEP.at_rest.load(Ordering::Relaxed) {
             (self.busy, self.activity) = (now, activity);

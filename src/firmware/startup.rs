@@ -1,4 +1,4 @@
-//! From reset to running tasks: `start` sets up the board, splits the channels, builds the controller in its final
+//! Set-up of the firmware, from reset to running tasks. `start` sets up the board, builds the controller in its final
 //! place in RAM, restores the settings, starts the sampling of inputs, and creates the tasks.
 
 use crate::BoardController;
@@ -53,8 +53,8 @@ pub struct Tasks {
     pub control: Control,
 }
 
-/// Returns the baud rate of the UART: that of `$931`, or `USUAL_BAUD` if the hold and start inputs are both active, for
-/// a host that cannot use the rate of `$931`.
+/// Returns the baud rate of the UART: `$931`, or `USUAL_BAUD` if the hold and start inputs are both active. So a host
+/// that cannot use the rate of `$931` can still connect. `low`: mask of the pins that are low.
 fn baud(controller: &BoardController, low: u32) -> u32 {
     let inverted = controller.settings().whole(Key::ControlInvert);
     let is_active = |pin: u32, bit: u32| (low >> pin ^ inverted >> bit) & 1 != 0;
@@ -66,14 +66,14 @@ fn baud(controller: &BoardController, low: u32) -> u32 {
     }
 }
 
-/// Returns the report of a fault that the board has found during its set-up. Because of this report, the machine stays
+/// Returns the report of a fault that the board has found during its set-up. With this report, the machine starts
 /// locked.
 fn fault_of_board(why: &str) -> Crash {
     let text = why.bytes().collect();
     Crash { kind: CrashKind::Board, text, place: [0; 3], line: 0, moment: 0 }
 }
 
-/// Sets up the board and creates the tasks. Called once. Inlined, because a call would need one more copy of the tasks
+/// Sets up the board and creates the tasks. Called once. Inlined, because a call would need a second copy of the tasks
 /// on the stack.
 #[inline(always)]
 pub fn start(
@@ -100,7 +100,7 @@ pub fn start(
 
     let ends = Ends { realtime, lines, events, signals, segments, replies, step_wiring, input_wiring };
     let mut restart = Restart { cause: boards::reset_cause(), crash: last_words::take(), is_recorded: false };
-    // A fault of the board is reported instead of an earlier failure, because the fault may have caused that failure.
+    // A fault of the board replaces the record of an earlier failure, because the fault may have caused that failure.
     restart.crash = parts.fault.map(fault_of_board).or(restart.crash);
     let recorder = Recorder::begin(last_words::pages(), &restart);
     restart.is_recorded = recorder.is_kept();

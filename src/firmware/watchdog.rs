@@ -7,10 +7,10 @@
 //!  inputs, every 100 ms: all cleared? feed; set the marks again and call the tasks
 //!  `serial` or `control` stuck for half a second: outputs safe, record, reset      another task: the hardware resets
 //! ```
-//! A task in an endless loop blocks the tasks of lower priority. If this task is `serial` or `control`, the supervisor
-//! still runs, because `inputs` has a higher priority, and detects the failure. If the task in the endless loop is
-//! another one, the hardware watchdog resets the board after its own timeout. Time is counted in samples of `inputs`,
-//! so a stalled processor (an erase of flash) is not taken for a stuck task.
+//! A task in an endless loop blocks the tasks of lower priority. If that task is `serial` or `control`, the supervisor
+//! still runs (`inputs` has a higher priority) and detects the failure. If it is another task, the hardware watchdog
+//! resets the board after its own timeout. Time is counted in samples of `inputs`, so a stalled processor (an erase of
+//! flash) does not count as a stuck task.
 
 use crate::boards::{self, SAMPLE_HZ, Watchdog};
 use crate::failure;

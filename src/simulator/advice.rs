@@ -6,7 +6,7 @@ use oxmill_controller::error::{Alarm, Error};
 /// Advice for words of 3-D printers. It is about the whole program.
 pub const PRINTER: &str = "The program was made for a 3-D printer. Do not repair it: make the part's program with CAM software for mills, with a post-processor for Grbl.";
 
-/// Rejected words, and what to write instead.
+/// Words that the controller rejects, each with the advice what to write instead.
 const INSTEAD: [(&[&str], &str); 11] = [
     (
         &["G33", "G33.1", "G74", "G76", "G84"],
@@ -48,8 +48,8 @@ const WORD_OF_A: &str =
 const NESTED_COMMENT: &str =
     "Remove the inner parentheses of the comment: in Grbl's dialect a comment ends at the first closing parenthesis.";
 
-/// Returns the advice for error `code` at the line `line`: the replacement for its rejected word, if there is one,
-/// otherwise the general advice for the error.
+/// Returns the advice for error `code`, which the controller has sent for the text `line`. If the line has a rejected
+/// word with a replacement, the advice is that replacement. Otherwise it is the general advice for the error.
 pub fn for_line(code: u8, line: &str) -> &'static str {
     let refused =
         [Error::NotSupported, Error::UnsupportedCommand, Error::CutterCompensation, Error::UnsupportedCoordinateSystem];
@@ -69,8 +69,8 @@ pub fn for_line(code: u8, line: &str) -> &'static str {
     }
 }
 
-/// Returns the advice for error `code` at the line `line`, to be shown beside the controller's sentence about the line.
-/// If this sentence already says what to write, returns an empty text instead of general advice.
+/// Like [`for_line`], for a report that also shows `sentence`, the controller's own message about the line. If the
+/// sentence already says what to write, general advice is left out and the result is empty.
 pub fn beside(sentence: &str, code: u8, line: &str) -> &'static str {
     /// If a part of a sentence begins with one of these verbs, it says what to write.
     const IMPERATIVES: [&str; 15] = [
@@ -86,7 +86,8 @@ pub fn beside(sentence: &str, code: u8, line: &str) -> &'static str {
     if is_enough && advice == for_code(code) { "" } else { advice }
 }
 
-/// Returns how many words of a line, outside of comments, consist of this letter and a number or an expression.
+/// Returns how many words with this upper-case letter a line has, outside of comments. `G1 X1 x[2]` has two words with
+/// `X`.
 pub fn count(line: &str, letter: char) -> usize {
     words(line).iter().filter(|word| is_of(word, letter)).count()
 }
@@ -105,13 +106,15 @@ fn has_nested_comment(line: &str) -> bool {
     false
 }
 
-/// Returns whether `word` is this letter with its value, and not a letter of a function such as `ABS`.
+/// Returns whether `word` is this letter with its value: `A5` or `A[1]`, but not the first letter of a function such as
+/// `ABS`.
 fn is_of(word: &str, letter: char) -> bool {
     word.strip_prefix(letter)
         .is_some_and(|number| number.starts_with(|c: char| c.is_ascii_digit() || "+-.[#".contains(c)))
 }
 
-/// Returns the words of a line, without comments and parameter names.
+/// Returns the words of a line, without comments and parameter names. Each word begins with an upper-case letter: `g1
+/// x[2] (a)` becomes `G1` and `X[2]`.
 pub fn words(line: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut depth = 0_usize;
@@ -136,12 +139,12 @@ fn plain(word: &str) -> String {
     format!("{letter}{}{point}{fraction}", if whole.is_empty() { "0" } else { whole })
 }
 
-/// Returns the advice for an error number; empty if the number does not exist.
+/// Returns the general advice for an error number, as in `error:20`; empty if the number does not exist.
 pub fn for_code(code: u8) -> &'static str {
     Error::ALL.iter().find(|error| error.code() == code).map_or("", |error| for_error(*error))
 }
 
-/// Returns the advice for an error.
+/// Returns the general advice for an error: what the user can do, in whole sentences.
 pub fn for_error(error: Error) -> &'static str {
     match error {
         Error::ExpectedLetter
@@ -263,7 +266,7 @@ pub fn for_error(error: Error) -> &'static str {
     }
 }
 
-/// Returns the advice for an alarm.
+/// Returns the advice for an alarm: what the user can do, in whole sentences.
 pub fn for_alarm(alarm: Alarm) -> &'static str {
     match alarm {
         Alarm::HardLimit => {

@@ -1,12 +1,11 @@
-//! Plays a board's recording (`$REC`) into the simulator: restores the recorded initial state, feeds bytes and inputs
-//! in at their recorded times, and compares the step counters at each rest. Reports where the simulator differs from
-//! the board, or why the recording cannot be played.
+//! Plays a board's recording (`$REC`) into the simulator. Restores the recorded initial state, feeds in bytes and
+//! inputs at their recorded times, and compares the step counters whenever the machine rests. Reports where the
+//! simulator differs from the board, or why the recording cannot be played.
 //!
-//! A board reacts later than the simulator, by the run time of its processor, so its motors are at other positions when
-//! a reset or an input stops them. Such a stop is therefore played when the simulated motors pass the recorded stop
-//! position, if they do so at about the recorded time. Results are never taken from the recording: the rest positions
-//! of the motors, the order of the stepped blocks, and the position and line of a failure must follow from the
-//! simulation.
+//! A board reacts later than the simulator, by the run time of its processor. So when a reset or an input stops its
+//! motors, they have moved further. The replay therefore stops the simulated motors at the recorded stop position, if
+//! they pass it at about the recorded time. All other results must follow from the simulation: the rest positions of
+//! the motors, the order of the stepped blocks, and the position and line of a failure.
 
 use crate::recording::{BoardReport, Input, NOTHING_COMPARED, Recording};
 use crate::simulator::Simulator;
@@ -19,20 +18,21 @@ const SLACK_PARTS: u64 = 20;
 /// If the board read a line at most 1/1000 s after the previous line, both count as having waited in its receive queue
 /// at the same time. This constant is the denominator of that fraction.
 const AT_ONCE_PARTS: u64 = 1000;
-/// Text in the words of a recorded modal state if no feed rate is set: F0, directly before the S word.
+/// Part of the G-code words of a recorded modal state without a feed rate: F0, directly before the S word.
 const NO_FEED: &str = "F0.0000000S";
 
 /// Result of replaying a board's recording.
 #[derive(Debug, Default)]
 pub struct Arrival {
-    /// Remarks for the user.
+    /// Remarks for the user, such as where the replay begins.
     pub notes: Vec<String>,
     /// Where the simulator first differed from the board, or why the recording cannot be played; `None` if all agreed.
     pub parted: Option<String>,
 }
 
-/// Plays a recording on a machine that has the recorded settings and has just been powered up. `on_output` receives the
-/// machine's output; `pass` is called as time passes, with the ticks of the step clock since the beginning.
+/// Plays a recording on a machine that has the recorded settings and has just been powered up. `on_output`: receives
+/// the output of the machine. `pass`: called again and again as time passes, with the ticks of the step clock since the
+/// beginning.
 pub fn play(
     recording: &Recording,
     simulator: &mut Simulator,
@@ -66,8 +66,8 @@ pub fn play(
     arrival
 }
 
-/// Returns the inputs in causal order. The report of a stop can precede the reset or input that caused it, because they
-/// pass through different queues. Such a report is moved after its cause.
+/// Returns the inputs with each stop after its cause. In a recording, the report of a stop can precede the reset or
+/// input that caused the stop, because the two pass through different queues.
 fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
     let mut ordered = inputs.to_vec();
     // Number of resets and tripped inputs whose stop has not been reported yet.
@@ -112,8 +112,8 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
     ordered
 }
 
-/// Merges lines into one input if each was already waiting when the board read the previous line, because the machine
-/// can treat a line differently if another line is already waiting.
+/// Merges lines into one input, if each of them already waited when the board read the previous line. The machine can
+/// treat a line differently if another line waits.
 fn at_once_together(inputs: Vec<(u64, Input)>, at_once: u64) -> Vec<(u64, Input)> {
     let mut together: Vec<(u64, Input)> = Vec::new();
     // Time at which the board read the most recent line of the host.
@@ -152,7 +152,7 @@ fn is_begin(input: &Input) -> bool {
     matches!(input, Input::Host(bytes) if is_of_line(input) && !bytes.ends_with(b"\n") && !bytes.ends_with(b"\r"))
 }
 
-/// Returns whether an input stops the step task.
+/// Returns whether an input stops the step task: a reset, or an input pin that has tripped.
 fn stops(input: &Input) -> bool {
     match input {
         Input::Host(bytes) => bytes[..] == [0x18],
@@ -161,12 +161,13 @@ fn stops(input: &Input) -> bool {
     }
 }
 
-/// Returns whether an input reports that the step task was stopped.
+/// Returns whether an input is the report that the step task was stopped.
 fn is_stop(input: &Input) -> bool {
     matches!(input, Input::Report(BoardReport::Noted(Noted::Step(Stopping::AtRest | Stopping::Moving, _))))
 }
 
-/// Returns the index of the input at which a replay can begin.
+/// Returns the index of the input at which a replay can begin: the power-up, or the first recorded state at rest after
+/// the last stored setting. The error tells the user why there is none.
 fn begin_of(inputs: &[(u64, Input)]) -> Result<usize, String> {
     let reports = |wanted: fn(&BoardReport) -> bool| {
         move |(_, input): &(u64, Input)| match input {
@@ -174,7 +175,7 @@ fn begin_of(inputs: &[(u64, Input)]) -> Result<usize, String> {
             _ => false,
         }
     };
-    // The recording contains the settings as they are at its end, so a replay must begin after the last change of a
+    // The recording contains the settings as they are at its end. So a replay must begin after the last change of a
     // setting.
     let stored = inputs.iter().rposition(reports(|report| matches!(report, BoardReport::Noted(Noted::Stored(true)))));
     if stored.is_none() && matches!(inputs.first(), Some((_, Input::Report(BoardReport::Noted(Noted::PowerUp))))) {
@@ -207,8 +208,8 @@ struct Playing<'a, H, P> {
     shift: u64,
     /// Per motor: the board's step counter minus the simulator's.
     offset: Vec<i32>,
-    /// Number of `Noted::Cut` entries that may still come: one for each connect or disconnect. A `Cut` marks where the
-    /// bytes of a former host end.
+    /// Number of `Noted::Cut` entries that may still come: one for each connect or disconnect. A `Cut` marks the place
+    /// where the bytes of a former host end.
     cuts: u32,
     /// Number of recorded motor positions that the simulator has matched.
     met: u32,
@@ -219,8 +220,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.set_never_silent();
         self.start(inputs, left_out, notes)?;
         for (at, (time, input)) in inputs.iter().enumerate().skip(1) {
-            // If another input, such as a realtime command, came before the end of a line, the board recorded the
-            // bytes of the line so far with the time of that input. A `More` before these bytes means that they had
+            // A line is recorded in parts if another input, such as a realtime command, came before its end. The first
+            // part then has the time of that other input. A `More` before the first part means that its bytes had
             // already arrived when the board read the previous line. In that case, send them now.
             let waited =
                 at > 0 && matches!(inputs[at - 1].1, Input::Report(BoardReport::Noted(Noted::More))) && is_begin(input);
@@ -273,7 +274,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
     fn stand(&mut self, standing: &Standing) -> Result<(), String> {
         let inverted = self.simulator.wiring().map_or(0, |wiring| wiring.inputs.inverted);
         self.simulator.set_pins(Signals::of_word(standing.active ^ inverted));
-        // A board records a state at rest only if no input stops the machine, so none may do so here.
+        // A board records a state at rest only while no input stops the machine. So no input may stop the simulator
+        // here.
         if let Some(alarm) = self.simulator.controller().alarm() {
             return Err(format!(
                 "the inputs of its first state raise ALARM:{}: the recording is damaged",
@@ -320,8 +322,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         u64::from(self.simulator.board().step_clock_hz)
     }
 
-    /// Advances time until `holds` returns true, in steps of `step` ticks from a little before `time` to a little after
-    /// `time`. Returns whether `holds` returned true.
+    /// Advances time in steps of `step` ticks until `holds` returns true. Begins a little before `time` and gives up a
+    /// little after it (see `SLACK_PARTS`). Returns whether `holds` returned true.
     fn meet(&mut self, time: u64, step: u64, holds: impl Fn(&mut Simulator) -> bool) -> bool {
         let slack = self.hz() / SLACK_PARTS;
         self.advance(time.saturating_sub(slack));
@@ -345,7 +347,7 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.machine().position().to_vec()
     }
 
-    /// Converts the simulator's step counters to the board's.
+    /// Returns the simulator's step counters, converted to those of the board (see `offset`).
     fn as_on_board(&self) -> Vec<i32> {
         self.counters().iter().zip(&self.offset).map(|(here, offset)| here.wrapping_add(*offset)).collect()
     }
@@ -357,8 +359,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         let step = self.hz() / 1_000_000;
         let is_there =
             |simulator: &mut Simulator| simulator.machine().position().get(..wanted.len()) == Some(&wanted[..]);
-        // The motors can rest at this position from long before `time` until long after it. So if they are there at
-        // `time`, advance exactly to `time`.
+        // The motors can rest at this position for long before and after `time`. If they are there at `time`, advance
+        // exactly to `time`.
         let mut ahead = self.simulator.clone();
         ahead.advance_to(time);
         if is_there(&mut ahead) {
@@ -381,8 +383,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         self.simulator.send_followed(bytes, more);
     }
 
-    /// Advances until the machine rests in a hold, so that a `~` can resume it. The host sent `~` after the board had
-    /// come to rest; the simulator may come to rest a little later than the board.
+    /// Advances until the machine rests in a hold, so that a `~` can resume it. The host sent `~` when the board was at
+    /// rest; the simulator may come to rest a little later.
     fn resume(&mut self, time: u64) {
         self.advance(time);
         let mut ahead = self.simulator.clone();
@@ -459,8 +461,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         match stopping {
             Stopping::Probed => {
                 if self.meet_place(time, counters) {
-                    // The step task reads the probe pin without the filter, so the recording has the changed input only
-                    // after this stop. Set the pin now, to the level in that later entry.
+                    // The step task reads the probe pin without the filter. So the recording has the changed input only
+                    // in a later entry. Set the pin now to the level of that entry.
                     let mut pins = self.simulator.pins();
                     let inverted = self.simulator.wiring().map_or(0, |wiring| wiring.inputs.inverted);
                     let probed = later.iter().find_map(|(time, input)| match input {
@@ -471,8 +473,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
                     });
                     pins.probe = match probed {
                         Some((at, level)) if at <= time + self.hz() / SLACK_PARTS => level,
-                        // The next recorded change of an input is much later, so this contact has changed no recorded
-                        // level: the pin keeps its level.
+                        // The next recorded change of an input is much later. So this contact has changed no recorded
+                        // level, and the pin keeps its level.
                         Some(_) => pins.probe,
                         None => !pins.probe,
                     };
@@ -527,8 +529,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         Err(format!("{} the recording has the state {standing:?}; here it is {here:?}", self.seconds(time)))
     }
 
-    /// Handles a recording that ended with a failure: at about the recorded time, the simulator must reach the recorded
-    /// position at the recorded line.
+    /// Plays the end of a recording that ended with a failure. At about the recorded time, the simulator must reach the
+    /// recorded position at the recorded line.
     fn ended(
         &mut self,
         time: u64,
@@ -538,9 +540,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         notes: &mut Vec<String>,
     ) -> Result<(), String> {
         let is_there = |simulator: &mut Simulator| {
-            // The recorded position is the end of a segment. The controller of the simulator would update its position
-            // only at its next wake-up, so let it do that now. This can shift its further wake-ups, but not what the
-            // step task receives.
+            // The recorded position is the end of a segment. The simulator's controller would update its position only
+            // at its next wake-up, so wake it now. This can shift later wake-ups, but not what the step task receives.
             simulator.look();
             let controller = simulator.controller();
             let here = controller.machine_position();
@@ -562,7 +563,8 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
     }
 }
 
-/// Returns the step counters at which the board was stopped, if a stop in motion is reported in the next three inputs.
+/// Returns the step counters at which the board was stopped in motion, if one of the next three inputs reports such a
+/// stop.
 fn cut_off(later: &[(u64, Input)]) -> Option<&[i32]> {
     later.iter().take(3).find_map(|(_, input)| match input {
         Input::Report(BoardReport::Noted(Noted::Step(Stopping::Moving, counters))) => Some(counters.as_slice()),

@@ -14,17 +14,17 @@ use oxmill_controller::error::{Alarm, Error};
 use oxmill_controller::gcode::Units;
 use oxmill_controller::messages::Realtime;
 
-/// Start of the controller's message that a program waits for a subprogram that it calls; the number of the subprogram
-/// follows.
+/// Beginning of the controller's message that a program waits for a subprogram. The number of the subprogram follows,
+/// such as `O1001]`.
 const AWAITS: &str = "[MSG:Program waits for subprogram ";
-/// Start of the controller's message about G43 while no tool is in the table.
+/// Beginning of the controller's message about G43 while no tool is in the table.
 pub const NO_TOOLS: &str = "[MSG:No tool is in the table";
 /// Maximum number of errors, and of warnings, that the report lists. Further ones are only counted.
 const KEPT_ERRORS: usize = 1000;
 /// Maximum number of controller messages, and of simulator notes, that the report lists. Further ones are only counted.
 const KEPT_MESSAGES: usize = 50;
 
-/// What the report says about a job, except for its measurements.
+/// What the report says about a job, except for its measurements (times, distances, speeds).
 #[derive(Debug, Default)]
 struct Outcome {
     errors: Vec<LineError>,
@@ -67,7 +67,7 @@ impl Outcome {
         }
     }
 
-    /// Removes the most recent message if it is `message`, because the report shows its text with the error that it
+    /// Removes the most recent message if it is `message`. The report shows this text together with the error that it
     /// explains.
     fn unsay(&mut self, message: &str) {
         if self.more_messages > 0 {
@@ -98,8 +98,8 @@ impl Outcome {
         self.errors.push(LineError { line, code, column, text, advice, source });
     }
 
-    /// Returns what is wrong with a refused line, and what to do about it. Detects causes that the controller does
-    /// not report: an earlier line was refused, several lines have run together, or a name is misspelt.
+    /// Returns what is wrong with a refused line, and what to do about it. Detects three causes that the controller
+    /// does not report: an earlier line was refused, several lines have run together, or a name is misspelt.
     fn explained(&self, line: u64, code: u8, text: &str, source: &str, job: &JobText) -> (String, String) {
         let refused_feed = self.errors.iter().rev().find(|error| advice::count(&error.source, 'F') > 0);
         if let Some(LineError { line, .. }) = refused_feed
@@ -112,7 +112,7 @@ impl Outcome {
             && before + 1 == line
             && moves(source)
         {
-            // The centre that the controller suggests would be right only for this wrong start.
+            // Leave out the controller's suggestion of a centre: it would be right only for this wrong start.
             let fault = text.split(". ").next().unwrap_or(text);
             let advice =
                 format!("Line {before} was refused, so this arc starts at another point: correct that line first.");
@@ -143,8 +143,9 @@ impl Outcome {
         }
     }
 
-    /// Reports a subroutine, loop or condition that is still open at the end of the file as an error: its content was
-    /// not executed, or not as intended.
+    /// Reports a subroutine, loop or condition that is still open at the end of the file as an error. Its content was
+    /// not executed, or not as intended. `since`: where it begins, from `Controller::open_since`; `None` if nothing is
+    /// open.
     fn look_for_open_block(&mut self, since: Option<u32>, job: &JobText) {
         if let Some((line, source)) = since.and_then(|line| job.opener(line)) {
             let source = source.to_owned();
@@ -158,8 +159,8 @@ impl Outcome {
         }
     }
 
-    /// Returns what is wrong with the call in line `call`, whose subprogram is not in the file. Removes the controller's
-    /// messages that it waits for this subprogram.
+    /// Returns the error text for the call in line `call`, whose subprogram is not in the file. Removes the
+    /// controller's messages about waiting for this subprogram.
     fn missing_program(&mut self, call: u64, job: &JobText) -> String {
         let awaited = self.messages.iter().rev().find_map(|message| message.strip_prefix(AWAITS));
         let Some(number) = awaited.map(|number| number.trim_end_matches(']').to_owned()) else {
@@ -177,8 +178,8 @@ impl Outcome {
         missing(&number, &more, &job.other_programs(call))
     }
 
-    /// Adds advice to the error about a program that the controller stores until its subprograms have arrived, and that
-    /// does not fit into the memory: `excess` bytes are missing.
+    /// Adds advice to the last error `OutOfMemory`. The controller stores a program until its subprograms have arrived,
+    /// and this program does not fit into the memory of `board`: `excess` bytes are missing.
     fn measure_held(&mut self, excess: usize, board: &str) {
         let is_of_memory = |error: &&mut LineError| error.code == Error::OutOfMemory.code();
         if let Some(error) = self.errors.iter_mut().rfind(is_of_memory) {
@@ -198,7 +199,8 @@ impl Outcome {
     }
 }
 
-/// Maximum number of present programs that the error about a missing program names, besides the last one.
+/// Maximum number of other programs of the file that the error about a missing program names. The last program of the
+/// file is named in addition.
 const MOST_NAMED: usize = 5;
 
 /// Returns whether a line has words that move X, Y or Z.
@@ -206,7 +208,7 @@ fn moves(source: &str) -> bool {
     ['X', 'Y', 'Z'].iter().any(|letter| advice::count(source, *letter) > 0)
 }
 
-/// Returns the warning about G43 in a line, while no tool has a stored length.
+/// Returns the warning about the line `source`, which has a G43 although no tool has a stored length.
 fn without_length(source: &str) -> String {
     let words = advice::words(source);
     let word = ['H', 'T'].iter().find_map(|letter| words.iter().find(|word| word.starts_with(*letter)));
@@ -261,7 +263,8 @@ pub struct Check {
 }
 
 impl Check {
-    /// Starts a job on an idle simulator. Configure beforehand what the simulator records.
+    /// Starts a job on an idle simulator. To collect a drawing or a trace, the caller must set up the simulator for it
+    /// beforehand.
     pub fn new(mut simulator: Simulator, job: JobText) -> Self {
         let origin = simulator.clock().now();
         simulator.mark_moves();
@@ -273,7 +276,7 @@ impl Check {
     }
 
     /// Makes a report for a machine that a host has driven without a job, as in a replay. `origin`: the tick at which
-    /// the report begins; `said`: the machine's output since then.
+    /// the report begins. `said`: the output of the machine since then.
     pub fn of(simulator: Simulator, origin: u64, said: &str) -> Self {
         let mut outcome = Outcome { complete: true, ..Outcome::default() };
         let mut answers = 0;
@@ -388,8 +391,8 @@ impl Check {
         self.outcome.warnings.sort_by_key(|warning| warning.line);
     }
 
-    /// Notes a small job in millimetres whose comments mention inches, and whose feeds are as slow as those of a program
-    /// in inches.
+    /// Warns about a job in millimetres that was probably written in inches: its comments mention inches, it is small,
+    /// and its feeds are as slow as those of a program in inches.
     fn look_for_feeds_in_inches(&mut self) {
         /// Only a job with a lower average feed, in mm/min, is noted. Programs in mm mostly have 100 or more, and those
         /// in inches 5 to 100.
@@ -425,7 +428,8 @@ impl Check {
     /// Warns of a job whose moves cover several times the travel of an axis. The usual cause: the numbers are
     /// millimetres, but the program runs in inches.
     fn compare_with_travel(&mut self) {
-        /// Jobs for a larger machine than the settings describe are common, so smaller ratios are not noted.
+        /// Ratio above which an axis is noted. Smaller ratios are common: many jobs are made for a larger machine than
+        /// the settings describe.
         const MUCH: f64 = 5.0;
         let settings = self.simulator.controller().settings();
         let (low, high) = self.simulator.machine().extents();
@@ -475,7 +479,7 @@ impl Check {
         &self.simulator
     }
 
-    /// The simulator, for fetching what it has collected, such as the drawing.
+    /// The simulator, for taking what it has collected, such as the drawing.
     pub fn simulator_mut(&mut self) -> &mut Simulator {
         &mut self.simulator
     }
@@ -490,7 +494,7 @@ impl Check {
         let times = simulator.meter().times().sum();
         let (low, high) = machine.extents();
         // The step counters began at 0 at power-up, but homing can have given the position other coordinates since. So
-        // calculate with distances from the present position: a shift of the coordinates does not change them.
+        // calculate distances from the present position: they are the same in all coordinates.
         let here = simulator.machine_place();
         let counted = simulator.meter().millimetres(machine.motors());
         let axes = simulator.controller().settings().axes_in_use();
@@ -553,7 +557,6 @@ fn travel(simulator: &Simulator) -> Extents {
     Extents { min, max }
 }
 
-/// Rounds each part of a tool's time as [`round`] does.
 fn rounded(row: ToolTime) -> ToolTime {
     let ToolTime { tool, feed_s, rapid_s, dwell_s, spin_up_s } = row;
     let [feed_s, rapid_s, dwell_s, spin_up_s] = [feed_s, rapid_s, dwell_s, spin_up_s].map(round);
@@ -595,7 +598,7 @@ mod tests {
         assert_eq!(summary.position_mm[0], 0.0);
     }
 
-    /// An arc after a refused line starts at another point, so its centre can be right.
+    /// An arc after a refused line starts at another point. So its error may come only from the wrong start.
     #[test]
     fn an_arc_behind_a_refused_line_is_not_blamed_alone() {
         let advice = |text| checked("oxmill", text).errors.into_iter().map(|error| error.advice).collect::<Vec<_>>();
@@ -687,7 +690,7 @@ mod tests {
         summary
     }
 
-    /// If a program in inches runs in millimetres, the job is too small, and slow.
+    /// A program in inches that runs in millimetres makes a job that is too small and too slow.
     #[test]
     fn a_small_job_with_slow_feeds_is_noted() {
         let is_noted = |text| {
@@ -745,8 +748,8 @@ mod tests {
         assert!((summary.spin_up_s - (1.5 + 0.75 + 1.5)).abs() < 1e-4, "{summary}");
     }
 
-    /// A check numbers the moves to find their lines and tools. The same job without these numbers makes the same steps
-    /// at the same times.
+    /// A check numbers the moves, to find their lines and tools. The job must make the same steps at the same times
+    /// without these numbers.
     #[test]
     fn marks_change_nothing_of_the_job() {
         let short: String = (1..400).map(|i| format!("N{i} G1 X{}\n", f64::from(i) * 0.003)).collect();

@@ -1,5 +1,5 @@
-//! The clients of `serve`, and the state that their threads share with the loop that owns the simulator. For each
-//! client, one thread reads its bytes into an inbox and another writes the replies; events reach the loop through a
+//! The clients of `serve`, and the state that their threads share with the loop that owns the simulator. Each client
+//! has two threads: one reads its bytes into an inbox, the other writes the replies. Events reach the loop through a
 //! channel.
 
 use crate::no_browser::is_realtime;
@@ -12,8 +12,8 @@ use std::thread;
 use std::time::Duration;
 use tungstenite::WebSocket;
 
-/// Reading stops when this many bytes of a client wait in its inbox. On a platform where `hung_up` detects nothing, a
-/// disconnection is then noticed only after there is room again, because TCP reports it after the last byte.
+/// Reading stops when this many bytes of a client wait in its inbox. TCP reports a disconnection only after the last
+/// byte. So where `hung_up` detects nothing, a disconnection is noticed only when there is room again.
 const AHEAD: usize = (1 << 24) - PIECE;
 /// Number of bytes without a line end after which a client is disconnected. A board rejects lines of over 255 bytes.
 pub(crate) const LONGEST_LINE: usize = 1 << 16;
@@ -21,12 +21,12 @@ pub(crate) const LONGEST_LINE: usize = 1 << 16;
 pub(crate) const PIECE: usize = 1024;
 /// Maximum number of reply chunks that wait for a slow client.
 pub(crate) const ANSWERS: usize = 64;
-/// Interval at which a reader that waits for room, or a writer whose client does not read, checks whether the client is
-/// still connected.
+/// Interval at which a waiting thread checks whether its client is still connected. A reader waits for room in the
+/// inbox, a writer for a client that does not read.
 pub(crate) const LOOK: Duration = Duration::from_millis(20);
 /// Pause before a write is tried again if the client does not read its replies.
 const AGAIN: Duration = Duration::from_millis(1);
-/// Sent to a client before its connection is closed because its line does not end.
+/// Message to a client whose line does not end, before its connection is closed.
 pub(crate) const ENDLESS: &[u8] = b"[MSG:The line has no end]\r\n";
 /// Maximum number of simultaneous connections; further ones are closed at once.
 const CONNECTIONS: usize = 64;
@@ -35,7 +35,8 @@ const CONNECTIONS: usize = 64;
 pub(crate) enum Happened {
     /// A client is ready to be served.
     Connected(Client),
-    /// A connection was accepted. If it is served, its reader thread sends its events through this sender.
+    /// A connection was accepted. If the loop serves it, the reader thread of the connection sends events through this
+    /// sender.
     Connecting(Incoming, SyncSender<Happened>),
     /// The client has sent bytes or has disconnected: see its [`Inbox`].
     Heard,
@@ -43,7 +44,7 @@ pub(crate) enum Happened {
     Pins(String, Sender<String>),
 }
 
-/// An accepted connection.
+/// An accepted connection, with the slot that it occupies.
 pub(crate) struct Incoming {
     pub(crate) link: Connection,
     pub(crate) place: Taken,
@@ -66,11 +67,11 @@ impl Incoming {
     }
 }
 
-/// The free connection slots. A thread that serves a connection keeps its slot until it ends.
+/// The connection slots, at most `CONNECTIONS`. A thread that serves a connection keeps its slot until it ends.
 #[derive(Clone, Default)]
 pub(crate) struct Places(Arc<()>);
 
-/// An occupied connection slot.
+/// An occupied connection slot. It becomes free when this value is dropped.
 pub(crate) struct Taken(#[allow(dead_code, reason = "it is counted")] Arc<()>);
 
 impl Places {
@@ -80,7 +81,7 @@ impl Places {
     }
 }
 
-/// A client's bytes, on their way from its reader thread to the loop.
+/// The bytes of a client that its reader thread has read and the loop has not taken yet.
 #[derive(Default)]
 pub(crate) struct Inbox {
     state: Mutex<InboxState>,
@@ -90,11 +91,11 @@ pub(crate) struct Inbox {
 #[derive(Default)]
 struct InboxState {
     bytes: VecDeque<u8>,
-    /// Number of bytes since the last line end, without realtime commands.
+    /// Number of bytes since the last line end; realtime commands do not count.
     line: usize,
-    /// Whether the client has disconnected or its input has ended, so that no more bytes will come.
+    /// `true` if no more bytes will come, because the client has disconnected or its input has ended.
     ended: bool,
-    /// Whether the loop has stopped serving the client.
+    /// `true` if the loop has stopped serving the client.
     closed: bool,
     /// The error that ended reading.
     failure: Option<io::Error>,
@@ -122,7 +123,7 @@ impl Inbox {
         self.state().line > LONGEST_LINE
     }
 
-    /// Removes and returns up to `most` bytes.
+    /// Removes and returns up to `most` bytes. Wakes the reader thread if it waits for room.
     pub(crate) fn take(&self, most: usize) -> Vec<u8> {
         let mut state = self.state();
         let length = most.min(state.bytes.len());
@@ -167,6 +168,7 @@ impl Inbox {
 
     /// Waits until the inbox has room for more bytes. Returns `false` if the client has disconnected meanwhile, is no
     /// longer served, or has sent a line that is too long.
+    /// `hung_up`: returns whether the client has disconnected.
     pub(crate) fn wait_for_room(&self, hung_up: impl Fn() -> bool) -> bool {
         let mut state = self.state();
         while !state.closed && state.bytes.len() >= AHEAD {
@@ -185,7 +187,7 @@ pub(crate) struct Client {
     pub(crate) answers: SyncSender<Vec<u8>>,
     /// The client's TCP connection, for checking whether the client is still connected; `None` for other links.
     pub(crate) stream: Option<TcpStream>,
-    /// Whether the client is standard input, whose lines are all executed, even after the input has ended.
+    /// `true` if the client is standard input. All its lines are executed, even after the input has ended.
     pub(crate) is_program: bool,
 }
 
@@ -222,8 +224,8 @@ pub(crate) fn hung_up<T>(_link: &T) -> bool {
     false
 }
 
-/// Reads a client's bytes into its inbox until the input ends, the client has disconnected or is no longer served, or
-/// its line is too long. In the last case, calls `tell_endless`.
+/// Reads the bytes of a client into its inbox. Ends if the input ends, if the client has disconnected or is no longer
+/// served, or if a line is too long. Calls `tell_endless` only for a line that is too long.
 pub(crate) fn pass_bytes(
     reader: &mut impl Read,
     inbox: &Inbox,
@@ -237,7 +239,8 @@ pub(crate) fn pass_bytes(
             Ok(0) => break,
             Ok(length) => {
                 inbox.push(&buffer[..length]);
-                // A full queue is harmless: the loop then has other events to handle, and looks into the inbox anyway.
+                // If the queue is full, the event is not needed: the loop has other events to handle, and looks into
+                // the inbox anyway.
                 if let Err(TrySendError::Disconnected(_)) = sender.try_send(Happened::Heard) {
                     return;
                 }
@@ -249,7 +252,7 @@ pub(crate) fn pass_bytes(
             }
         }
     }
-    // Tell the client before `end`, after which the loop closes the connection.
+    // Tell the client before the call of `end`, after which the loop closes the connection.
     if inbox.is_endless() {
         tell_endless();
     }
@@ -265,15 +268,16 @@ pub(crate) fn writer(mut link: impl Write + Send + 'static, inbox: Arc<Inbox>) -
     let (sender, receiver) = sync_channel::<Vec<u8>>(ANSWERS);
     let handle = thread::spawn(move || {
         let written = receiver.iter().try_for_each(|bytes| write_out(&mut link, &bytes, &inbox));
-        // If the loop has no more replies to send, only this call lets it notice that the client has disconnected.
+        // Mark the client as gone. If the loop has no more replies to send, it notices the disconnection only by this
+        // mark.
         inbox.end();
         written
     });
     (sender, handle)
 }
 
-/// Writes all bytes. While the client does not read, tries again until the loop closes its inbox. Fails then, or if the
-/// client has disconnected.
+/// Writes all bytes. While the client does not read, tries again until the loop closes the inbox. Fails if the loop
+/// closes the inbox or the client disconnects.
 fn write_out(link: &mut impl Write, mut bytes: &[u8], inbox: &Inbox) -> io::Result<()> {
     while !bytes.is_empty() {
         match link.write(bytes) {

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 const MICROSECONDS: u64 = 1_000_000;
 
-/// A clock that advances only on request.
+/// The time of a simulated machine, in ticks of its step clock.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock {
     hz: u64,
@@ -29,7 +29,7 @@ impl Clock {
         self.now = self.now.max(ticks);
     }
 
-    /// The current time as the controller sees it, in whole elapsed microseconds.
+    /// The time since power-up as the controller sees it: whole microseconds, rounded down.
     pub fn instant(&self) -> Instant {
         // Convert whole seconds and the remainder separately: the ticks of a few days times a million would overflow.
         Instant::from_ticks(self.now / self.hz * MICROSECONDS + self.now % self.hz * MICROSECONDS / self.hz)
@@ -42,8 +42,8 @@ impl Clock {
         seconds.saturating_add((us % MICROSECONDS * self.hz).div_ceil(MICROSECONDS))
     }
 
-    /// The latest tick at which a wait can end. It is far below the maximum values of ticks and microseconds, so adding
-    /// even the longest dwell to it does not overflow.
+    /// The latest tick at which a wait can end. It is so far below the maximum of ticks and microseconds that even the
+    /// longest dwell can be added without overflow.
     pub fn end(&self) -> u64 {
         (u64::MAX / 4 / MICROSECONDS).saturating_mul(self.hz).min(u64::MAX / 2)
     }

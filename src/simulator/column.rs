@@ -1,8 +1,8 @@
 //! Finds the column of the word that an error message names. The controller reads lines without blanks and comments,
-//! and its messages name words in that form. This module looks for the word in the line as written in the file.
+//! and its messages name words in that form. This module looks for the word in the line as it is in the file.
 
-/// Returns the column (from 1, in characters) in `line` of the word that the message `reason` names; `None` if the
-/// message names only a missing word, or if it is about another line.
+/// Returns the column in `line` of the word that the message `reason` names, in characters from 1. `None` if the
+/// message names only a missing word, or is about another line.
 pub fn of_word(reason: &str, line: &str) -> Option<u64> {
     let words = without_comments(line);
     let named = reason.split(": ").next().unwrap_or_default();
@@ -33,13 +33,13 @@ fn without_comments(line: &str) -> Vec<(u64, char)> {
     words
 }
 
-/// Returns whether a part of a message is a G-code word rather than plain English.
+/// Returns whether a part of a message is a G-code word and not plain English: it has no lower-case letter.
 fn is_word(name: &str) -> bool {
     !name.is_empty() && !name.contains(|c: char| c.is_ascii_lowercase())
 }
 
-/// Returns whether `line` begins with the G-code word `name`: `G2` also matches `G02`, but not `G21`. `without_number`:
-/// a `name` that is a letter alone matches only if no number follows.
+/// Returns whether `line` begins with the G-code word `name`. `G2` also matches `G02`, but not `G21`. `without_number`:
+/// `true` if a `name` that is only a letter matches only without a number after it.
 fn begins(line: &[(u64, char)], name: &str, without_number: bool) -> bool {
     let is_of_number = |c: char| c.is_ascii_digit() || c == '.';
     let mut rest = line.iter().map(|(_, character)| *character).peekable();

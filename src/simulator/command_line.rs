@@ -8,7 +8,7 @@ use clap::{Args, Parser, Subcommand};
 use oxmill_controller::axes::LINEAR;
 use std::path::PathBuf;
 
-/// Explains the exit status of the program.
+/// Text about the exit status of the program, shown after the help text.
 pub const EXIT_STATUS: &str = "\
 Exit status:
   0  all went well
@@ -305,7 +305,7 @@ pub struct MachineOptions {
 }
 
 impl MachineOptions {
-    /// Profile of the board, with the step clock of `--step-clock` if it is given.
+    /// Returns the board of `--board`, with the step clock of `--step-clock` if that is given.
     pub fn board(&self) -> Board {
         Board { step_clock_hz: self.step_clock.unwrap_or(self.board.step_clock_hz), ..self.board }
     }

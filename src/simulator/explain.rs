@@ -268,7 +268,7 @@ const PER_AXIS: [(AxisKey, &str); AxisKey::COUNT] = [
     ),
 ];
 
-/// Returns the sentence for a setting number; empty if the number does not exist.
+/// Returns the explanation of the setting with this number; empty if the number does not exist.
 pub fn setting(number: u16) -> &'static str {
     let once = ONCE.iter().find(|(key, _)| key.number() == number).map(|(_, sentence)| *sentence);
     let per_axis = || PER_AXIS.iter().find(|(key, _)| key.axis(number).is_some()).map(|(_, sentence)| *sentence);

@@ -1,7 +1,7 @@
 //! Detects files that cannot be a job: empty files, binary files and UTF-16 text. Looks only at the first bytes, before
 //! any line is read.
 
-/// Checks whether a file can be a job. `begin`: its first bytes; `is_all`: whether they are the whole file.
+/// Checks that a file can be a job. `begin`: its first bytes. `is_all`: `true` if these are the whole file.
 ///
 /// # Errors
 /// If the bytes are UTF-16 or binary, or if the file is empty. The error says what the file is and what to do.
@@ -21,8 +21,8 @@ pub fn refuse(begin: &[u8], is_all: bool) -> Result<(), &'static str> {
     Ok(())
 }
 
-/// Returns whether the text has a UTF-16 byte order mark, or looks like ASCII in UTF-16: at least nine tenths of either
-/// the even or the odd bytes are 0, and no byte of the other half is 0.
+/// Returns whether the text has a UTF-16 byte order mark, or looks like ASCII in UTF-16. Such text has a 0 in nearly
+/// every second byte: in nine tenths of the even or of the odd bytes, and in none of the other half.
 fn is_utf16(begin: &[u8]) -> bool {
     if begin.starts_with(b"\xFF\xFE") || begin.starts_with(b"\xFE\xFF") {
         return true;

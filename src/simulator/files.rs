@@ -1,6 +1,6 @@
-//! The files of a run. A file that the run also reads is never overwritten (symbolic links are followed). Every output
-//! file is opened and locked before the machine starts, and a new one is removed again if nothing was written. Input
-//! files that are read whole have a maximum size, because a device or a pipe can be endless.
+//! The files of a run. A file that the run also reads is never overwritten; symbolic links are followed. Every output
+//! file is opened and locked before the machine starts. If nothing was written, a new output file is removed again.
+//! Input files that are read whole have a maximum size, because a device or a pipe can be endless.
 
 use crate::file_kind;
 use crate::fittings::Fittings;
@@ -54,7 +54,7 @@ pub fn open_text(path: &Path) -> io::Result<(Box<dyn BufRead>, Option<u64>)> {
     Ok((Box::new(reader.take(u64::MAX)), length))
 }
 
-/// Returns the first bytes without consuming them; empty if the file is empty.
+/// Returns the first bytes of `reader` without consuming them; empty if there are none.
 fn begin_of(reader: &mut impl BufRead) -> io::Result<&[u8]> {
     while let Err(error) = reader.fill_buf() {
         if error.kind() != io::ErrorKind::Interrupted {
@@ -81,14 +81,14 @@ pub fn eprint_line(text: &str) {
     let _ = writeln!(io::stderr(), "{}", text.replace(|c: char| c.is_control() && c != '\n', "?"));
 }
 
-/// Locks a file while it is open: two programs writing into it would lose data.
+/// Locks a file while it is open, because two programs that write into it would lose data.
 ///
 /// # Errors
 /// If another process has locked the file.
 pub fn lock(file: &File) -> io::Result<()> {
     match file.try_lock() {
         Ok(()) => Ok(()),
-        // On a file system without locks, continue without.
+        // A file system without locks is not an error.
         Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => Ok(()),
         Err(TryLockError::WouldBlock) => Err(io::Error::other("it is in use by another oxmill")),
         Err(TryLockError::Error(error)) => Err(error),
@@ -100,8 +100,8 @@ pub fn without_mark(text: &str) -> &str {
     text.strip_prefix('\u{FEFF}').unwrap_or(text)
 }
 
-/// Reads the description of a machine. Returns the machine's hardware (switches, probe plate and so on) and the text of
-/// the file.
+/// Reads the description of a machine (`--machine`). Returns its hardware (switches, probe plate and so on) and the
+/// text of the file.
 ///
 /// # Errors
 /// If it cannot be read or understood.
@@ -121,11 +121,12 @@ pub struct Role<'a> {
     pub path: &'a Path,
     /// What the file is, as error messages name it: `the job`, `--output` and so on.
     pub name: &'static str,
-    /// Whether the run writes the file.
+    /// `true` if the run writes the file; `false` if it only reads the file.
     pub written: bool,
 }
 
-/// Returns an error if one file would overwrite another. Two paths that lead to one file by links are the same file.
+/// Checks that no file would overwrite another; fails if one would. Two paths that lead to one file by links are the
+/// same file.
 pub fn check_apart(files: &[Role]) -> Result<()> {
     let places: Vec<Place> = files.iter().map(|file| Place::of(file.path)).collect();
     for (index, (file, place)) in files.iter().zip(&places).enumerate() {
@@ -145,7 +146,7 @@ struct Place {
     path: Option<PathBuf>,
     /// Device and inode number; `None` if the file does not exist, or if the system has no such numbers.
     file: Option<(u64, u64)>,
-    /// Whether it is a device, a pipe or the like, which a run may both read and write.
+    /// `true` for a device, a pipe or the like, which a run may both read and write.
     special: bool,
 }
 
@@ -175,7 +176,7 @@ fn number(_: &fs::Metadata) -> Option<(u64, u64)> {
     None
 }
 
-/// Returns where a file that does not exist yet would be created: its folder with links resolved, and its name.
+/// Returns the path at which a file that does not exist yet would be created, with all links resolved.
 fn future(path: &Path) -> Option<PathBuf> {
     let mut path = path.to_path_buf();
     for _ in 0..MOST_LINKS {
@@ -192,8 +193,8 @@ fn future(path: &Path) -> Option<PathBuf> {
     None
 }
 
-/// An output file. It is opened immediately, so that an unwritable file is detected before the work, and keeps its
-/// content until it is written. A file that was created here but never written is removed.
+/// An output file. It is opened before the work, so that an unwritable file is detected early, and keeps its content
+/// until it is written. A file that was created here but never written is removed.
 #[derive(Debug)]
 pub struct Output {
     path: PathBuf,
@@ -212,7 +213,7 @@ impl Output {
         Ok(Self { path: path.to_path_buf(), file: Some(file), made })
     }
 
-    /// Empties the file and returns it.
+    /// Empties the file and returns it for writing.
     pub fn begin(mut self) -> io::Result<File> {
         let file = self.file.take().ok_or(io::ErrorKind::NotFound)?;
         if file.metadata()?.is_file() {

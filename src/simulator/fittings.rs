@@ -1,5 +1,5 @@
 //! The hardware of the simulated machine, as described in TOML: limit switches, probe plate, backlash, a racked gantry.
-//! Follows the motors and computes which contacts are closed or still bouncing. Independent of the controller.
+//! Follows the motors and computes which contacts are closed or still bouncing. It does not use the controller.
 
 use crate::boards::AXES;
 use crate::machine::Machine;
@@ -77,7 +77,7 @@ struct Fitted {
     side: Side,
     bounce_us: u32,
     probe: bool,
-    /// Whether the switch is normally closed: its pin is high while the carriage presses it.
+    /// `true` if the switch is normally closed: its pin is high while the carriage presses it.
     opens: bool,
     closed: bool,
     /// Virtual time until which the contact bounces, in microseconds.
@@ -91,21 +91,21 @@ pub struct HomeSwitches {
     pub steps_per_mm: [f64; AXES],
     /// How the motors move the carriages; used if there is no [`Description`] of the machine.
     pub arrangement: Arrangement,
-    /// Switch positions in mm from where the carriages are now. The sign is the direction in which the carriage closes
-    /// the switch.
+    /// Switch positions in mm from the present positions of the carriages. A carriage closes its switch in the
+    /// direction of the sign.
     pub at_mm: [f64; AXES],
     /// The axes that have a switch.
     pub axes: Vec<usize>,
     /// The axis that has a second switch, at its second motor.
     pub second_motor: Option<usize>,
-    /// Whether the switches are normally closed (`$5`).
+    /// `true` if the switches are normally closed (`$5`).
     pub opens: bool,
 }
 
 /// Tolerance for rounding, mm: less than any step.
 const ROUNDING_TOLERANCE_MM: f64 = 1.0e-7;
 
-/// The hardware of a machine as its [`Description`] says, and the present state of its contacts.
+/// The hardware of a machine according to its [`Description`], with the present state of its contacts.
 #[derive(Clone, Debug, Default)]
 pub struct Fittings {
     steps_per_mm: [f64; AXES],
@@ -113,8 +113,8 @@ pub struct Fittings {
     backlash_mm: [f64; AXES],
     racked_mm: f64,
     contacts: Vec<Fitted>,
-    /// Position of the part that each motor drives, mm: equal to the motor's position, or lower by at most the
-    /// backlash.
+    /// Position of the part that each motor drives, mm. Because of backlash, it lies between the position of the motor
+    /// minus the backlash and the position of the motor.
     driven_mm: [f64; AXES],
 }
 
@@ -198,8 +198,8 @@ impl Fittings {
         true
     }
 
-    /// Shifts the positions of all contacts and driven parts, when the present position gets other coordinates. `by`:
-    /// steps added to the counter of each motor.
+    /// Adapts the positions of all contacts and driven parts when the present position gets other coordinates, as after
+    /// homing. Nothing moves. `by`: steps added to the counter of each motor.
     pub fn rename_places(&mut self, by: [i32; AXES]) {
         if self.is_empty() {
             return;
@@ -214,7 +214,8 @@ impl Fittings {
         }
     }
 
-    /// Converts positions of the parts that the motors drive to positions of the carriages, mm.
+    /// Converts the positions of the parts that the motors drive to positions of the carriages, mm. They are equal,
+    /// except on a CoreXY machine: X = (A + B) / 2 and Y = (A - B) / 2.
     fn places(&self, motors: [f64; AXES]) -> [f64; AXES] {
         let mut places = motors;
         if self.kinematics == Kinematics::CoreXy {
@@ -224,7 +225,7 @@ impl Fittings {
         places
     }
 
-    /// Returns whether the machine has neither contacts nor backlash, so nothing needs to follow the motors.
+    /// Returns whether the machine has neither contacts nor backlash. Then nothing needs to follow the motors.
     pub fn is_empty(&self) -> bool {
         self.contacts.is_empty() && self.backlash_mm == [0.0; AXES]
     }
@@ -248,8 +249,7 @@ impl Fittings {
             } else {
                 places[contact.axis]
             };
-            // In spite of rounding, a contact located exactly at a step must close at that step: hence
-            // `ROUNDING_TOLERANCE_MM`.
+            // A contact located exactly at a step must close at that step, in spite of rounding.
             let beyond = match contact.side {
                 Side::Positive => place - contact.at_mm,
                 Side::Negative => contact.at_mm - place,
@@ -269,13 +269,13 @@ impl Fittings {
         self.driven_mm
     }
 
-    /// Returns whether the probe plate is touched, as the step task sees it (without bounce).
+    /// Returns whether the tool touches the probe plate, without bounce. The step task reads this.
     pub fn touches(&self) -> bool {
         self.contacts.iter().any(|c| c.probe && c.closed)
     }
 
-    /// Returns the levels of the pins at the time `now_us`. A bouncing contact shows its state in most samples and the
-    /// opposite in some.
+    /// Returns the levels of the pins at the time `now_us`. While a contact bounces, about one sample in four shows the
+    /// opposite of its state.
     pub fn sample(&self, now_us: u64) -> Signals {
         let mut signals = Signals::default();
         for contact in &self.contacts {

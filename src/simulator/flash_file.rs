@@ -1,5 +1,5 @@
-//! A flash image in a file (`--store`), locked while in use: the sectors one after the other, 16 KiB each, as a debug
-//! probe would read them. Every word that the settings log writes is written to the file at once, separately.
+//! A flash image in a file (`--store`), locked while in use. It has the sectors one after the other, 16 KiB each, as a
+//! debug probe would read them. Every word that the settings log writes is written to the file at once and separately.
 
 use crate::files::lock;
 use crate::store::{IMAGE, Kept, Store, Unusable};
@@ -10,8 +10,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 impl Store {
-    /// Opens the store in a file, and keeps the file locked while the store exists: two writers would lose data. A
-    /// missing or empty file becomes an empty store.
+    /// Opens the store in a file. A missing or empty file becomes an empty store. The file stays locked while the store
+    /// exists, because two writers would lose data.
     pub fn open(path: &Path) -> Result<Self> {
         let mut file = OpenOptions::new()
             .read(true)

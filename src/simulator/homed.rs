@@ -11,13 +11,13 @@ use std::time::Duration;
 
 /// Time that the input filter needs to report new switches.
 const SETTLING: Duration = Duration::from_millis(5);
-/// Tolerance between the requested and the actual work zero, mm: G-code numbers are rounded to this.
+/// Tolerance between the requested and the actual work zero, mm: more than the rounding to the six decimals in G10.
 const ROUNDING_MM: f64 = 1e-3;
 
 /// Homes an idle machine with the controller's own `$H`, and sets the work zero of G54 to `work_zero`, in mm of machine
-/// coordinates. A machine without switches gets a switch at the end of each axis, according to `$23` and `$130` to
-/// `$132`, as if the machine had been powered up in the middle of its travel. Afterwards the step counts correspond to
-/// machine coordinates.
+/// coordinates. Afterwards the step counts correspond to machine coordinates.
+/// A machine without switches gets a switch at the end of each axis, according to `$23` and `$130` to `$132`. It then
+/// counts as powered up in the middle of its travel.
 ///
 /// # Errors
 /// A text for users: homing is off (`$22`) or has failed, or `work_zero` is out of range.
@@ -48,7 +48,7 @@ pub fn home(simulator: &mut Simulator, work_zero: [f64; LINEAR]) -> Result<(), S
 fn switches_of(simulator: &Simulator) -> HomeSwitches {
     let settings = simulator.controller().settings();
     let to_negative = settings.whole(Key::HomingDirection);
-    // A rotary axis without travel limits reaches its switch within one turn.
+    // For a rotary axis without travel limits, put the switch a quarter turn away.
     let half = settings.axes(AxisKey::Travel).0.map(|travel| if travel > 0.0 { f64::from(travel) / 2.0 } else { 90.0 });
     let homed = settings.homing_cycles().iter().fold(0, |all, cycle| all | cycle);
     HomeSwitches {
@@ -61,8 +61,8 @@ fn switches_of(simulator: &Simulator) -> HomeSwitches {
     }
 }
 
-/// Sends a line and runs until the machine is idle. Fails if the line ends in an alarm or is rejected; the text
-/// contains the alarm or error with its messages.
+/// Sends a line and runs until the machine is idle. Fails if the line ends in an alarm or is rejected. The error text
+/// contains the alarm or error, with its messages.
 fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
     simulator.take_output();
     simulator.send(format!("{line}\n"));
@@ -76,8 +76,8 @@ fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
     error.map_or(Ok(()), |code| Err(format!("was refused with error:{code}: {}{messages}", error_text(code))))
 }
 
-/// Shifts the step counters of the motors, and the switches with them, so that a counter of 0 is machine coordinate 0.
-/// `machine`: the present machine position, mm.
+/// Shifts the step counters of the motors, so that a counter of 0 is machine coordinate 0. Shifts the switches as well,
+/// so that they stay where they are. `machine`: the present machine position, mm.
 fn name_steps(simulator: &mut Simulator, machine: [f64; AXES]) {
     simulator.learn_resolution();
     let world = &mut simulator.world;
@@ -142,7 +142,7 @@ mod tests {
         assert_eq!((ends.min, ends.max), (vec![0.0, -48.0, -38.0], vec![58.0, 0.0, 0.0]));
     }
 
-    /// The report of the job does not contain the homing.
+    /// The report of a job must not contain the homing.
     #[test]
     fn the_job_is_the_same_behind_a_homing() {
         let bare = || machine(&["22=1"], Fittings::default());
@@ -180,8 +180,8 @@ mod tests {
         }
     }
 
-    /// The machine's own switches are used. They still close at the same position after the step counts have been
-    /// shifted.
+    /// A machine with switches of its own keeps them. They still close at the same position after the step counts have
+    /// been shifted.
     #[test]
     fn a_machine_has_its_own_switches() {
         let description = r#"{"steps_per_mm": [250, 250, 250], "switch": [

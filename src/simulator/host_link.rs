@@ -24,13 +24,13 @@ const UNUSED: usize = 1;
 struct ToControl {
     realtime: VecDeque<Realtime>,
     lines: VecDeque<LineByte>,
-    /// Whether everything that any host has sent has been executed and answered.
+    /// `true` if everything that any host has sent has been executed and answered.
     free: bool,
-    /// Whether the controller reads comments as text, character by character.
+    /// `true` if the controller reads comments as text, character by character.
     reads_characters: bool,
-    /// Whether the controller answers like grblHAL.
+    /// `true` if the controller answers like grblHAL.
     speaks_grblhal: bool,
-    /// Whether a command that stops the step task has been received.
+    /// `true` if a reset has been received since the last call of [`HostLink::wants_stop`].
     stop: bool,
 }
 
@@ -75,7 +75,7 @@ impl Queues for ToControl {
 /// The host's port, the link after it, and the controller's queues.
 #[derive(Clone)]
 pub struct HostLink {
-    /// Bytes that the host has sent and the link has not fetched yet, for lack of room.
+    /// Bytes that the host has sent and the link has not fetched yet.
     port: VecDeque<u8>,
     link: Link,
     unused_link: Link,
@@ -85,12 +85,12 @@ pub struct HostLink {
     activity: u16,
     connected: bool,
     disconnected: bool,
-    /// A `!` within a comment can be text or a feed hold. If no byte follows it until this time, it is executed as a
+    /// A `!` within a comment can be text or a feed hold. If no byte follows it until this time, it becomes a feed
     /// hold.
     command_at: Option<Instant>,
-    /// In a replay: whether the board had more bytes waiting after those sent so far.
+    /// In a replay: `true` if the board had more bytes waiting after those sent so far.
     more: bool,
-    /// In a replay: whether the host never counts as silent (see [`HostLink::update_activity`]).
+    /// In a replay: `true` if the host never counts as silent (see [`HostLink::update_activity`]).
     never_silent: bool,
 }
 
@@ -118,48 +118,48 @@ impl HostLink {
         self.port.extend(bytes);
     }
 
-    /// For a replay: sets whether the board had more bytes waiting after those that are sent next.
+    /// Sets whether the board had more bytes waiting after those that are sent next. Only a replay calls this.
     pub fn follow(&mut self, more: bool) {
         self.more = more;
     }
 
-    /// For a replay: from here on, the host never counts as silent (see [`HostLink::update_activity`]).
+    /// Makes the host never count as silent from here on (see [`HostLink::update_activity`]). Only a replay calls this.
     pub fn set_never_silent(&mut self) {
         self.never_silent = true;
     }
 
     /// Simulates that bytes were lost on their way to the link, after those sent so far. The controller refuses the
-    /// line that they belonged to.
+    /// line with the lost bytes.
     pub fn lose(&mut self) {
         self.link.lose();
     }
 
-    /// Queues a realtime command that does not arrive as a byte of the host, such as that of a button.
+    /// Queues a realtime command that does not come from the host, such as the command of a button.
     pub fn command(&mut self, command: Realtime) {
         // The queue has room: after every input the control task runs and empties it.
         self.arbiter.command(command, &mut self.queues);
     }
 
-    /// Call when the host opens the port.
+    /// Connects the host. Call when it opens the port.
     pub fn connect(&mut self) {
         self.connected |= self.link.came(&mut self.arbiter, &mut self.unused_link, &self.queues);
     }
 
-    /// Call when the host closes the port or is unplugged; the bytes in the port are lost.
+    /// Disconnects the host. Call when it closes the port or is unplugged. The bytes in the port are lost.
     pub fn disconnect(&mut self) {
         self.port.clear();
         self.disconnected |= self.link.went(&mut self.arbiter);
     }
 
-    // The work of a board's serial task.
+    // The functions from here on do the work of a board's serial task.
 
     /// Moves bytes from the link into the queues, as far as there is room. Returns whether any byte was moved.
     pub fn pass_on(&mut self) -> bool {
         self.link.pass_on(&mut self.arbiter, &mut self.queues)
     }
 
-    /// Fetches a byte from the port into the link; `None` if the port is empty or the link has no room. Otherwise
-    /// returns whether anything was added to the queues.
+    /// Fetches a byte from the port into the link. Returns whether anything was added to the queues; `None` if there
+    /// was no byte to fetch, or no room in the link.
     pub fn fetch<const N: usize>(&mut self, controller: &Controller<N>) -> Option<bool> {
         let byte = if self.link.room() > 0 { self.port.pop_front()? } else { return None };
         self.activity = self.activity.wrapping_add(1);
@@ -170,13 +170,13 @@ impl HostLink {
         Some(self.link.take(byte, &mut self.arbiter, &mut self.unused_link, &mut self.queues))
     }
 
-    /// Call after all available bytes have been fetched. If the last byte is a `!` in a comment, it can be text or a
-    /// feed hold: if no byte follows it for `AMBIGUOUS_US`, queues it as a hold. Returns whether a command was queued.
+    /// Makes the last byte received a feed hold, if it is a `!` in a comment and no byte has followed it for
+    /// `AMBIGUOUS_US`. Call after all available bytes have been fetched. Returns whether a command was queued.
     pub fn await_rest(&mut self, now: Instant) -> bool {
         if !self.link.is_ambiguous() {
             return false;
         }
-        // Wait while bytes are in the port: the rest of the line can be among them.
+        // Wait while bytes are in the port: they can be the rest of the comment.
         let at = *self.command_at.get_or_insert(now + Duration::micros(AMBIGUOUS_US.into()));
         if !self.port.is_empty() || now < at {
             return false;
@@ -186,13 +186,13 @@ impl HostLink {
         self.pass_on()
     }
 
-    /// The time at which a `!` is executed as a feed hold if it is the last byte received and is within a comment;
-    /// `None` without such a `!`, or while bytes wait in the port.
+    /// The time at which the last byte received, a `!` in a comment, becomes a feed hold. `None` if the last byte is no
+    /// such `!`, or if bytes wait in the port.
     pub fn rest_due(&self) -> Option<Instant> {
         self.command_at.filter(|_| self.port.is_empty())
     }
 
-    /// Returns whether a reset has arrived since the last call. It must stop the step task.
+    /// Returns whether a reset has arrived since the last call. The caller must then stop the step task.
     pub fn wants_stop(&mut self) -> bool {
         std::mem::take(&mut self.queues.stop)
     }
@@ -202,7 +202,7 @@ impl HostLink {
         !self.port.is_empty() || self.link.is_waiting() || self.link.is_ambiguous()
     }
 
-    // The input of the control task.
+    // The functions from here on are the input of the control task.
 
     /// Returns the next connect or disconnect.
     pub fn next_event(&mut self) -> Option<Event<AXES>> {
@@ -244,14 +244,14 @@ impl HostLink {
             + usize::from(self.more)
     }
 
-    /// Number of bytes that the link has fetched (wrapping). If the host must never count as silent, the number also
-    /// increases with each call of this function.
+    /// Number of bytes that the link has fetched (wrapping). The controller takes a host as silent if this number stays
+    /// the same. So with `never_silent`, and after [`HostLink::set_never_silent`], each call increases the number.
     pub fn update_activity(&mut self, never_silent: bool) -> u16 {
         self.activity = self.activity.wrapping_add(u16::from(never_silent || self.never_silent));
         self.activity
     }
 
-    /// Number of bytes sent and not yet read by the controller: in the queue, the link and the port.
+    /// Number of bytes that the host has sent and the controller has not read: in the queue, the link and the port.
     pub fn unread(&self) -> usize {
         self.port.len() + self.received() - usize::from(self.more)
     }

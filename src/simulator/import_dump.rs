@@ -1,6 +1,6 @@
 //! Imports the output of `$$` of Grbl, grblHAL or Oxmill. Most numbers have the same meaning. In a dump of grblHAL, the
-//! bits of a mask become the settings with the same meaning. Settings that only grblHAL has are not taken, each with a
-//! reason.
+//! bits of a mask become those settings of Oxmill that mean the same. Settings that only grblHAL has are listed as not
+//! taken, each with a reason.
 
 use crate::import_list::{FileEntry, Import, NO_SETTING, decimal, number, row, values_of, whole};
 use oxmill_controller::axes::LINEAR;
@@ -16,17 +16,17 @@ const PER_AXIS: RangeInclusive<u32> = 100..=139;
 const GRBLHAL: Decimal = Decimal::from_int(3);
 /// Value of `$930`, the number of axes, with which the axis A is in use.
 const WITH_A: Decimal = Decimal::from_int(4);
-/// Number of the setting for the fourth homing cycle. A machine with three axes has only three.
+/// Number of the setting for the fourth homing cycle, `$47`. A machine with three axes has only three.
 const FOURTH_CYCLE: u16 = AxisKey::HomingCycle.number() + LINEAR as u16;
-/// Number of the setting for the resolution of A.
+/// Number of the setting for the resolution of A, `$103`.
 const RESOLUTION_OF_A: u16 = AxisKey::Resolution.number() + LINEAR as u16;
 /// Number of grblHAL's setting for the retract of G73.
 const HAL_PECK: u16 = 28;
 /// Number of grblHAL's setting for tool changes.
 const HAL_TOOL_CHANGE: u16 = 341;
 
-/// Settings of grblHAL that have no counterpart, each with the reason. Numbers from `$220` on have another meaning in
-/// Oxmill.
+/// Settings of grblHAL that Oxmill does not have, each with the reason. From `$220` on, the same numbers mean something
+/// else in Oxmill, such as the jerk.
 const HAL_ONLY: &[(RangeInclusive<u16>, &str)] = &[
     (7..=7, "the PWM is off at S0"),
     (8..=8, "$906 inverts the second motor of the axis in $905"),
@@ -53,7 +53,7 @@ const HAL_ONLY: &[(RangeInclusive<u16>, &str)] = &[
     (800..=805, "see $220, in mm/s3"),
 ];
 
-/// A line `$n=v`.
+/// A line `$n=v`. `value`: `None` if it is not a number. `at`: number of the line, from 1.
 struct Line<'a> {
     number: u32,
     value: Option<Decimal>,
@@ -116,14 +116,13 @@ fn is_blank(line: &str) -> bool {
     line.split([';', '#', '(']).next().unwrap_or_default().trim().is_empty()
 }
 
-/// Returns whether a line is `$$` itself or machine output before or after its reply: text copied from a terminal may
-/// contain both.
+/// Returns whether a line is `$$` itself, or other output of a machine. Text copied from a terminal may contain both.
 pub fn is_said_around_settings(line: &str) -> bool {
     let line = line.trim();
     matches!(line, "ok" | "$$") || ["Grbl ", "GrblHAL ", "[", "<"].iter().any(|begin| line.starts_with(begin))
 }
 
-/// Parses `$n=v`, after which a comment may follow.
+/// Parses `$n=v`, after which a comment may follow. `at`: number of the line, from 1.
 fn assignment(written: &str, at: usize) -> Option<Line<'_>> {
     let (name, value) = written.strip_prefix('$')?.split_once('=')?;
     let name = name.trim_end();
@@ -137,13 +136,13 @@ fn says_grblhal(text: &str) -> bool {
     text.lines().map(str::trim).any(|line| line.starts_with("GrblHAL ") || line == "[FIRMWARE:grblHAL]")
 }
 
-/// Returns the mask of the machine's axes: X, Y, Z, and A if the dump has a resolution of A.
+/// Returns the mask of the axes of the machine: X, Y, Z, and A if the dump has a resolution of A. Bit 0 is X.
 fn axes(found: &[Line]) -> u32 {
     if found.iter().any(|line| line.number == u32::from(RESOLUTION_OF_A)) { 0b1111 } else { 0b111 }
 }
 
-/// Imports a mask: the bits that mean the same in Oxmill's setting of this number, and the bit that is `$932` in
-/// Oxmill. Bits without a function in Oxmill are listed as not taken.
+/// Imports a mask of grblHAL in three parts. Bits that mean the same in Oxmill become the setting with this number. In
+/// a dump of grblHAL, one bit of `$22` becomes `$932`. Bits without a function in Oxmill are listed as not taken.
 fn take_mask(import: &mut Import, number: u16, mask: &GrblHalMask, bits: u32, entry: &FileEntry) {
     import.take(number, decimal(bits & mask.own), entry);
     if let Some(on) = mask.zero_at_pull_off(bits).filter(|_| import.what == "grblHAL") {
@@ -158,8 +157,8 @@ fn leave_bits(import: &mut Import, bits: u32, why: &str, entry: &FileEntry) {
     }
 }
 
-/// Imports a setting of grblHAL that `take_mask` does not handle, or lists it as not taken. `axes`: bit mask of the
-/// machine's axes.
+/// Imports a setting of grblHAL that `take_mask` does not handle, or lists it as not taken. `axes`: mask of the axes of
+/// the machine, bit 0 is X.
 fn take_of_hal(import: &mut Import, number: u16, value: Decimal, axes: u32, entry: &FileEntry) {
     const ENABLE_INVERT: u16 = Key::EnableInvert.number();
     const LIMIT_INVERT: u16 = Key::LimitInvert.number();

@@ -6,16 +6,16 @@ use oxmill_controller::axes::{Axis, LINEAR};
 use oxmill_controller::settings::{AxisKey, Key};
 use oxmill_controller::units::Decimal;
 
-/// Why an entry about hardware is not taken if an Oxmill board itself determines that hardware.
+/// Why an entry about hardware is not taken: an Oxmill board has its own pins and parts.
 const OF_THE_BOARD: &str = "pins and parts of another board";
 /// FluidNC's configurations write this for a pin that is not connected.
 const NO_PIN: &str = "NO_PIN";
-/// FluidNC's types of spindles whose speed is a PWM or a switched output.
+/// FluidNC's types of spindles with a PWM or switched output.
 const SPINDLES: [&str; 7] = ["PWM", "Laser", "10V", "BESC", "DAC", "Relay", "HBridge"];
-/// FluidNC's types of spindles on a serial bus, which Oxmill does not support.
+/// FluidNC's types of spindles on a serial bus. Oxmill does not support them.
 const BUS_SPINDLES: [&str; 9] =
     ["Huanyang", "HuanyangVFD", "H100", "H2A", "YL620", "NowForever", "DanfossVLT2800", "SiemensV20", "ModbusVFD"];
-/// Letters of the axes; the index of a letter is the number of its axis.
+/// Letters of the axes in FluidNC, in the order of the axis numbers.
 const LETTERS: &str = "xyzabc";
 
 /// Returns whether the text has a section of axes, as each file of FluidNC does.
@@ -81,7 +81,7 @@ fn without_comment(line: &str) -> &str {
     begin.map_or(line, |(at, _)| &line[..at])
 }
 
-/// Entries that become settings only together with others.
+/// Entries that become settings only together with other entries. Each has the entry of the file from which it comes.
 #[derive(Default)]
 struct ConfiguredMachine {
     core_xy: bool,
@@ -91,11 +91,11 @@ struct ConfiguredMachine {
     to_negative: Vec<(Axis, FileEntry)>,
     soft_limits: Vec<(bool, FileEntry)>,
     hard_limits: Vec<(bool, FileEntry)>,
-    /// Machine coordinate after homing, by axis.
+    /// Machine coordinate of each axis after homing.
     place: Vec<(Decimal, FileEntry)>,
-    /// Axis, and whether its step pin is active low.
+    /// Axis, and `true` if its step pin is active low.
     steps: Vec<(Axis, bool, FileEntry)>,
-    /// Axis, number of the motor, and whether its direction pin is active low.
+    /// Axis, number of the motor (0 or 1), and `true` if its direction pin is active low.
     directions: Vec<(Axis, usize, bool, FileEntry)>,
     /// Axes with a second motor.
     second_motors: Vec<(Axis, FileEntry)>,
@@ -111,7 +111,8 @@ struct Reader {
 }
 
 impl Reader {
-    /// Imports a value, or lists it as not taken with the reason. `keys` is the path to the value in the file.
+    /// Imports a value, or lists it as not taken with the reason. `keys`: the path to the value in the file, such as
+    /// `axes`, `x`, `steps_per_mm`.
     fn value(&mut self, keys: &[&str], value: &str, entry: FileEntry) {
         match *keys {
             ["axes", axis, ref rest @ ..] if !rest.is_empty() => match LETTERS.find(axis).filter(|_| axis.len() == 1) {
@@ -156,8 +157,8 @@ impl Reader {
         }
     }
 
-    /// Imports a value that FluidNC has for each axis, and Oxmill once for all axes: the first one in the file. Later
-    /// ones that differ from it are listed as not taken.
+    /// Imports a value that FluidNC has for each axis, and Oxmill once for all axes. The first value in the file
+    /// counts. A later value that differs from it is listed as not taken.
     fn take_for_all(&mut self, key: Key, value: &str, entry: FileEntry) {
         let taken = self.import.taken.iter().find(|taken| taken.number == key.number()).map(|taken| taken.value.0);
         if taken.is_none() || number(value).is_none() {
@@ -339,14 +340,14 @@ impl Reader {
         self.import.leave(&entry, why);
     }
 
-    /// Adds the settings that result from several entries together, and returns the import.
+    /// Adds the settings that result from several entries together. Returns the complete import.
     fn finish(mut self) -> Import {
         let machine = std::mem::take(&mut self.machine);
         let is_homed = self.homing_cycles(&machine);
         self.limits(&machine.soft_limits, Key::SoftLimits, is_homed);
         self.limits(&machine.hard_limits, Key::HardLimits, true);
         self.second_motor(&machine);
-        // A mask of 0 becomes a setting, too, because the machine may have another mask stored.
+        // A mask of 0 also becomes a setting, because the machine may have another mask stored.
         let of_first = machine.directions.iter().filter(|(_, motor, ..)| *motor == 0);
         let directions: Vec<_> = of_first.map(|(axis, _, is_low, entry)| (*axis, *is_low, entry)).collect();
         self.mask(Key::DirectionInvert, &directions);
@@ -360,8 +361,8 @@ impl Reader {
         self.import.finish()
     }
 
-    /// Imports the mask of those `axes` whose `bool` is true; does nothing if `axes` is empty. The report shows the
-    /// mask with the entry of the first axis in it, or if it is 0, with the first entry.
+    /// Imports a mask with the bits of those `axes` whose `bool` is true. Does nothing if `axes` is empty. The report
+    /// shows the mask with the entry of the first axis that is set, or with the first entry if none is.
     fn mask(&mut self, key: Key, axes: &[(Axis, bool, &FileEntry)]) {
         if let Some((_, _, entry)) = axes.iter().find(|(_, is_set, _)| *is_set).or(axes.first()) {
             let bits = axes.iter().filter(|(_, is_set, _)| *is_set).fold(0, |mask, (axis, ..)| mask | bit(*axis));
@@ -369,8 +370,8 @@ impl Reader {
         }
     }
 
-    /// Imports whether the machine is homed, in which cycles and in which directions. Returns whether any axis is
-    /// homed.
+    /// Imports the homing settings: on or off (`$22`), the axes of each cycle, and the directions. Returns whether any
+    /// axis is homed.
     fn homing_cycles(&mut self, machine: &ConfiguredMachine) -> bool {
         let Some((_, _, first)) = machine.cycles.first() else { return false };
         let mut order: Vec<i32> =
@@ -406,8 +407,8 @@ impl Reader {
         true
     }
 
-    /// Imports soft or hard limits, which FluidNC enables for each axis, and Oxmill by one setting for all axes.
-    /// Without `is_possible` (soft limits need homing), limits that are on are listed as not taken.
+    /// Imports soft or hard limits. FluidNC enables them for each axis, Oxmill by one setting for all axes.
+    /// `is_possible`: `false` for soft limits without homing; limits that are on are then listed as not taken.
     fn limits(&mut self, axes: &[(bool, FileEntry)], key: Key, is_possible: bool) {
         let is_on = is_possible && axes.iter().any(|(on, _)| *on);
         for (index, (on, entry)) in axes.iter().enumerate() {
@@ -422,8 +423,8 @@ impl Reader {
         }
     }
 
-    /// Imports which axis has a second motor, whether the direction of this motor is inverted, and whether it has its
-    /// own switch. Second motors of further axes are listed as not taken.
+    /// Imports the second motor of an axis: which axis has one, whether its direction is inverted, and whether it has
+    /// its own switch. Second motors of further axes are listed as not taken.
     fn second_motor(&mut self, machine: &ConfiguredMachine) {
         let mut ganged = None;
         for (axis, entry) in &machine.second_motors {

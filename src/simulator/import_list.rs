@@ -1,5 +1,5 @@
-//! The result of an import: the settings that were taken, each checked by the controller's own table, and the entries
-//! that were not, each with a reason.
+//! The result of an import. It has the settings that were taken, each checked by the controller's own table, and the
+//! entries that were not taken, each with a reason.
 
 use crate::boards::AXES;
 use oxmill_controller::error::Error;
@@ -14,7 +14,7 @@ use std::fmt;
 /// Maximum length of an entry's text, in characters. Longer ones are cut off.
 const LONGEST: usize = 100;
 
-/// Why an entry is not taken if Oxmill has no setting with its number.
+/// The reason for an entry whose number is no setting of Oxmill.
 pub const NO_SETTING: &str = "no such setting";
 
 /// The result of importing a file.
@@ -33,9 +33,9 @@ pub struct Import {
 pub struct TakenSetting {
     /// Number after `$`.
     pub number: u16,
-    /// Value in the setting's unit. The controller accepts this value, except that Grbl's dialect may reject it.
+    /// Value in the unit of the setting. The controller accepts this value, but may reject it in Grbl's dialect.
     pub value: Value,
-    /// Name of the setting.
+    /// Name of the setting in the words of the firmware.
     pub name: String,
     /// Unit; empty for none.
     pub unit: &'static str,
@@ -94,7 +94,7 @@ impl Serialize for Value {
     }
 }
 
-/// Returns the number, if `text` consists of a number and nothing else.
+/// Returns the number in `text`; `None` if `text` is not a number, or has more than a number.
 pub fn number(text: &str) -> Option<Decimal> {
     read(text.as_bytes(), Digits::Exact).filter(|number| number.used == text.len()).map(|number| number.value)
 }
@@ -104,7 +104,7 @@ pub fn whole(value: Decimal) -> Option<u32> {
     (value.0 % DECIMAL_ONE == 0).then(|| u32::try_from(value.0 / DECIMAL_ONE).ok()).flatten()
 }
 
-/// Returns a whole number as a value.
+/// Converts a whole number to a [`Decimal`], the fixed-point type of the settings.
 pub fn decimal(whole: u32) -> Decimal {
     Decimal(i64::from(whole) * DECIMAL_ONE)
 }
@@ -128,13 +128,13 @@ impl Import {
         Self { what, ..Self::default() }
     }
 
-    /// Returns whether an entry so far has become the setting with this number.
+    /// Returns whether the import already has the setting with this number.
     pub fn has(&self, number: u16) -> bool {
         self.taken.iter().any(|taken| taken.number == number)
     }
 
     /// Adds a setting if the controller's table of settings accepts the value. Otherwise lists the entry as not taken,
-    /// with the values that are accepted.
+    /// with the values that the setting accepts.
     pub fn take(&mut self, number: u16, value: Decimal, entry: &FileEntry) {
         let Some(row) = row(number) else { return self.leave(entry, NO_SETTING) };
         match Settings::<AXES>::default().accepted(number, value) {
@@ -159,7 +159,7 @@ impl Import {
         self.left.push(LeftEntry { text: entry.text.clone(), why: why.into(), line: entry.line });
     }
 
-    /// Ends an import. If the file sets a number several times, the last value counts, as on a board; earlier values
+    /// Ends an import. If the file sets a number several times, the last value counts, as on a board. Earlier values
     /// that differ from it are listed as not taken.
     pub fn finish(mut self) -> Self {
         let mut taken: Vec<TakenSetting> = Vec::new();
@@ -178,8 +178,8 @@ impl Import {
         Self { taken, ..self }
     }
 
-    /// Returns the settings as lines `$n=v`, by number. Homing comes before soft limits, which Grbl's dialect accepts
-    /// only with homing on.
+    /// Returns the settings as lines `$n=v`, sorted by number. Only homing (`$22`) comes before soft limits (`$20`):
+    /// Grbl's dialect accepts soft limits only with homing on.
     pub fn assignments(&self) -> String {
         const SOFT_LIMITS: u16 = Key::SoftLimits.number();
         const HOMING: u16 = Key::Homing.number();

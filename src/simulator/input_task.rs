@@ -1,22 +1,23 @@
 //! The input task: samples the simulated pins through the boards' own filter. A pin is low if the user or a closed
-//! contact pulls it low. Reports changes to the controller, and stops the step task if an armed input (`Wiring::armed`,
-//! such as a limit switch) becomes active.
+//! contact pulls it low. The task reports changes to the controller. It stops the step task if an armed input
+//! (`Wiring::armed`, such as a limit switch) becomes active.
 
 use crate::clock::Clock;
 use crate::fittings::Fittings;
 use oxmill_controller::machine::signals::{Inputs, SETTLING};
 use oxmill_controller::messages::{Sensed, Signals, Wiring, input};
 
-/// The pins and their filter.
+/// State of the input task: the simulated pins and their filter.
 #[derive(Clone)]
 pub struct InputTask {
     /// Pins that the user pulls low.
     hand: Signals,
     /// State of the machine's contacts at the last sample.
     contacts: Signals,
-    /// Number of samples since the contacts last changed.
+    /// Number of samples in a row that showed the same state of the contacts.
     steady: u8,
-    /// Time of the next sample, in ticks; `None` while no contact bounces and the filter has accepted their state.
+    /// Time of the next sample, in ticks. `None` if no contact bounces and the filter has accepted the state of all
+    /// contacts.
     sample_due: Option<u64>,
     inputs: Inputs,
     /// Per input: changes that the filter has rejected.
@@ -40,7 +41,7 @@ impl Default for InputTask {
 }
 
 impl InputTask {
-    /// Starts the filter and the counts again, as a restart of the board does. The levels of the pins stay.
+    /// Restarts the filter and the counts, as a restart of the board does. The levels of the pins stay.
     pub fn restart(&mut self) {
         *self = InputTask { hand: self.hand, contacts: self.contacts, ..InputTask::default() };
     }
@@ -55,7 +56,7 @@ impl InputTask {
         std::mem::replace(&mut self.hand, signals) != signals
     }
 
-    /// Pins that are low, whether by the user or by closed contacts.
+    /// Mask of the pins that are low, because the user or a closed contact pulls them low.
     pub fn low(&self) -> u32 {
         self.hand.word() | self.contacts.word()
     }
@@ -70,9 +71,9 @@ impl InputTask {
         self.sample_due.get_or_insert(ticks);
     }
 
-    /// Takes one sample with the machine's contacts as they are now. Schedules another one, `period` ticks later, while
-    /// a contact bounces or fewer than [`SETTLING`] samples in a row were equal. Returns whether the step task must be
-    /// stopped.
+    /// Takes one sample with the machine's contacts as they are now. Returns whether the step task must be stopped.
+    /// Schedules the next sample `period` ticks later, while a contact bounces or fewer than [`SETTLING`] samples in a
+    /// row were equal.
     pub fn sample_contacts(&mut self, fittings: &mut Fittings, clock: &Clock, period: u64) -> bool {
         let now = clock.instant().ticks();
         let contacts = fittings.sample(now);
@@ -83,8 +84,8 @@ impl InputTask {
         self.sample(self.low())
     }
 
-    /// Takes a sample, and counts the changes that the filter rejects. Returns whether an armed input stops the step
-    /// task.
+    /// Takes a sample, and counts the changes that the filter rejects. `low`: mask of the low pins. Returns whether an
+    /// armed input stops the step task.
     pub fn sample(&mut self, low: u32) -> bool {
         let stops = self.inputs.sample(low);
         let rejected = self.inputs.rejected();
@@ -94,9 +95,10 @@ impl InputTask {
         stops
     }
 
-    /// Takes [`SETTLING`] samples at the same virtual time. Returns how many of them stop the step task. Does nothing
-    /// while contacts settle after power-up, because the first report to the controller must contain the settled
-    /// contacts.
+    /// Takes [`SETTLING`] samples at the same virtual time, so that the filter accepts the present levels. Returns how
+    /// many of them stop the step task.
+    /// Does nothing while contacts settle after power-up, because the first report to the controller must contain the
+    /// settled contacts.
     pub fn settle(&mut self) -> usize {
         if self.inputs.sensed().is_none() && self.sample_due.is_some() {
             return 0;

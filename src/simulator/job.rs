@@ -1,5 +1,6 @@
-//! Runs `run`, `check`, `plot`, `replay` and `resume`: reads the files, powers up a simulator, sends the job, and
-//! writes summary, trace, recording and drawings. Each command returns how it ended, for the exit status.
+//! The commands `run`, `check`, `plot`, `replay` and `resume`. Each command reads its files, powers up a simulator and
+//! lets it run. Then it writes the results: summary, trace, recording, drawings or a program. Each returns how it ended
+//! ([`Ending`]), for the exit status.
 
 use crate::board_replay;
 use crate::check::Check;
@@ -32,7 +33,7 @@ use std::time::Instant;
 /// Number of rounds of [`Check::advance`] between updates of the progress display: about 10 ms on the host.
 const ROUNDS: u32 = 4096;
 
-/// Bits of a flash word that are still programmed when the power cut of `--cut-power` interrupts its write: the lower
+/// Bits of a flash word that are already programmed when the power cut of `--cut-power` interrupts the write: the lower
 /// half.
 const HALF_WORD: u32 = 0xFFFF;
 
@@ -42,7 +43,7 @@ const RECORDING: usize = 1 << 30;
 /// Maximum size of a job for `resume`, in bytes.
 const JOB: usize = 1 << 30;
 
-/// Error message for a recorded machine that stops because the recording cannot be written.
+/// Error message when a running machine stops because its recording cannot be written.
 pub const UNRECORDED: &str = "cannot write the recording";
 
 /// Returns an error if the power cut of `--cut-power` has happened.
@@ -53,7 +54,7 @@ pub fn check_power(simulator: &Simulator) -> Result<()> {
     Ok(())
 }
 
-/// Refuses a job if the stored settings were damaged: motion would be locked.
+/// Returns an error if the stored settings were damaged. Motion is then locked, so no job can run.
 fn check_store(simulator: &Simulator, store: Option<&Path>) -> Result<()> {
     if simulator.controller().is_store_damaged() {
         let name = store.unwrap_or(Path::new("store")).display();
@@ -65,8 +66,9 @@ fn check_store(simulator: &Simulator, store: Option<&Path>) -> Result<()> {
     Ok(())
 }
 
-/// Powers up a simulator as the options describe it and applies its settings. If `recorded`, also returns a recorder
-/// that records from power-up on; then call [`begin_recording`], which writes the recording to its file.
+/// Powers up a simulator as the options describe it and applies the settings of the command line. If `recorded`, also
+/// returns a recorder, which records from power-up on. The recorder keeps its text in memory until [`begin_recording`]
+/// gives it a file.
 pub fn power_up(options: &MachineOptions, recorded: bool) -> Result<(Simulator, Option<Recorder>)> {
     let (mut simulator, machine) = fitted(options)?;
     let mut recorder = begin_recorder(&mut simulator, &machine, options, recorded)?;
@@ -74,14 +76,14 @@ pub fn power_up(options: &MachineOptions, recorded: bool) -> Result<(Simulator, 
     Ok((simulator, recorder))
 }
 
-/// Like [`power_up`], but as a board that already has its settings at power-up: it is locked if homing is on, and its
-/// startup lines are executed.
+/// Powers up a simulator like a board that was set up earlier: the settings of the command line are stored first, and
+/// then the board starts with them. So it is locked if homing is on, and it executes its startup lines.
 pub fn power_up_as_board(options: &MachineOptions, recorded: bool) -> Result<(Simulator, Option<Recorder>)> {
     let (mut simulator, machine) = fitted(options)?;
     let settings = settings(options)?;
     apply_settings(&mut simulator, &mut None, &settings)?;
-    // Do not power up again if the power cut of `--cut-power` is still to come, or if the user must first confirm
-    // damage.
+    // Power up again, so that the board starts with these settings. But a second power-up would cancel a power cut of
+    // `--cut-power`, and damage must first be confirmed by the user.
     if !(settings.is_empty() || options.cut_power.is_some() || simulator.controller().is_store_damaged()) {
         simulator = simulator.powered_again().context("the settings are lost")?;
     }
@@ -137,9 +139,9 @@ fn settings(options: &MachineOptions) -> Result<Vec<(String, String)>> {
     Ok(lines)
 }
 
-/// Applies settings. The last one may be the dialect (`--dialect`), which decides which values the others accept. So a
-/// refused setting is tried again after all the others. But if a later line sets the same number, the refusal is an
-/// error, because the second try would override that line.
+/// Applies settings in their order. The dialect decides which values a setting accepts, and `--dialect` comes last. So
+/// a refused setting is tried once more after all others. But if a later entry sets the same number, a second try would
+/// undo that entry: the refusal is then an error.
 fn apply_settings(
     simulator: &mut Simulator,
     recorder: &mut Option<Recorder>,
@@ -162,7 +164,8 @@ fn apply_settings(
     Ok(())
 }
 
-/// Applies a setting. Returns why it was refused, if it was.
+/// Applies a setting and records it. The inner `Err`: the controller refused the setting. The outer `Err`: the
+/// recording cannot be written, or the power was cut.
 fn apply(
     simulator: &mut Simulator,
     recorder: &mut Option<Recorder>,
@@ -179,14 +182,15 @@ fn apply(
     Ok(applied)
 }
 
-/// How a command ended.
+/// How a command ended; `main` turns it into the exit status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
-    /// All went well.
+    /// All went well: exit status 0.
     Good,
-    /// The job has rejected lines, ended in an alarm, or was not completed.
+    /// The job has rejected lines, ended in an alarm, or was not completed; or the file to import or to check has
+    /// faults: exit status 1.
     Faulty,
-    /// The replay differs from the recording, or cannot be compared with it.
+    /// The replay differs from the recording, or cannot be compared with it: exit status 3.
     OtherSteps,
 }
 
@@ -199,14 +203,13 @@ impl Ending {
 /// Format of the printed summary.
 #[derive(Clone, Copy, Debug)]
 enum Form {
-    /// The whole summary.
     Whole,
     /// A summary that fits on one screen.
     Short,
     Json,
 }
 
-/// Runs `check`.
+/// Runs `oxmill check`: simulates a job and prints a summary that fits on one screen, or JSON.
 ///
 /// # Errors
 /// If a file cannot be read, or a setting is rejected.
@@ -216,7 +219,7 @@ pub fn check(options: CheckJob) -> Result<Ending> {
     carry_out_job(&Run { job, json, plot: Vec::new(), trace: None, record: None, start, machine }, form)
 }
 
-/// Runs `plot`.
+/// Runs `oxmill plot`: simulates a job, draws it into files, and prints a summary that fits on one screen.
 ///
 /// # Errors
 /// If a file cannot be read or written, or a setting is rejected.
@@ -225,7 +228,8 @@ pub fn plot(options: PlotJob) -> Result<Ending> {
     carry_out_job(&Run { job, json: false, plot: output, trace: None, record: None, start, machine }, Form::Short)
 }
 
-/// Runs `run`.
+/// Runs `oxmill run`: simulates a job, writes the files that the options name (drawings, trace, recording), and prints
+/// the whole summary.
 ///
 /// # Errors
 /// If a file cannot be read or written, or a setting is rejected.
@@ -233,8 +237,8 @@ pub fn run(options: &Run) -> Result<Ending> {
     carry_out_job(options, if options.json { Form::Json } else { Form::Whole })
 }
 
-/// Runs `replay`. If the steps differ from the recording, the result says so even if the job also has faults: the
-/// recorded job can have had the same faults.
+/// Runs `oxmill replay`: plays a recording and compares the steps. If they differ, the result is
+/// [`Ending::OtherSteps`], even if the job also has faults: the recorded job can have had the same faults.
 ///
 /// # Errors
 /// If the recording cannot be read or played.
@@ -272,7 +276,8 @@ pub fn replay(options: &Replay) -> Result<Ending> {
     Ok(if same.is_ok() { Ending::of(&summary) } else { Ending::OtherSteps })
 }
 
-/// Runs `resume`.
+/// Runs `oxmill resume`: writes a program that continues a job at a given line. Lists the lines at its beginning, which
+/// restore the state, on standard error.
 ///
 /// # Errors
 /// If a file cannot be read or written, a setting is rejected, or the job cannot continue at that line.
@@ -315,7 +320,8 @@ pub fn resume(options: &ResumeJob) -> Result<Ending> {
 }
 
 /// Plays a recording to its end and shows the progress: in bytes if it records a job, otherwise in ticks of the step
-/// clock.
+/// clock. `notes` receives the remarks of a board's replay. Returns the played machine, and an error text if it differs
+/// from the recording.
 fn play(
     recording: &Recording,
     mut simulator: Simulator,
@@ -342,7 +348,8 @@ fn play(
         recording.play(&mut simulator, |text| said.push_str(text), pass).and_then(|()| recording.check_compared())
     };
     if recording.is_of_board() {
-        // Do not run until idle: a board's recording does not contain what the board did after its end.
+        // Do not run until idle: what a board did after the end of its recording is unknown, so nothing can be
+        // compared.
         return (Check::of(simulator, clock.now(), &said), same);
     }
     // Finish what the last inputs have started.
@@ -351,8 +358,8 @@ fn play(
     (Check::of(simulator, clock.now(), &said), same)
 }
 
-/// Empties the file and writes the recording into it from here on. Call only after everything else that could prevent
-/// the run has been checked.
+/// Empties the file and writes the recording into it, from power-up on. Call after everything else that can fail, so
+/// that a failed start does not destroy an older recording.
 pub fn begin_recording(recorder: &mut Option<Recorder>, file: Option<Output>) -> Result<()> {
     let (Some(recorder), Some(file)) = (recorder, file) else { return Ok(()) };
     let path = file.path().display().to_string();
@@ -360,7 +367,7 @@ pub fn begin_recording(recorder: &mut Option<Recorder>, file: Option<Output>) ->
     written.with_context(|| format!("cannot write the recording {path}"))
 }
 
-/// Empties the file and writes a row for each step event into it from here on.
+/// Writes a row for each step event from here on. Empties the file first.
 fn begin_trace(simulator: &mut Simulator, file: Output) -> Result<()> {
     let path = file.path().display().to_string();
     let (axes, origin) = (simulator.controller().settings().axes_in_use(), simulator.clock().now());
@@ -439,14 +446,14 @@ fn carry_out(check: &mut Check, progress: &ProgressBar) {
     }
 }
 
-/// Returns the error that ended reading the job, and marks the report as incomplete.
+/// If the job could not be read to its end, marks the report as incomplete and returns the error.
 fn reading_failure(check: &mut Check, name: &str) -> Option<Error> {
     let failure = check.simulator_mut().job_mut().and_then(JobText::failure)?;
     check.cut_short();
     Some(anyhow!(failure).context(format!("cannot read the job {name} to its end")))
 }
 
-/// Returns the files that a run reads and writes.
+/// Returns the files that a run reads and writes, for [`files::check_apart`].
 fn roles(options: &Run) -> Vec<Role<'_>> {
     let job = (options.job.as_os_str() != "-").then_some(options.job.as_path());
     let plots = options.plot.iter().map(|path| Role { path, name: "--plot", written: true });
@@ -456,7 +463,8 @@ fn roles(options: &Run) -> Vec<Role<'_>> {
     others.chain(machine).chain(plots).collect()
 }
 
-/// Returns the files that the options of a machine name, and the file of its recording.
+/// Returns the files that the machine options name, and the file of the recording (`record`), for
+/// [`files::check_apart`].
 pub fn machine_roles<'a>(machine: &'a MachineOptions, record: Option<&'a Path>) -> Vec<Role<'a>> {
     let files = [
         (machine.settings.as_deref(), "--settings", false),
@@ -467,7 +475,7 @@ pub fn machine_roles<'a>(machine: &'a MachineOptions, record: Option<&'a Path>) 
     files.into_iter().filter_map(|(path, name, written)| Some(Role { path: path?, name, written })).collect()
 }
 
-/// Opens a file for output. `name`: what the file will contain, for the error message.
+/// Opens a file for output. `name`: what the file will contain, such as `trace`, for the error message.
 ///
 /// # Errors
 /// If it cannot be opened.
@@ -493,7 +501,8 @@ fn base_name(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().replace(char::is_control, "?")
 }
 
-/// A progress bar for the share of `what`, or a spinner if the length is unknown.
+/// Returns a progress bar up to `length`, or a spinner if the length is unknown. `what`: the name of the whole, such as
+/// "the file read", for the text after the percentage.
 fn progress_bar(length: Option<u64>, what: &str) -> ProgressBar {
     // The bar goes to standard error, which can be a terminal even if standard output is a file.
     if !std::io::stderr().is_terminal() {
@@ -505,13 +514,14 @@ fn progress_bar(length: Option<u64>, what: &str) -> ProgressBar {
         .map_or(bar.clone(), |style| bar.with_style(style))
 }
 
-/// Returns the machine time as text for the progress bar. The bar shows no machine time before the first update.
+/// Returns the machine time as text for `{msg}` of the progress bar. The blank at its end is a part of the text,
+/// because `{msg}` is empty before the first update.
 fn machine_time(seconds: f64) -> String {
     format!("{} of machine time ", crate::summary::clock_time(seconds))
 }
 
-/// Returns the template of the progress bar. It shows no remaining time, because that could be estimated only from the
-/// share of the file that was read, but one line can take a second or a day.
+/// Returns the template of the progress bar. The bar shows no remaining time: one line of a job can take a second or a
+/// day, so the share of the file that was read tells nothing about it.
 fn progress_template(share_of: Option<&str>) -> String {
     let share = share_of.map_or("{spinner}".into(), |what| format!("{{bar:40}} {{percent:>3}} % of {what},"));
     share + " {msg}in {elapsed}"

@@ -1,10 +1,10 @@
-//! The controller on a desktop computer: the same code as on the board, with a virtual clock and a traced machine
-//! around it. This file declares the modules and the program's `main`.
+//! The controller on a desktop computer: the same code as on the board, with a virtual clock and a simulated machine
+//! whose steps are recorded. This file declares the modules and the program's `main`.
 //!
 //! The feature `program` adds the command-line program: among others, `run` simulates a job and reports what the
 //! machine did, and `serve` is a Grbl device for senders. Without this feature the library uses no files, threads,
 //! system clock or drawing, and runs on any processor. The output of [`Simulator`] depends only on its input and on the
-//! virtual time of each input. [`check`] runs a job through it.
+//! virtual time of each input. The module [`check`] runs whole jobs in a [`Simulator`].
 //!
 //! ```no_run
 //! use oxmill_simulator::{Options, Simulator};
@@ -103,7 +103,8 @@ use job::Ending;
 #[cfg(feature = "program")]
 use std::process::ExitCode;
 
-/// Runs the program. [`command_line::EXIT_STATUS`] explains the exit status.
+/// Parses the command line and runs its command. Converts the result to the exit status, which
+/// [`command_line::EXIT_STATUS`] explains.
 #[cfg(feature = "program")]
 pub fn main() -> ExitCode {
     let result = match CommandLine::parse().command {

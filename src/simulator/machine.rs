@@ -1,17 +1,17 @@
-//! The machine driven by the step pins: net steps and pulses of each motor, and the extents reached by the carriages,
-//! on a Cartesian or CoreXY machine.
+//! The simulated machine at the step pins. Counts net steps and pulses of each motor, and records the extents: the
+//! lowest and highest position that each carriage reached. The machine is Cartesian or CoreXY.
 
 use crate::boards::AXES;
 
 use oxmill_controller::axes::{Arrangement, LINEAR};
 use oxmill_controller::messages::{GangedMotors, Wiring};
 
-/// Returns the values of X, Y and Z.
+/// Returns the first three values, those of X, Y and Z, without A.
 pub fn linear<T>([x, y, z, ..]: [T; AXES]) -> [T; LINEAR] {
     [x, y, z]
 }
 
-/// Motors and carriages, in steps from where they were at power-up.
+/// The positions of motors and carriages, in steps from the position at power-up.
 #[derive(Clone, Debug, Default)]
 pub struct Machine {
     position: [i32; AXES],
@@ -26,14 +26,14 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// From here on, steps are counted by this wiring: which axis is ganged, and which of its two motors follow the
-    /// pulses of the axis.
+    /// Sets how further steps are counted: which axis is ganged (has two motors), and which of its two motors follow
+    /// the pulses of the axis.
     pub fn wire(&mut self, wiring: &Wiring) {
         self.ganged = wiring.ganged;
         self.ganged_motors = wiring.ganged_motors;
     }
 
-    /// Sets how the motors move the carriages, which matters for the extents only. A change restarts the extents.
+    /// Sets whether the machine is Cartesian or CoreXY. Only the extents depend on this. A change restarts them.
     pub fn arrange(&mut self, arrangement: Arrangement) {
         if self.arrangement != arrangement {
             self.arrangement = arrangement;
@@ -41,7 +41,8 @@ impl Machine {
         }
     }
 
-    /// Counts rising edges of the step pins. A bit set in `directions` is an axis that moves in the negative direction.
+    /// Counts one pulse for each axis whose bit in `steps` is set (bit 0 is X). If its bit in `directions` is set, the
+    /// axis moves in the negative direction.
     #[inline]
     pub fn step(&mut self, mut steps: u8, directions: u8) {
         if self.ganged & steps != 0 {
@@ -85,12 +86,13 @@ impl Machine {
         self.second
     }
 
-    /// Net steps of X, Y and Z since power-up.
+    /// Net steps of X, Y and Z since power-up. On a CoreXY machine, the first two are those of the belt motors.
     pub fn position(&self) -> [i32; LINEAR] {
         linear(self.position)
     }
 
-    /// Net steps of all motors since power-up, except the second motor of a ganged axis.
+    /// Net steps of all motors since power-up, in the order X, Y, Z, A. A ganged axis has the steps of its first motor;
+    /// see [`Machine::second_motor`].
     pub fn motors(&self) -> [i32; AXES] {
         self.position
     }
@@ -117,8 +119,8 @@ impl Machine {
         self.pulses = [0; AXES];
     }
 
-    /// Gives the present position other coordinates without moving the machine. `by`: steps added to the counter of
-    /// each motor. Restarts the extents.
+    /// Gives the present position other coordinates without moving the machine, as after a simulated homing. `by`:
+    /// steps added to the counter of each motor. Restarts the extents.
     pub fn rename_place(&mut self, by: [i32; AXES]) {
         for (axis, by) in by.into_iter().enumerate() {
             self.position[axis] = self.position[axis].wrapping_add(by);

@@ -1,13 +1,13 @@
-//! Maps moves to their line and tool. The controller carries a number with each move; this table keeps the meaning of a
-//! number while moves with that number can still come.
+//! Finds the line and the tool of a move. The controller gives each move a number. The table in this file stores line
+//! and tool for each number, as long as moves with that number can still come.
 
 use std::collections::VecDeque;
 
-/// If the table has more entries than this, those without a queued move are removed. The look-ahead holds fewer moves
-/// than this, so removal is rare.
+/// Number of entries above which the table is cleared of those without a queued move. The look-ahead holds fewer moves
+/// than this, so clearing is rare.
 const KEPT: usize = 1 << 12;
 
-/// The line and tool that a move belongs to.
+/// The line, the tool and further properties of a move.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Mark {
     /// The line number, as the controller counts lines.
@@ -20,7 +20,7 @@ pub struct Mark {
     pub speed: u32,
 }
 
-/// Line and tool (a [`Mark`]) for each move number, as long as moves with that number can still come.
+/// The table: a [`Mark`] for each move number that can still come.
 #[derive(Clone, Debug, Default)]
 pub struct Marks {
     known: VecDeque<(u32, Mark)>,
@@ -28,10 +28,11 @@ pub struct Marks {
 }
 
 impl Marks {
-    /// Enters line and tool (`mark`) of the line that the controller now executes. Returns the number that its moves
-    /// get; `None` if they have the same mark as those before. `queued` returns the numbers of the moves in the
-    /// look-ahead: if the table has more than `KEPT` entries, only those of queued moves are kept, because lines
-    /// without moves could fill it without limit.
+    /// Enters the `mark` of the line that the controller now executes. Returns the number for the moves of this line;
+    /// `None` if the mark equals the previous one, whose number then stays in use.
+    ///
+    /// `queued`: returns the numbers of the moves in the look-ahead. It is called if the table has more than `KEPT`
+    /// entries. Then only entries of queued moves stay, because lines without moves could fill the table without limit.
     pub fn begin(&mut self, mark: Mark, queued: impl FnOnce() -> Vec<u32>) -> Option<u32> {
         if self.known.back().is_some_and(|(_, last)| *last == mark) {
             return None;
@@ -45,8 +46,8 @@ impl Marks {
         Some(self.last)
     }
 
-    /// Returns line and tool of the moves with this number; the default if the number is not in the table. Removes all
-    /// earlier entries: moves come in the order of their numbers.
+    /// Returns the mark of the moves with this number; the default if the number is not in the table. Removes all
+    /// earlier entries, because moves come in the order of their numbers.
     pub fn of(&mut self, number: u32) -> Mark {
         let Some(at) = self.known.iter().position(|(known, _)| *known == number) else { return Mark::default() };
         self.known.drain(..at);

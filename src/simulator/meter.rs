@@ -1,9 +1,9 @@
-//! Measures how far and how fast the tool moved, from the blocks and segments that the step task executed: distances,
-//! times, and the parts of peak speeds and accelerations that rounding to steps cannot explain. Also takes samples for
-//! the drawing.
+//! Measures the motion of the tool: distances, times, and peak speeds and accelerations. Uses the blocks and segments
+//! that the step task executed. Also takes samples for the drawing.
 //!
-//! A block gives the steps of each axis. A segment gives by how many units of its block the machine advances (a step of
-//! the block's dominant axis has `UNITS_PER_STEP` units), and how long that takes. Nothing here is computed per step.
+//! A block is a straight move and gives the steps of each axis. A segment is a part of a block: it gives how many units
+//! the machine advances in the block, and how long that takes. One step of the axis with the most steps has
+//! `UNITS_PER_STEP` units. Nothing here is computed per step.
 //!
 //! The ends of a block are rounded to steps, so the length of a short block is uncertain: in a block of 25 steps, half
 //! a step at each end is 4 %. Speeds and accelerations are therefore averaged over windows of one to `LONGEST_WINDOW`
@@ -23,28 +23,30 @@ use std::collections::VecDeque;
 const SHORTEST: f64 = 0.0002;
 /// Number of segments in the longest window.
 const LONGEST_WINDOW: usize = 1024;
-/// Rounding error, as a fraction of a speed, up to which the speed is not reduced.
+/// Acceptable rounding error of a peak speed, as a fraction of the speed. Of a larger error, the part above this
+/// fraction is subtracted from the speed (see [`certain`]).
 const SPEED_TOLERANCE: f64 = 0.005;
-/// Rounding error, as a fraction of an acceleration, up to which the acceleration is not reduced.
+/// Acceptable rounding error of a peak acceleration, as a fraction of it; used like [`SPEED_TOLERANCE`].
 const ACCELERATION_TOLERANCE: f64 = 0.02;
 /// Acceptable rounding error of a speed in a drawing, as a fraction of the speed. The error is mostly smaller. A lower
 /// value would need longer windows, which would blur the motion after a short block.
 const DRAWN_TOLERANCE: f64 = 0.06;
-/// Maximum distance between the end of a block and the step to which this end is rounded, in steps. The time that the
-/// planner gives to a block is rounded likewise.
+/// Maximum rounding error of each end of a block, in steps: an end is at most half a step from the whole step to which
+/// it is rounded. The time that the planner gives to a block is rounded to the same degree.
 const ROUNDING: f64 = 0.5;
-/// Maximum position error, in steps, of the ends of a block that approximates a part of an arc. The controller gives
-/// these ends in sevenths of a step.
+/// Like [`ROUNDING`], for the pieces of an arc: the controller gives their ends in sevenths of a step.
 const ARC_ROUNDING: f64 = 0.5 / AxisSteps::PARTS as f64;
-/// In blocks shorter than this many steps, rounding makes the length too uncertain: several are measured together.
+/// In blocks shorter than this many steps, rounding makes the length too uncertain: several blocks are measured
+/// together.
 const SHORT: f64 = 4.0;
 /// Rounding to steps also moves the ends of a block sideways, which makes the block longer. In blocks of at least this
-/// many steps, this is less than 0.01 % and is not corrected.
+/// many steps, the added length is below 0.01 % and is not subtracted.
 const LONG: f64 = 32.0;
 /// Consecutive short blocks are measured together until they have this many steps.
 const TOGETHER: f64 = 12.0;
-/// Two neighbouring windows count as straight if the sum of their lengths exceeds the distance from end to end by at
-/// most this fraction. Between windows of equal length, the direction then changes by less than 0.13 rad.
+/// Two neighbouring windows count as one straight line if the sum of their lengths exceeds the direct distance between
+/// the outer ends by at most this fraction. For windows of equal length, the direction then changes by less than 0.13
+/// rad.
 const STRAIGHT: f64 = 0.002;
 
 /// Results of a job, in mm and s.
@@ -62,10 +64,10 @@ pub struct Measured {
     /// Maximum change of path speed per time, as on ramps. Excludes the acceleration across the path in curves and
     /// corners.
     pub acceleration: f64,
-    /// Maximum speed of each axis.
+    /// Maximum speed of each axis, in mm/s.
     pub axis_speed: [f64; AXES],
-    /// For each axis, the maximum of its component of the acceleration on ramps: the change of path speed per time,
-    /// times the direction of the path.
+    /// Maximum acceleration of each axis on ramps: the change of path speed per time, times the share of the axis in
+    /// the path's direction. Example: on a diagonal in X and Y, each axis has 0.71 of the path's acceleration.
     pub axis_acceleration: [f64; AXES],
 }
 
@@ -88,9 +90,9 @@ struct Block {
     delta: [f64; AXES],
     units: f64,
     length: f64,
-    /// Average length, in mm, that rounding to steps adds to the block, because it moves the ends sideways.
+    /// Average length, in mm, that rounding adds to the block by moving its ends sideways.
     excess: f64,
-    /// Uncertainty of `length - excess` because of this sideways rounding, in mm.
+    /// Uncertainty of `length - excess`, in mm, that the sideways rounding causes.
     doubt: f64,
     /// Maximum distance by which rounding moves each end of the block along the path, in mm.
     error: f64,
@@ -116,11 +118,11 @@ struct Pending {
     rapid: bool,
 }
 
-/// The end of a segment.
+/// The end of a segment: a time, and the way and the position reached at that time.
 #[derive(Clone, Copy, Debug)]
 struct Node {
     time: f64,
-    /// Length of the path since the machine was last at rest, without the `excess` of the blocks.
+    /// Length of the path since the machine was last at rest, in mm, without the `excess` of the blocks.
     way: f64,
     /// Uncertainty of `way`: sum of the `doubt` of the blocks since the machine was last at rest.
     doubt: f64,
@@ -146,7 +148,7 @@ impl Way {
         self.length / self.time
     }
 
-    /// Returns the relative uncertainty of the length.
+    /// Returns the uncertainty of the length as a fraction of the length: 0.01 is 1 %.
     fn wrong(self) -> f64 {
         if self.length > 0.0 { self.error / self.length } else { f64::INFINITY }
     }
@@ -172,15 +174,16 @@ fn distance(a: &[f64; AXES], b: &[f64; AXES]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (b - a) * (b - a)).sum::<f64>().sqrt()
 }
 
-/// Returns `value` reduced by the part of `error` that exceeds `value * tolerance`.
+/// Returns `value` minus the part of `error` that exceeds `value * tolerance`, at least 0. Example: 100 with an error
+/// of 3 and a tolerance of 0.02 becomes 99.
 fn certain(value: f64, error: f64, tolerance: f64) -> f64 {
     (value - (error - value * tolerance).max(0.0)).max(0.0)
 }
 
-/// Follows the step task segment by segment.
+/// The meter: receives the segments of the step task one by one, and sums up what they do.
 #[derive(Clone, Debug)]
 pub struct Meter {
-    /// Whether the next sample is the first of its block.
+    /// `true` if the next sample for the drawing is the first of its block.
     fresh: bool,
     hz: f64,
     steps_per_mm: [f64; AXES],
@@ -197,7 +200,7 @@ pub struct Meter {
     nodes: VecDeque<Node>,
     /// Number of segments since power-up.
     segments: usize,
-    /// Number of consecutive segments, up to the latest one, that are all rapids or all feeds.
+    /// Number of segments since the last change between rapids and feeds.
     alike: usize,
     rapid: bool,
     /// Short blocks whose length has not been counted yet.
@@ -208,7 +211,7 @@ pub struct Meter {
 }
 
 impl Meter {
-    /// A meter for a step clock of `hz`.
+    /// Creates a meter for a step clock of `hz` ticks per second.
     pub fn new(hz: u32) -> Self {
         Self {
             fresh: true,
@@ -283,12 +286,12 @@ impl Meter {
         self.drawing = Some(drawing);
     }
 
-    /// The drawing collected so far.
+    /// The drawing collected so far; `None` if [`Meter::draw`] was not called.
     pub fn drawing(&self) -> Option<&Drawing> {
         self.drawing.as_ref()
     }
 
-    /// Removes and returns the collected drawing.
+    /// Removes and returns the collected drawing; `None` if [`Meter::draw`] was not called. Collecting ends.
     pub fn take_drawing(&mut self) -> Option<Drawing> {
         self.drawing.take()
     }
@@ -303,7 +306,7 @@ impl Meter {
         &self.times
     }
 
-    /// The times of [`Meter::times`]; the simulator adds dwells and spindle delays to them.
+    /// The times of [`Meter::times`], for the simulator, which adds dwells and spindle delays.
     pub fn times_mut(&mut self) -> &mut Times {
         &mut self.times
     }
@@ -379,7 +382,7 @@ impl Meter {
         let units = ticks * f64::from(UNITS_PER_STEP >> segment.level);
         let part = units / self.block.units;
         let length = part * (self.block.length - self.block.excess);
-        // The pauses before this segment (`FLAG_WAIT`) delay it, so their time counts as its own.
+        // Pauses before a segment (`FLAG_WAIT`) make it slower, so they count as time of the segment.
         let waited = std::mem::take(&mut self.waited);
         let time = time + waited;
         let rapid = segment.flags & Segment::FLAG_RAPID != 0;
@@ -412,7 +415,7 @@ impl Meter {
 
     /// Adds a segment of `length` mm to the measured distances. `parts`: the fractions of its block at which the
     /// segment begins and ends. Blocks shorter than [`SHORT`] steps form a staircase, which is longer than the
-    /// programmed path. So several such blocks are counted together, as one straight line.
+    /// programmed path. So consecutive short blocks are counted as one straight line.
     fn add_distance(&mut self, length: f64, parts: [f64; 2], rapid: bool) {
         if !self.block.short || rapid != self.pending.rapid {
             self.count_pending();
@@ -516,8 +519,8 @@ impl Meter {
                 let speed = certain(length, error, SPEED_TOLERANCE) / along.time;
                 measured.axis_speed[axis] = measured.axis_speed[axis].max(speed);
             }
-            // This window is accurate enough. The mean speed of a longer window cannot exceed the maximum of the
-            // windows of this length in it.
+            // This window is accurate enough. A longer window consists of windows of this length, so its mean speed
+            // cannot exceed their maximum.
             if along.wrong() <= SPEED_TOLERANCE {
                 break;
             }
@@ -542,9 +545,9 @@ impl Meter {
             let parts: [f64; AXES] = std::array::from_fn(part);
             let mut peaks = parts.iter().zip(measured.axis_acceleration);
             if acceleration <= measured.acceleration && peaks.all(|(part, peak)| acceleration * part <= peak) {
-                // If this window is accurate enough, stop: the mean of a longer window cannot exceed the maximum of the
-                // windows of this length in it. Otherwise rounding in short blocks can hide the acceleration in this
-                // window, so try a longer one.
+                // No new peak. If this window is accurate enough, stop: longer windows consist of windows of this
+                // length and show no higher value. Otherwise try a longer window, because rounding in short blocks can
+                // hide an acceleration in this one.
                 if error <= acceleration * ACCELERATION_TOLERANCE {
                     break;
                 }
@@ -587,8 +590,8 @@ impl Meter {
     fn new_block(&mut self, block: Coming, position: [i32; AXES]) {
         let Coming { steps_by_axis, directions, entered, mark } = block;
         let sign = |motor: usize| if directions & (1 << motor) != 0 { -1.0 } else { 1.0 };
-        // `AxisSteps` gives the fractions of a step at both ends as positive in the motor's direction of motion, and in
-        // the positive direction if the motor makes no step.
+        // `AxisSteps` gives the fraction of a step at each end. Positive means in the motor's direction of motion. If
+        // the motor makes no step, positive means in the positive direction.
         let way = |motor: usize| if steps_by_axis[motor].steps() == 0 { 1.0 } else { sign(motor) };
         let in_steps = |parts: i32| f64::from(parts) / f64::from(AxisSteps::PARTS);
         let delta = self.place_of(std::array::from_fn(|motor| {
@@ -605,8 +608,9 @@ impl Meter {
         let error = ROUNDING * steps.iter().sum::<f64>();
         let step = steps.iter().copied().fold(0.0, f64::max);
         let short = length < SHORT * step;
-        // Rounding moves each end across the path by at most r (`across`), all values being equally likely. The mean
-        // square of the difference of both ends is 2/3 r^2. Divided by twice the length, it is the added length.
+        // Rounding moves each end sideways by a distance between -r and r (`across`, mm), all equally likely. So the
+        // mean square of the sideways offset d between both ends is 2/3 r^2. The offset makes a block of length L
+        // longer by d^2 / 2L, on average by r^2 / 3L.
         let across = step
             * if steps_by_axis.iter().all(|axis_steps| axis_steps.is_on_steps()) { ROUNDING } else { ARC_ROUNDING };
         let excess = if length < LONG * step { (across * across / (3.0 * length)).min(length * 0.1) } else { 0.0 };
@@ -628,18 +632,18 @@ impl Meter {
     }
 }
 
-/// Returns the lengths, in segments, of the windows over which speeds are averaged: 1, 2, 4 and so on.
+/// Returns the lengths of the averaging windows, in segments: 1, 2, 4 and so on up to `LONGEST_WINDOW`.
 fn scales() -> impl Iterator<Item = usize> {
     std::iter::successors(Some(1), |segments| Some(segments * 2)).take_while(|segments| *segments <= LONGEST_WINDOW)
 }
 
-/// Returns the lengths of the windows whose mean speed is evaluated after segment number `segments`. A window of four
-/// or more segments is evaluated only after each quarter of its length.
+/// Returns the lengths of the windows that are evaluated after segment number `segments`. Long windows are evaluated
+/// less often: a window of 16 segments only after every fourth segment.
 fn due_scales(segments: usize) -> impl Iterator<Item = usize> {
     scales().filter(move |scale| segments.is_multiple_of((scale / 4).max(1)))
 }
 
-/// Returns the acceleration from the mean speeds of two consecutive windows, and its uncertainty.
+/// Returns the acceleration between two consecutive windows, from their mean speeds, and its uncertainty, in mm/s².
 fn change(first: Way, second: Way) -> (f64, f64) {
     let per = 2.0 / (first.time + second.time);
     ((second.speed() - first.speed()).abs() * per, (first.error / first.time + second.error / second.time) * per)

@@ -1,13 +1,14 @@
 //! Keeps browsers away from ports that take lines. Any web page can make a browser send a request to a port of this
-//! computer, and the request could contain G-code. The first line of a connection shows whether it is HTTP or TLS; if
-//! so, only realtime commands that precede it are passed on.
+//! computer, and the request could contain G-code. The first line of a connection shows whether a browser sent it (HTTP
+//! or TLS). If so, reading fails; only realtime commands before that line have been passed on.
 
 use std::io::{self, ErrorKind, Read};
 
-/// Beginning of an encrypted connection (RFC 8446, 5.1). Any of its further bytes could be taken for realtime commands.
+/// Beginning of an encrypted connection (RFC 8446, 5.1). The bytes after it are arbitrary and could be taken for
+/// realtime commands.
 const TLS: &[u8] = b"\x16\x03";
-/// Length in bytes, more than any line that the firmware accepts. A first line longer than this counts as a request,
-/// because web addresses can be long.
+/// A first line of more bytes than this counts as a request, because web addresses can be long. No line that the
+/// firmware accepts is so long.
 const LONGEST_LINE: usize = 1024;
 
 /// Maximum length of an HTTP method. A page cannot use a longer one without a preflight request (OPTIONS), which is
@@ -31,8 +32,8 @@ impl<R: Read> NoBrowser<R> {
     }
 }
 
-/// Returns whether a first line is an HTTP request, `METHOD TARGET HTTP/1.1` (RFC 9112, 3); `None` while that is
-/// undecided. A page can choose any method name.
+/// Returns whether a first line comes from a browser: an HTTP request `METHOD TARGET HTTP/1.1` (RFC 9112, 3), or the
+/// beginning of TLS. Returns `None` if more bytes are needed to decide. A page can choose any method name.
 fn is_request(first: &[u8]) -> Option<bool> {
     if first.starts_with(TLS) {
         return Some(true);
@@ -46,8 +47,8 @@ fn is_request(first: &[u8]) -> Option<bool> {
     if !is_text || method.len() > LONGEST_METHOD || method.iter().any(|byte| b"\"(),/:;<=>?@[\\]{}".contains(byte)) {
         return Some(false);
     }
-    // `G1 X5` is no request: a browser's target begins with a slash, whatever method a page chooses. Targets without a
-    // slash (`*`, or addresses for a proxy) occur only with methods that have no digits.
+    // A browser's target begins with a slash, whatever method a page chooses, so `G1 X5` is no request. Other targets
+    // (`*`, or addresses for a proxy) occur only with methods that have no digits.
     let target = line.get(method.len() + 1);
     if method.iter().any(u8::is_ascii_digit) && target.is_some_and(|begin| *begin != b'/') {
         return Some(false);

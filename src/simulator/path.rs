@@ -1,6 +1,6 @@
-//! The data of a drawing: points of the tool path, and speed over time in columns (spans of time). Both have a maximum
-//! size, however long the job: points are thinned within a tolerance (Douglas-Peucker), and neighbouring columns are
-//! merged.
+//! The data of a drawing: the points of the tool path, and the speed curve in columns (spans of time). Both have a
+//! maximum size, however long the job. Points are thinned within a tolerance (Douglas-Peucker), and neighbouring
+//! columns are merged.
 
 use crate::marks::Mark;
 use oxmill_controller::axes::LINEAR;
@@ -11,10 +11,12 @@ const POINTS: usize = 300_000;
 const COLUMNS: usize = 8_192;
 /// Initial width of a column, in seconds: shorter than a segment.
 const FIRST_WIDTH: f64 = 0.000_25;
-/// Speeds that differ by less than this fraction of the maximum speed look the same.
+/// Speeds that differ by less than this fraction of the maximum speed look the same in a drawing, so their motions can
+/// be merged.
 const SAME_SPEED: f32 = 0.02;
 
-/// Tolerance with which points are removed from the path at first, in mm; `thin_out` doubles it when needed.
+/// Initial tolerance of the path, in mm: removing points moves the path by at most this much. `thin_out` doubles the
+/// tolerance when needed.
 const FIRST_TOLERANCE: f32 = 0.000_5;
 /// Maximum number of points that are thinned together.
 const AT_A_TIME: usize = 512;
@@ -28,7 +30,8 @@ pub struct Sample {
     pub time: f64,
     /// Mean path speed in mm/s.
     pub speed: f64,
-    /// The time to which `speed` belongs: the middle of the window that it was averaged over.
+    /// The time to which `speed` belongs, in seconds of virtual time: the middle of the window over which the speed was
+    /// averaged.
     pub known_at: f64,
     /// Whether the move is a rapid.
     pub rapid: bool,
@@ -59,7 +62,7 @@ pub struct Point {
 }
 
 impl Point {
-    /// Properties that must be equal for points to be merged.
+    /// Returns the properties that must be equal for points to be merged: rapid, arc, tool and spindle speed.
     fn kind(&self) -> (bool, bool, u32, u32) {
         (self.rapid, self.mark.arc, self.mark.tool, self.mark.speed)
     }
@@ -68,7 +71,8 @@ impl Point {
 /// Speeds within a span of time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Column {
-    /// Minimum and maximum speed of feeds in mm/s (0 at rest); `None` if only rapids are known in the span.
+    /// Minimum and maximum speed of feeds in mm/s (0 at rest); `None` if neither a feed nor a rest was recorded in the
+    /// span.
     pub feed: Option<(f32, f32)>,
     /// Maximum speed of rapids, mm/s; `None` if there was no rapid.
     pub rapid: Option<f32>,
@@ -84,8 +88,8 @@ impl Column {
         Column { feed, rapid: self.rapid.into_iter().chain(other.rapid).reduce(f32::max) }
     }
 
-    /// Returns whether a speed was recorded in the column's time span. If not, the speed of the previous column still
-    /// holds.
+    /// Returns whether a feed, a rapid or a rest was recorded in the column's span of time. If not, the speed of the
+    /// previous column still holds.
     fn is_known(&self) -> bool {
         self.feed.is_some() || self.rapid.is_some()
     }
@@ -102,7 +106,7 @@ pub struct Drawing {
     width: f64,
     columns: Vec<Column>,
     top_speed: f32,
-    /// Whether the last point can be moved further along its straight move when the next sample continues that move.
+    /// `true` if the next sample of the same straight move can move the last point, instead of adding a point.
     extend: bool,
     /// Speed of the first sample that was merged into the last point, mm/s. Further samples are merged only if their
     /// speeds differ little from it.
@@ -110,7 +114,7 @@ pub struct Drawing {
 }
 
 impl Drawing {
-    /// Starts a drawing at a position (mm) and a virtual time (s).
+    /// Starts a drawing at a tool position in mm. `seconds`: the virtual time at which it begins.
     pub fn new(start: [f64; LINEAR], seconds: f64) -> Self {
         Self::with_limit(start, seconds, POINTS)
     }
@@ -221,8 +225,8 @@ impl Drawing {
         self.columns[index] = self.columns[index].merge(column);
     }
 
-    /// Thins the path out, the least visible points first, until a quarter of the space is free again. Tries the
-    /// present tolerance first, and doubles it only as often as needed.
+    /// Removes points, the least visible ones first, until a quarter of the space is free again. Doubles the tolerance
+    /// only as often as needed.
     fn thin_out(&mut self) {
         loop {
             let speed = self.top_speed * SAME_SPEED * 2.0 * (self.tolerance / FIRST_TOLERANCE);
@@ -236,11 +240,11 @@ impl Drawing {
     }
 }
 
-/// Returns the path without the points whose removal moves the path by less than `tolerance` (mm) and changes no speed
-/// by `speed` (mm/s) or more. Uses Douglas-Peucker on a limited number of points at a time.
+/// Returns the path without the points that matter little: their removal moves the path by at most `tolerance` (mm) and
+/// changes the speed there by at most `speed` (mm/s). Uses Douglas-Peucker on at most `AT_A_TIME` points at once.
 fn simplified(points: &[Point], tolerance: f32, speed: f32) -> Vec<Point> {
-    // If the tolerance has grown beyond the size of any machine, merge points of different kinds, too: otherwise a job
-    // whose points all differ in kind would never shrink.
+    // If the tolerance has grown beyond the size of any machine (10 m), merge points of different kinds, too. Otherwise
+    // a job whose points all differ in kind would never shrink.
     let mixed = tolerance > 1e4;
     let mut kept = vec![false; points.len()];
     let mut start = 0;
@@ -300,7 +304,7 @@ fn mean_speed(one: &Point, other: &Point) -> f32 {
     ((f64::from(one.speed) * first + f64::from(other.speed) * second) / whole) as f32
 }
 
-/// Distance of a point from the line segment between two others.
+/// Returns the distance of `point` from the line segment between `a` and `b`.
 fn off_line(a: [f32; LINEAR], point: [f32; LINEAR], b: [f32; LINEAR]) -> f32 {
     let line: [f32; LINEAR] = std::array::from_fn(|i| b[i] - a[i]);
     let to: [f32; LINEAR] = std::array::from_fn(|i| point[i] - a[i]);

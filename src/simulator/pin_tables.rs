@@ -9,7 +9,8 @@ use std::fs;
 use std::io::{self, Read};
 use std::path::Path;
 
-/// Runs `oxmill board`.
+/// Runs `oxmill board`: lists, shows or checks pin tables, or writes one into an image. A table with faults gives
+/// [`Ending::Faulty`].
 pub fn run(command: &BoardCommand) -> Result<Ending> {
     match command {
         BoardCommand::List => list(),
@@ -53,7 +54,8 @@ fn show(name: &str) -> Result<Ending> {
     Ok(Ending::Good)
 }
 
-/// Reads a table and prints its faults. Returns `None` if it has any.
+/// Reads a pin table from a file, or from standard input if the path is `-`. Prints the faults of the table; `None` if
+/// it has any.
 fn read(path: &Path) -> Result<Option<Board>> {
     let mut bytes = Vec::new();
     let result = match path.as_os_str() == "-" {

@@ -7,7 +7,8 @@
 use oxmill_controller::axes::Axis;
 use oxmill_controller::messages::{SECOND_SWITCH, Signals, input};
 
-/// Returns `signals` as changed by a line of the protocol, or a sentence that says what is wrong with the line.
+/// Executes a line of the protocol, such as `door 1`: returns `signals` with the new level of this pin. `axes`: number
+/// of axes of the machine. The error is a sentence for the user.
 pub fn apply(signals: Signals, axes: usize, line: &str) -> Result<Signals, String> {
     let words: Vec<String> = line.split_whitespace().map(str::to_ascii_lowercase).collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
@@ -47,7 +48,8 @@ pub fn apply(signals: Signals, axes: usize, line: &str) -> Result<Signals, Strin
     Ok(after)
 }
 
-/// Returns the bit of the input on which a `noise` line puts a glitch; `None` for other lines.
+/// Returns the bit number of the input on which a `noise` line puts a glitch; `None` for other lines. The error is a
+/// sentence for the user.
 pub fn disturbed(axes: usize, line: &str) -> Option<Result<u32, String>> {
     let words: Vec<String> = line.split_whitespace().map(str::to_ascii_lowercase).collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();

@@ -41,12 +41,12 @@ impl Dialect {
     /// All dialects, in the order of their setting values.
     pub const ALL: [Dialect; 4] = [Dialect::Grbl, Dialect::Oxmill, Dialect::Seed, Dialect::GrblHal];
 
-    /// Returns the dialect with this name.
+    /// Returns the dialect with this name (such as `grblhal`); `None` if no dialect has the name.
     pub fn by_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|dialect| dialect.name() == name)
     }
 
-    /// Returns the dialect that a simulator uses, by its setting; `None` if no dialect has that value.
+    /// Returns the dialect that is set in a simulator; `None` if no dialect has the value of the setting.
     pub fn of(simulator: &Simulator) -> Option<Self> {
         let value = simulator.controller().settings().whole(Key::Dialect);
         Self::ALL.into_iter().find(|dialect| u32::from(dialect.setting()) == value)
@@ -58,7 +58,7 @@ impl Dialect {
     }
 }
 
-/// Returns the board with this name.
+/// Returns the profile of a board by its name, such as `desk`.
 ///
 /// # Errors
 /// A text that lists the existing names.
@@ -69,12 +69,13 @@ pub fn board_named(name: &str) -> Result<Board, String> {
     })
 }
 
-/// Returns the text for an error code.
+/// Returns what a reply `error:N` means, as a text for users. `code` is N.
 pub fn error_text(code: u8) -> &'static str {
     Error::ALL.iter().find(|error| error.code() == code).map_or("an error without a description", |error| error.text())
 }
 
-/// Returns the `[MSG:` lines of the machine's output as one text, with a blank before each.
+/// Returns the `[MSG:` lines of the output `said`, joined on one line with a blank before each, to be appended to a
+/// text for users.
 pub fn messages_of(said: &str) -> String {
     said.lines().filter(|line| line.starts_with("[MSG:")).map(|line| format!(" {line}")).collect()
 }
@@ -102,7 +103,7 @@ impl fmt::Display for SettingRefused {
     }
 }
 
-/// Applies `n=v` or `$n=v`. Discards the controller's other output.
+/// Applies a setting, given as `n=v` or `$n=v`. Discards all output of the controller.
 ///
 /// # Errors
 /// If the setting was rejected; it then keeps its value. The error says why.

@@ -1,6 +1,8 @@
-//! Writes the lines that restore a machine's state before the rest of a job (`oxmill resume`): modal state, tool,
-//! offsets, the moves to the position, spindle and coolant. Numbers are exact. If the rest continues arcs or canned
-//! cycles without repeating their words, these words are added to its first line that continues them.
+//! Writes the prologue of `oxmill resume`: the lines that restore the machine's state before the rest of a job. They
+//! restore modal state, tool and offsets, move to the position, and switch spindle and coolant on. Numbers are exact.
+//!
+//! The rest can rely on an arc or a canned cycle of the lines before it. Then the first line that does so gets the
+//! missing words.
 
 use crate::boards::AXES;
 use oxmill_controller::axes::{Axis, PerAxis};
@@ -20,32 +22,34 @@ pub struct Entry {
     pub moved: PerAxis<bool, AXES>,
     /// Z at which the tool travels; `None` if the job has not moved Z.
     pub clearance: Option<Coordinate>,
-    /// Whether the job reached the Z of `place` by a rapid and made only rapids since: then there is no material on the
-    /// way down.
+    /// `true` if the job reached the Z of `place` by a rapid and made only rapids since. Then no material is in the
+    /// way, and the tool moves down by a rapid, too.
     pub is_clear: bool,
-    /// Feed rate downwards, mm/min.
+    /// Feed rate of the move down to the position, in mm/min; `None` if it is not known.
     pub plunge: Option<Decimal>,
     /// Spin-up time of the spindle, seconds.
     pub spin_up: u16,
-    /// Whether the spindle is a laser ($32), which is switched on last, without a delay.
+    /// `true` if the spindle is a laser ($32). A laser is switched on last, without a delay.
     pub is_laser: bool,
-    /// Whether a line of the rest relies on the motion mode in force, that is, has axis words without a motion word.
+    /// `true` if a line of the rest has axis words but no motion word, so that it relies on the motion mode of the
+    /// lines before the rest.
     pub carries: bool,
     /// Program-controlled outputs that are on; bit 0 is P0.
     pub outputs: u8,
 }
 
-/// Where the rest of a job continues in a motion mode that one word cannot restore (such as an arc or a canned cycle),
-/// and the words that the line of the continuation needs.
+/// The line of the rest that relies on a motion mode that one word cannot restore, such as an arc or a canned cycle,
+/// and the words that this line needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mode {
-    /// Index, in the rest, of the first line that moves in this mode or selects another one.
+    /// Index, in the rest, of the first line that moves in this mode or selects another motion mode.
     pub line: usize,
-    /// The words to add to that line if it moves in this mode; `None` if it selects another one.
+    /// The words to add to that line; `None` if it needs none, because it selects another motion mode, or because G0,
+    /// G1 or G80 is in force.
     pub words: Option<String>,
 }
 
-/// Formats a number of 1e-7 units exactly.
+/// Formats a number in units of 1e-7 without rounding: 15,000,000 becomes `1.5`.
 pub fn exact(number: i64) -> String {
     let (size, one) = (number.unsigned_abs(), DECIMAL_ONE.unsigned_abs());
     let sign = if number < 0 { "-" } else { "" };
@@ -105,7 +109,7 @@ fn offsets(state: &Interpreter<AXES>) -> Option<String> {
     state.offsets().g92_acts.then(|| format!("G52{}", if words.is_empty() { " X0" } else { &words }))
 }
 
-/// Returns the words of the axes whose value is not 0.
+/// Returns the words of the axes whose value is not 0, such as ` X1.5 Z-2`.
 fn words(place: &PerAxis<Coordinate, AXES>) -> String {
     let axes = Axis::of_machine::<AXES>().zip(place.iter()).filter(|(_, value)| **value != Coordinate::ZERO);
     axes.map(|(axis, value)| format!(" {}{}", char::from(axis.letter()), exact(value.0))).collect()
@@ -176,7 +180,7 @@ fn accessories(modal: &Modal, entry: &Entry) -> Vec<String> {
     lines
 }
 
-/// Returns the modal words that move nothing. Those that change the meaning of lengths and feeds are last.
+/// Returns modal words, which move nothing. Words that change the meaning of lengths and feeds come last.
 fn modes(modal: &Modal, is_fed: bool) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut add = |is_other: bool, word: &str| words.extend(is_other.then(|| word.to_owned()));
@@ -219,7 +223,7 @@ fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
     }
     let mut units = Units::Mm;
     if let Some(feed) = feed.filter(|_| modal.feed_in_inches) {
-        // Restore the unit of F: for rotary axes, F in inches differs from the same F in millimetres.
+        // Give F in inches, as the job did: for rotary axes, F in inches differs from the same F in millimetres.
         units = Units::Inch;
         words.push(format!("G20 F{}", exact(feed.0.saturating_mul(10) / 254)));
     }
@@ -235,8 +239,8 @@ fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
     words
 }
 
-/// Finds the line up to which the motion mode in force before the `rest` of a job matters: the first line of the rest
-/// that moves in this mode or selects another one. Also returns the words to add to that line.
+/// Finds the first line of `rest` that moves in the motion mode of the lines before `rest`, or that selects another
+/// motion mode. Also returns the words that this line needs. The mode does not matter after this line.
 ///
 /// # Errors
 /// A text for users: no line of the rest moves the machine.
@@ -272,9 +276,9 @@ pub fn mode_of(state: &Interpreter<AXES>, rest: &[&[u8]], dialect: Dialect) -> R
     Err("no line moves the machine from there on".into())
 }
 
-/// Returns the index of the line of `rest` that continues a curve of the lines before the rest, because it is a G5
-/// without I and J. Returns `None` if there is no such line, or another curve of the rest comes first. Only words with
-/// literal numbers are recognized. `mode` is the motion mode in force.
+/// Finds the line of `rest` that continues a curve (G5) of the lines before `rest`: a G5 without I and J. Returns its
+/// index; `None` if there is no such line, or if another curve of `rest` comes first. Recognizes only words with
+/// literal numbers. `mode`: the motion mode before `rest`.
 pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) -> Option<usize> {
     let mut is_curve = mode == MotionMode::Spline(SplineKind::Cubic);
     for (line, text) in rest.iter().enumerate() {
@@ -289,8 +293,8 @@ pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) ->
             if !has(b'I') {
                 return Some(line);
             }
-            // This G5 has its own I, and a later G5 would continue this curve, so the search ends here. But if this
-            // line can be skipped (`/`), look further.
+            // This G5 has its own I. A later G5 would continue this curve, so the search ends here. But this line may
+            // be skipped if it begins with `/`: then look further.
             if !text.trim_ascii_start().starts_with(b"/") {
                 return None;
             }
@@ -302,11 +306,12 @@ pub fn goes_on_from_curve(mode: MotionMode, rest: &[&[u8]], dialect: Dialect) ->
     None
 }
 
-/// Returns those words of a canned cycle that a line lacks. `has` returns whether the line has a word with this letter.
+/// Returns the words of a canned cycle (R, Q, P and the depth) that a line lacks. `has` returns whether the line has a
+/// word with this letter.
 fn cycle(kind: CycleKind, words: &CycleWords, units: Units, has: impl Fn(u8) -> bool) -> String {
     let length = |length: Coordinate| match units {
         Units::Mm => exact(length.0),
-        // Exact if the job gives the length in inches with at most six decimals.
+        // This is exact if the job gives the length in inches with at most six decimals.
         Units::Inch => exact((length.0 * 10 + length.0.signum() * 127) / 254),
     };
     let depth = words.plane.axes().linear.letter();

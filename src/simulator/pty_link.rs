@@ -29,8 +29,8 @@ pub(crate) fn open(link: Option<&Path>, sender: SyncSender<Happened>) -> Result<
     make_raw(&master).context("cannot set up the pseudo terminal")?;
     // The write side must not block forever if a client does not read.
     fcntl(&master, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).context("cannot set up the pseudo terminal")?;
-    // Close the clients' end. While no client has it open, `poll` reports a hang-up, so that the first client is
-    // detected.
+    // Close the clients' end. As long as no client has it open, `poll` reports a hang-up. The end of the hang-up shows
+    // the first client.
     drop(ends.slave);
     if let Some(link) = link {
         match fs::symlink_metadata(link) {
@@ -55,7 +55,7 @@ fn make_raw(master: &File) -> nix::Result<()> {
     tcsetattr(master, SetArg::TCSANOW, &terminal)
 }
 
-/// The client that has the port open.
+/// The inbox and the writer of the client that has the port open.
 struct Open {
     inbox: Arc<Inbox>,
     writer: Writer,
@@ -74,7 +74,7 @@ impl Port {
         &self.path
     }
 
-    /// Serves the clients one after the other. Returns `None` when the loop has ended.
+    /// Serves the clients one after the other. Returns `None` when the loop that owns the simulator has ended.
     pub(crate) fn serve(mut self) -> Option<()> {
         loop {
             let (hung_up, readable) = self.look();
@@ -100,7 +100,8 @@ impl Port {
         }
     }
 
-    /// Returns whether no client has the port open, and whether bytes can be read.
+    /// Waits a short time for something to happen. Returns whether no client has the port open, and whether bytes can
+    /// be read.
     fn look(&self) -> (bool, bool) {
         let mut look = [PollFd::new(self.master.as_fd(), PollFlags::POLLIN)];
         let timeout = PollTimeout::try_from(LOOK).unwrap_or(PollTimeout::ZERO);
@@ -130,7 +131,8 @@ impl Port {
             while (&self.master).read(&mut rest).is_ok_and(|length| length > 0) {}
             client.inbox.end();
             self.sender.send(Happened::Heard).ok()?;
-            // Wait until the loop has released the client and its writer has ended: then no further reply comes.
+            // Wait until the loop that owns the simulator has released the client, and the client's writer has ended.
+            // After that, no further reply comes.
             let _ = client.writer.join().ok()?;
             let flags = (OFlag::O_NOCTTY | OFlag::O_NONBLOCK).bits();
             if let Ok(end) = OpenOptions::new().read(true).write(true).custom_flags(flags).open(&self.path) {

@@ -1,5 +1,5 @@
-//! Connects the controller to the simulated board, in the order of [`oxmill_controller::pump`]: supplies events and
-//! carries out outputs.
+//! Connects the controller to the simulated board: supplies events and carries out outputs. The module
+//! [`oxmill_controller::pump`] determines the order, as on a board.
 
 use crate::boards::AXES;
 use crate::marks::Mark;
@@ -19,7 +19,7 @@ impl Pump<AXES> for Simulator {
     }
 
     fn begin(&mut self) -> Instant {
-        // A round of the control task begins. Make ready the bytes of the job that the round may read.
+        // Make the bytes of the job ready that the controller may read in this round.
         self.read_job_ahead();
         self.clock.instant()
     }
@@ -119,16 +119,16 @@ impl Pump<AXES> for Simulator {
 }
 
 impl Simulator {
-    /// Answers a request of `$REC`: passes the next part of the recording to the controller, in the same form as on a
-    /// board. `first`: begins with the start of the recording.
+    /// Carries out a part of `$REC`: passes the next part of the recording to the controller, in the same form as on a
+    /// board. `first`: begin at the start of the recording.
     fn read_recording(&mut self, first: bool) {
         let Simulator { controller, recorder, store, board, .. } = self;
         let record = |number| store.records().into_iter().nth(usize::from(number));
         recorder.read(first, (board.name, board.step_clock_hz), record, |piece| controller.recorded(piece));
     }
 
-    /// Returns the state of the inputs, and which inputs this machine has: the board determines the limit switches of
-    /// its axes, the inputs for programs (M66) and at-speed; all other inputs always exist.
+    /// Returns the state of the input pins, and which of them this machine has. Limit switches, the inputs for programs
+    /// (M66) and the at-speed input exist as in the profile of the board. All other inputs always exist.
     fn view_of_pins(&self) -> PinView {
         const { assert!(input::COUNT == 17) };
         let axes = (1 << self.board.axes) - 1;

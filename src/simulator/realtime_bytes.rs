@@ -40,7 +40,7 @@ fn effect(command: Realtime) -> Option<&'static str> {
 /// Returns a warning about the realtime commands that a line of the file (without its line end) contains, if any.
 pub fn warning(line: &[u8]) -> Option<String> {
     let is_text = texts(line);
-    // Effects in all dialects, in dialect grbl only, in the other dialects only, and in dialect grblhal only.
+    // Four lists of effects: in all dialects, in grbl only, in all except grbl, and in grblhal only.
     let mut acts: [Vec<String>; 4] = Default::default();
     for (at, byte) in line.iter().enumerate() {
         let of_grblhal = command_of_grblhal(*byte);
@@ -77,8 +77,8 @@ fn texts(line: &[u8]) -> Vec<bool> {
             begun_at = at;
         }
         if !comment.takes(*byte, || true) {
-            // `!` and `~`, and the bytes that mean the same in dialect grblhal, are text in a comment if another byte
-            // follows. One always does, at least the line end.
+            // In a comment, `!`, `~` and the bytes that mean the same in dialect grblhal are text if another byte
+            // follows. Here another byte always follows, at least the line end.
             is_text[at] = matches!(byte, b'!' | b'~' | 0x81 | 0x82 | 0xA3) && comment.is_inside();
             comment.follow(*byte, || true);
         } else if !comment.has_begun_character() {
@@ -88,8 +88,8 @@ fn texts(line: &[u8]) -> Vec<bool> {
     is_text
 }
 
-/// Returns a byte as readers of the file recognize it: as an ASCII character, or together with the character that it
-/// is a part of.
+/// Names a byte for a reader of the file: an ASCII character as such, other bytes together with their character, such
+/// as "byte 0x84 of `Ä`".
 fn shown(line: &[u8], at: usize) -> String {
     let byte = line[at];
     if byte.is_ascii_graphic() {

@@ -1,9 +1,11 @@
 //! `oxmill resume`: writes the rest of a job as a self-contained program, for a machine that has no memory of the job.
 //!
-//! The preceding lines are run twice in a simulator, with different work zeros. If the resulting states differ, the
-//! rest depends on where the machine was when the job began, and the job is rejected. `prologue` then writes lines that
-//! restore the state. A third simulator runs these lines and the first lines of the rest. The program is written only
-//! if the resulting state equals that of the first run (`Interpreter::differs_from`).
+//! The lines before the rest are run twice in a simulator, with different work zeros. If the resulting states differ,
+//! the rest depends on where the machine was when the job began, and the job is rejected. Otherwise `prologue` writes
+//! lines that restore the state.
+//!
+//! A third simulator checks the result: it runs the prologue and the first lines of the rest. The program is written
+//! only if the state then equals that of the first run (`Interpreter::differs_from`).
 
 use crate::boards::AXES;
 use crate::power_up::{Dialect, apply_setting, error_text};
@@ -16,15 +18,15 @@ use oxmill_controller::messages::Realtime;
 use oxmill_controller::settings::Key;
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE, Decimal};
 
-/// Position of a simulator when a job or a program begins. Programs are unlikely to contain these coordinates, so each
-/// axis that a program names moves.
+/// Position, in mm, at which a simulator begins a job or a program. Programs are unlikely to contain these numbers, so
+/// each axis that a program names moves.
 const START: [f64; AXES] = [-0.1357, -0.2473, -0.3791, -0.4919];
 
-/// Distance, in mm, of the second run's first position from [`START`]. In the second run, the zero of each coordinate
-/// system is also this far from that of the previous system.
+/// Shift of the second run, in mm for each axis. The second run begins this far from [`START`]. The zeros of its
+/// coordinate systems are at 2, 3, 4 ... times this distance.
 const ELSEWHERE: [f64; AXES] = [1.9, 3.1, -2.3, 4.7];
 
-/// Default spin-up time, in seconds.
+/// Default of [`ResumeRequest::spin_up`], in seconds.
 pub const SPIN_UP: u16 = 5;
 
 /// Minimum plunge feed, mm/min, as in Grbl. Simulating a slower plunge would take hours of machine time.
@@ -50,17 +52,17 @@ pub enum Begin {
 pub struct ResumeRequest {
     /// Where to resume.
     pub begin: Begin,
-    /// Z at which the tool travels to the position, in mm of program coordinates. Default: the highest Z of the job.
-    /// There is a default only if all heights at which the job has travelled are known in the present coordinate
-    /// system, and do not depend on the machine's position before the job.
+    /// Z at which the tool travels to the position, in program coordinates. `None`: the highest Z of the job so far.
+    /// For this, each height at which the job has travelled must be known in the present coordinate system, and must
+    /// not depend on where the machine was before the job.
     pub clearance: Option<Coordinate>,
-    /// Feed rate down to the position, mm/min. Default: that of the job's last plunge straight down.
+    /// Feed rate down to the position, in mm/min. `None`: the feed rate of the job's last plunge straight down.
     pub plunge: Option<Decimal>,
     /// Time for the spindle to spin up, in seconds.
     pub spin_up: u16,
 }
 
-/// A program that resumes a job.
+/// A program that resumes a job: its text, and numbers for the message to the user.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Resumed {
     /// The program; each line ends with LF.
@@ -73,8 +75,8 @@ pub struct Resumed {
     pub prologue: Vec<String>,
 }
 
-/// Returns the rest of a job. The simulator must be idle and have the settings of the machine; `name` is used in a
-/// comment.
+/// Returns a program that continues `job`. `machine`: an idle simulator with the settings of the machine; it is not
+/// changed. `name`: the job's name, for a comment in the program.
 ///
 /// # Errors
 /// A text for users: the line does not exist, a line before it is rejected, or a part of the state at the line is not
@@ -161,7 +163,7 @@ fn place_of(lines: &[&[u8]], begin: Begin) -> Result<usize, String> {
     }
 }
 
-/// Returns the N word at the beginning of a line.
+/// Returns the number of the N word at the beginning of a line, if there is one.
 fn line_number_of(line: &str) -> Option<u32> {
     let line = line.trim_start().trim_start_matches('/').trim_start();
     let digits = line.strip_prefix(['N', 'n'])?.trim_start();
@@ -178,27 +180,27 @@ struct End {
     /// The tool length offset in Z.
     length: Coordinate,
     is_rapid: bool,
-    /// Whether an axis other than Z has moved.
+    /// `true` if the move also moved an axis other than Z.
     travels: bool,
 }
 
 /// A simulated job, executed line by line.
 struct Walk {
     simulator: Simulator,
-    /// Axes that have moved.
+    /// Axes that the job has moved.
     moved: PerAxis<bool, AXES>,
     ends: Vec<End>,
     /// Whether the job reached the present Z by a rapid and has made only rapids since.
     is_clear: bool,
     /// Feed rate of the last move straight down, mm/min.
     plunge: Option<Decimal>,
-    /// Whether an output (M62, M63) will change with the next motion.
+    /// `true` if an output will change with the next motion (M62 or M63 without a motion since).
     waits_for_motion: bool,
 }
 
 impl Walk {
-    /// Runs lines on a machine that is powered up like `machine`; if `elsewhere`, with other work zeros and from
-    /// another position.
+    /// Runs lines on a new simulator with the settings of `machine`. `elsewhere`: for the second run, with other work
+    /// zeros and from another position.
     fn along(machine: &Simulator, lines: &[&[u8]], elsewhere: bool) -> Result<Self, String> {
         let mut simulator = powered_up_as(machine)?;
         if elsewhere {
@@ -290,8 +292,8 @@ impl Walk {
         Ok(())
     }
 
-    /// Returns how the tool moves to the position that the job has reached. Fails if the state at the line depends on
-    /// where the job began.
+    /// Returns how the tool moves to the position that the job has reached. `other`: the second run. Fails if the two
+    /// runs differ, because the state then depends on where the job began.
     fn entry(&self, other: &Walk, request: &ResumeRequest, carries: bool) -> Result<Entry, String> {
         let moved = self.moved.zip(&other.moved, |here, there| here || there);
         let (place, there) = (self.place(), other.place());
@@ -337,8 +339,9 @@ impl Walk {
         })
     }
 
-    /// Returns the highest Z of the job so far. Fails if the job has travelled at a height that is not known in the
-    /// present coordinate system, or if the spindle would be higher at this Z than it was in the job.
+    /// Returns the highest known Z of the job so far, at which the tool can travel. Fails if the job has travelled at a
+    /// height that is not known in the present coordinate system. Also fails if the present tool offset would lift the
+    /// spindle higher at this Z than the job did.
     fn clearance(&self, other: &Walk) -> Result<Coordinate, String> {
         const WISH: &str = "give a safe height to travel at (--clearance)";
         let system = self.state().modal().coordinate_system;
@@ -371,9 +374,9 @@ impl Walk {
         Ok(highest)
     }
 
-    /// Runs the next lines of the job (`job`) in this simulator. In another one that has just been powered up, runs the
-    /// prologue and these lines as the new program contains them (`written`). Fails if the states of the two simulators
-    /// then differ.
+    /// Checks the program before it is written. This simulator runs the next lines of the job (`job`). A new simulator
+    /// runs the prologue, and these lines as the program contains them (`written`). Fails if the states of both then
+    /// differ.
     fn compare(&mut self, prologue: &[String], written: &[Vec<u8>], job: &[&[u8]]) -> Result<(), String> {
         let mut anew = powered_up_as(&self.simulator)?;
         let taken = prologue.iter().map(|line| line.clone().into_bytes()).chain(written.iter().cloned());
@@ -397,8 +400,8 @@ fn outputs_of(simulator: &Simulator) -> u8 {
     simulator.outputs().map_or(0, |outputs| outputs.digital)
 }
 
-/// Returns a new simulator, just powered up, with the same settings, offsets and hardware. Limits and homing are
-/// switched off, because the simulator is not homed and its positions may exceed the limits.
+/// Powers up a new simulator with the same settings, offsets and hardware as `machine`. Limits and homing are switched
+/// off, because the new simulator is not homed and its positions may exceed the limits.
 fn powered_up_as(machine: &Simulator) -> Result<Simulator, String> {
     let store = machine.store().apart().map_err(|why| why.to_string())?;
     let (board, fittings) = (*machine.board(), machine.fittings().clone());
@@ -434,8 +437,8 @@ fn jog(simulator: &mut Simulator, by: [f64; AXES]) -> Result<(), String> {
     settle(simulator)
 }
 
-/// Sends a line and runs until it is answered; presses cycle start where the program pauses. Fails if the answer is an
-/// error, if an alarm occurs, or if no answer will come.
+/// Sends a line and runs the simulator until the line is answered. Presses cycle start where the program pauses. Fails
+/// if the answer is an error, if an alarm occurs, or if no answer will come.
 fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
     simulator.take_output();
     simulator.send(format!("{line}\n"));
@@ -458,7 +461,8 @@ fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
     }
 }
 
-/// Runs until all motion has ended; presses cycle start where the program pauses.
+/// Runs the simulator until all motion has ended. Presses cycle start where the program pauses. Fails if the machine
+/// does not come to rest.
 fn settle(simulator: &mut Simulator) -> Result<(), String> {
     while !simulator.run_until_idle() {
         if !simulator.controller().is_paused() {

@@ -1,14 +1,13 @@
 //! `serve`: the simulator as a Grbl device for senders. Opens the link (TCP, a page, a pseudo terminal, or standard
 //! input and output), and lets virtual time pass with the host's clock.
 //!
-//! Threads only wait for bytes and hand them to the one loop that owns the simulator. Virtual time follows the host's
-//! clock multiplied by the speed. If the simulation cannot keep up, virtual time runs slower instead of catching up
-//! later.
+//! Threads wait for bytes and hand them to one loop, which owns the simulator. Virtual time follows the host's clock
+//! multiplied by the speed. If the simulation cannot keep up, virtual time runs slower and does not catch up later.
 //!
-//! One client is served at a time, as a serial port is open in one program only; on TCP, a second client gets a message
-//! and is disconnected. When a client closes its side, the port is closed (`$914` determines what becomes of the job),
-//! and bytes for which the board has no room are discarded. A client's bytes are read before the machine needs them, so
-//! that the client's disconnection is noticed.
+//! One client is served at a time, like one program at a serial port. On TCP, a second client gets a message and is
+//! disconnected. When a client disconnects, the simulated port is closed: `$914` determines what becomes of the job,
+//! and bytes for which the board has no room are discarded. A client's bytes are read before the machine needs them,
+//! because a disconnection is noticed only after the last byte.
 
 use crate::clients::{
     ANSWERS, Client, Connection, ENDLESS, Happened, Inbox, Incoming, LONGEST_LINE, LOOK, PIECE, Writer, hung_up,
@@ -33,18 +32,19 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Maximum number of a client's bytes that wait for the board's link, as in a host's port.
+/// Maximum number of a client's bytes that the controller has not read yet, as in the buffer of a host's serial port.
 const PORT: usize = 1 << 14;
 /// Interval at which the loop checks the clock while the machine is busy.
 const BUSY: Duration = Duration::from_millis(1);
-/// Interval at which the loop checks the clock while nothing can happen without the host.
+/// Interval at which the loop checks the clock while the machine waits for the host.
 const QUIET: Duration = Duration::from_millis(50);
-/// Sent to a second client.
+/// Message to a client that connects while another one is served.
 const TURNED_AWAY: &[u8] = b"[MSG:Another host has the machine]\r\n";
-/// Virtual time that is simulated at once, between checks of the link.
+/// Maximum virtual time that is simulated between two checks of the link.
 const SLICE: Duration = Duration::from_millis(20);
 
-/// Runs `serve`. Returns when standard input ends; with the other links it never returns.
+/// Runs `oxmill serve`. With standard input as the link, returns at its end. With the other links, returns only after
+/// an error.
 pub fn serve(options: &Serve) -> Result<()> {
     check_apart(&machine_roles(&options.machine, options.record.as_deref()))?;
     let open =
@@ -62,8 +62,8 @@ pub fn serve(options: &Serve) -> Result<()> {
     let written = open_link(options, sender)?;
     begin_recording(&mut recorder, record)?;
     Device::new(simulator, options.speed, options.reset_on_connect, recorder).run(&receiver)?;
-    // The loop has ended, so nothing more is sent to the writer of standard output: wait until it has written its
-    // queue.
+    // The loop has ended and has dropped its end of the reply queue. Wait until the writer of standard output has
+    // written the rest of the queue.
     match written.map_or(Ok(Ok(())), Writer::join) {
         Ok(Err(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         Ok(written) => written.context("cannot write the answers"),
@@ -71,7 +71,8 @@ pub fn serve(options: &Serve) -> Result<()> {
     }
 }
 
-/// Prints the address of the link, for a program that has started this one and waits for the address.
+/// Prints the kind and the address of the link, such as `tcp 127.0.0.1:2323`, for a program that has started this one
+/// and waits for the address.
 fn announce(link: &str) -> Result<()> {
     let mut out = io::stdout();
     writeln!(out, "{link}").and_then(|()| out.flush()).context("cannot write to standard output where the link is")
@@ -114,7 +115,7 @@ struct Device {
     client: Option<Client>,
     /// TCP clients that connected while the previous client was about to disconnect.
     waiting: VecDeque<(Incoming, SyncSender<Happened>)>,
-    /// A reply for which the client had no room.
+    /// A reply for which the client's queue had no room; it is sent before all others.
     kept: Option<Vec<u8>>,
     recorder: Option<Recorder>,
     /// The error that made the recording incomplete.
@@ -162,8 +163,8 @@ impl Device {
                 let was_program = self.client.as_ref().is_some_and(|client| client.is_program);
                 self.left();
                 if was_program {
-                    // The client's writer returns its error to `serve`. After standard input no other host can connect,
-                    // so the loop ends.
+                    // Standard output is closed, and no other host can connect: end the loop. `serve` gets the error
+                    // from the client's writer.
                     return Ok(());
                 }
             }
@@ -176,8 +177,8 @@ impl Device {
             }
             let active = self.simulator.is_active();
             if self.is_done() && !active && self.simulator.unfetched() == 0 && self.kept.is_none() {
-                // Standard input has ended. Lines that are still unread stay unread, because the machine would need a
-                // realtime command first. The writer ends after the last reply, when its sender is dropped.
+                // Standard input has ended. If lines are still unread, the machine waits for a realtime command, which
+                // cannot come any more. The writer ends after the last reply, when its sender is dropped.
                 let failure = self.client.as_ref().and_then(|client| client.inbox.failure());
                 return failure.map_or(Ok(()), Err).context("cannot read standard input to its end");
             }
@@ -236,8 +237,8 @@ impl Device {
         }
     }
 
-    /// Returns whether standard input has ended and no more of it can be sent to the simulator: all has been sent, or
-    /// the port has no room for the rest.
+    /// Returns whether standard input has ended and the simulator takes no more of it: all has been sent, or the port
+    /// has no room for the rest.
     fn is_done(&self) -> bool {
         let has_room = self.simulator.unread() < PORT;
         self.client.as_ref().is_some_and(|client| {
@@ -341,8 +342,8 @@ impl Device {
         }
     }
 
-    /// Sends replies to the client, as far as its queue has room. Returns `false` if the client does not accept replies
-    /// any more.
+    /// Sends replies to the client, as far as its queue has room. Returns `false` if the writer of the client has
+    /// ended, so that no reply can reach the client any more.
     fn answer(&mut self) -> bool {
         let Some(client) = &self.client else {
             // Without a client, the output is discarded.
@@ -377,7 +378,8 @@ fn turn_away(incoming: Incoming) {
 
 fn serve_stdio(client: Client, sender: &SyncSender<Happened>) {
     let inbox = client.inbox.clone();
-    // `|| false`: everything is read and executed even after the pipe has ended, because it is a complete program.
+    // `|| false`: never treat the client as disconnected while bytes are left. A pipe that has ended still holds a
+    // complete program.
     if sender.send(Happened::Connected(client)).is_ok() {
         let tell = || inbox.fail(io::Error::other(format!("a line has more than {LONGEST_LINE} characters")));
         pass_bytes(&mut io::stdin().lock(), &inbox, sender, || false, tell);

@@ -1,4 +1,5 @@
-//! Runs `settings import`: reads the file, prints what each entry becomes, and writes the settings.
+//! The command `settings import`: reads the settings file of another controller, prints what each entry becomes, and
+//! writes the settings.
 
 use crate::command_line::ImportSettings;
 use crate::files::{self, Role};
@@ -11,7 +12,7 @@ use std::path::Path;
 /// Maximum width, in characters, of the column of the report that shows the entries of the file.
 const WIDEST: usize = 50;
 
-/// Runs `settings import`.
+/// Imports the file that the options name. Returns [`Ending::Faulty`] if an entry of the file is not taken.
 ///
 /// # Errors
 /// If the file cannot be read, is of no known form, or if the settings cannot be written.

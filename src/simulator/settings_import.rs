@@ -6,7 +6,7 @@ use crate::{import_dump, import_fluidnc};
 
 pub use crate::import_list::{Import, LeftEntry, TakenSetting, Value};
 
-/// Imports a text. Line ends of all systems and a byte order mark are accepted.
+/// Imports the text of a settings file. It can have the line ends of any system and a byte order mark.
 ///
 /// # Errors
 /// If the text is not of a known form; the error says why.

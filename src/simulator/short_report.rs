@@ -17,7 +17,7 @@ const BAD: Style = AnsiColor::Red.on_default().bold();
 const WARNING: Style = AnsiColor::Yellow.on_default();
 const FAINT: Style = Style::new().dimmed();
 
-/// A summary on one screen.
+/// Formats a summary for one screen of a terminal, with colours.
 #[derive(Clone, Copy, Debug)]
 pub struct ShortReport<'a>(pub &'a Summary);
 
@@ -42,7 +42,7 @@ impl fmt::Display for ShortReport<'_> {
         for error in summary.errors.iter().take(SHOWN_ERRORS) {
             writeln!(f, "  line {}: {}", error.line, error.source)?;
             writeln!(f, "    {BAD}error:{}{BAD:#} {}", error.code, error.text)?;
-            // The same advice is shown once.
+            // Show the same advice only once, at the first error that has it.
             let is_new = !shown.contains(&error.advice.as_str());
             if is_new && !error.advice.is_empty() {
                 writeln!(f, "    {FAINT}{}{FAINT:#}", error.advice)?;
@@ -66,7 +66,8 @@ impl fmt::Display for ShortReport<'_> {
         for note in summary.notes.iter().take(SHOWN_ERRORS) {
             writeln!(f, "  {WARNING}note{WARNING:#}: {note}")?;
         }
-        // The warning about G43 says more than its message, and the normal end needs no mention.
+        // Omit the message that no tool is in the table, because the warning about G43 says more. Also omit the message
+        // of a normal end.
         let is_shown = |message: &String| !message.starts_with(NO_TOOLS) && message != "[MSG:Pgm End]";
         let messages = summary.messages.iter().zip(&summary.message_lines).filter(|(message, _)| is_shown(message));
         for (message, line) in messages.take(SHOWN_ERRORS) {

@@ -1,8 +1,8 @@
 //! `Simulator`: a board in virtual time, without hardware. Inputs are bytes, realtime commands and input pins; outputs
 //! are replies, output pins, positions and the trace of all steps.
 //!
-//! All results depend only on the inputs and their virtual times; the speed of the host has no influence. The control
-//! task takes no time, so it is never late. Events at the same tick happen in this order:
+//! All results depend only on the inputs and their virtual times, not on the speed of the host. The control task takes
+//! no virtual time, so it is never late. Events at the same tick happen in this order:
 //! 1. the step task's tick,
 //! 2. bytes from the host, in the order sent, through the boards' own [`Link`](oxmill_controller::Link),
 //! 3. changes of input pins, through the boards' own filter,
@@ -44,7 +44,7 @@ pub struct Options {
     pub store: Store,
     /// Switches, probe plate and backlash of the machine.
     pub fittings: Fittings,
-    /// Whether all step events are kept in memory, for [`Trace::kept`].
+    /// `true`: all step events stay in memory, for [`Trace::kept`].
     pub keep_steps: bool,
 }
 
@@ -66,24 +66,25 @@ pub struct Simulator {
     pub(crate) inputs: InputTask,
     pub(crate) step: StepTask,
     pub(crate) world: World,
-    /// Whether the most recent change of the store succeeded; `None` if there was none, or if the controller has
-    /// already received this result.
+    /// Result of the most recent change of the store (`true`: it succeeded), until the controller has received this
+    /// result.
     pub(crate) stored: Option<bool>,
-    /// Whether the controller has requested the state of the inputs and has not received it yet.
+    /// `true` if the controller has requested the state of the inputs and has not received it yet.
     pub(crate) pins_asked: bool,
     pub(crate) outgoing: Vec<u8>,
-    /// A loaded job. The controller reads its bytes instead of the host's lines, as soon as it can execute more.
+    /// A loaded job. The controller reads its bytes instead of the host's lines, whenever it can execute more.
     pub(crate) job: Sole<JobText>,
     /// Number of bytes of `job` that the controller can read in the present round of [`oxmill_controller::pump`].
     pub(crate) job_ready: usize,
     pub(crate) wiring: Option<Wiring>,
-    /// Records the inputs as a board does.
+    /// The recording that a board also makes, for `$REC`.
     pub(crate) recorder: Recorder<Box<[Page]>>,
     /// Maps moves to their line and tool, if [`Simulator::mark_moves`] was called.
     pub(crate) marks: Option<Marks>,
 }
 
-/// Returns a controller of this board with the stored settings, which has just been started and greets the host.
+/// Starts a controller of this board with the stored settings and lets it greet the host. `restart`: what caused the
+/// start.
 fn started(board: &Board, store: &mut Store, clock: &Clock, restart: Restart) -> Box<Controller<AXES>> {
     let profile = Profile {
         name: board.name,
@@ -151,22 +152,22 @@ impl Simulator {
 
     // Inputs: bytes of the host, its port, and the pins.
 
-    /// Receives bytes from the host at the present virtual time. Realtime commands act immediately: they overtake line
-    /// bytes sent earlier, as long as these line bytes fit into the board's queue and the link (255 and 192 bytes).
-    /// Bytes that do not fit wait in the host's port, and so do commands after them: see [`Simulator::unread`].
+    /// Receives bytes from the host at the present virtual time. The board's queue takes 255 line bytes and the link
+    /// 192. Within this room, a realtime command acts immediately: it overtakes line bytes that were sent earlier.
+    /// Further bytes wait in the host's port, and so do commands after them: see [`Simulator::unread`].
     pub fn send(&mut self, bytes: impl AsRef<[u8]>) {
         self.host.send(bytes.as_ref());
         self.receive();
         self.turn();
     }
 
-    /// Like [`Simulator::send`], for a replay, which sends bytes at the time at which the board read them. `more`:
-    /// whether the board had further bytes waiting after them.
+    /// For a replay: sends bytes like [`Simulator::send`], at the time at which the board read them. `more`: `true` if
+    /// further bytes waited on the board after them.
     pub fn send_followed(&mut self, bytes: impl AsRef<[u8]>, more: bool) {
         self.host.follow(more);
         self.send(bytes);
-        // The board read the waiting bytes next, so none wait any more. The recording can have a later time for these
-        // bytes, because it contains a line with the time at which the line ended.
+        // The board read the waiting bytes soon after, so from now on none wait. The replay may send them later: for a
+        // line, the recording has only the time of its end.
         self.host.follow(false);
     }
 
@@ -176,12 +177,14 @@ impl Simulator {
         self.host.set_never_silent();
     }
 
-    /// Simulates the loss of bytes on their way from the host: the controller rejects the line that they belonged to.
+    /// Simulates the loss of bytes on their way from the host. The controller then rejects the line to which they
+    /// belonged.
     pub fn lose_bytes(&mut self) {
         self.host.lose();
     }
 
-    /// For a replay: puts the machine, which must be at rest, into a recorded state. See `Controller::stand`.
+    /// For a replay: puts the machine, which must be at rest, into a recorded state. `lock`: also locks it. See
+    /// `Controller::stand`.
     pub fn stand(&mut self, standing: &Standing, lock: bool) {
         self.controller.stand(standing, lock);
         self.turn();
@@ -197,7 +200,8 @@ impl Simulator {
         self.recorder.follow_blocks(blocks);
     }
 
-    /// Executes a realtime command without sending its byte over the link.
+    /// Executes a realtime command as from a button, without a byte on the link. A reset also stops the step task at
+    /// once.
     pub fn press(&mut self, command: Realtime) {
         if command == Realtime::Reset {
             self.stop();
@@ -212,8 +216,8 @@ impl Simulator {
         self.turn();
     }
 
-    /// Simulates a host that closes the port or is unplugged. Bytes in its port and in the link are lost, including the
-    /// rest of a line. Lines in the board's queue are executed, without an `ok` or `error`.
+    /// Simulates a host that closes the port or is unplugged. Bytes in its port and in the link are lost, even if they
+    /// are the rest of a line. Lines in the board's queue are executed, but their `ok` or `error` is not sent.
     pub fn disconnect(&mut self) {
         self.host.disconnect();
         self.turn();
@@ -243,9 +247,10 @@ impl Simulator {
         }
     }
 
-    /// Executes a line of the pin protocol, such as `limit x 1`; returns `ok` or what is wrong. `steps` returns the
-    /// state of the step outputs: motor positions, pulses of each motor, and the hash of all step events in order of
-    /// time.
+    /// Executes a line of the pin protocol, such as `limit x 1`. Returns `ok`, or an error that says what is wrong.
+    ///
+    /// The line `steps` returns the state of the step outputs: motor positions, pulses of each motor, and the hash of
+    /// all step events in order of time.
     pub fn pin_line(&mut self, line: &str) -> String {
         if line.trim() == "steps" {
             let axes = self.controller.settings().axes_in_use();
@@ -278,7 +283,8 @@ impl Simulator {
         }
     }
 
-    /// Returns whether a line of the pin protocol moves a pin or puts a glitch on it.
+    /// Returns whether a line of the pin protocol is valid and sets a pin or puts a glitch on it. Recordings contain
+    /// only such lines.
     pub fn moves_pin(&self, line: &str) -> bool {
         let axes = self.board.axes;
         match crate::pins::disturbed(axes, line) {
@@ -299,21 +305,21 @@ impl Simulator {
 
     // Virtual time: advancing it, and what will happen in it.
 
-    /// Advances virtual time.
+    /// Advances virtual time by `time`.
     pub fn run_for(&mut self, time: Duration) {
         self.advance_to(self.clock.now().saturating_add(self.clock.ticks_in(time)));
     }
 
-    /// Advances virtual time until nothing is moving, waiting or unanswered, or until the machine waits for the host (a
-    /// hold, an alarm with unread lines, 64 KiB of replies that were not fetched). Returns whether the controller is
-    /// idle.
+    /// Advances virtual time until nothing is moving, waiting or unanswered. Also stops when the machine waits for the
+    /// host: in a hold, in an alarm with unread lines, or with 64 KiB of replies that were not fetched. Returns whether
+    /// the controller is idle.
     pub fn run_until_idle(&mut self) -> bool {
         self.turn();
         while !self.is_idle() && self.advance_once(u64::MAX) {}
         self.is_idle()
     }
 
-    /// Advances virtual time to a tick of the step clock.
+    /// Advances virtual time to a tick of the step clock. Does nothing if this tick has passed.
     pub fn advance_to(&mut self, ticks: u64) {
         while self.clock.now() < ticks {
             if !self.advance_once(ticks) {
@@ -323,8 +329,8 @@ impl Simulator {
         }
     }
 
-    /// Lets the controller check the progress of the step task, as it does on a board whenever something wakes it. Each
-    /// call can shift the following wake-ups, so two runs that are compared must call this equally often.
+    /// Lets the controller check the progress of the step task, as on a board when something wakes it. Each call can
+    /// shift later wake-ups, so two runs that are compared must call this equally often.
     pub fn look(&mut self) {
         self.turn();
     }
@@ -341,8 +347,8 @@ impl Simulator {
         }
         let until = wake.unwrap_or(u64::MAX).min(limit).min(sample.unwrap_or(u64::MAX));
         let began = self.clock.now();
-        // If nothing but `limit` is reached, the control task does not run. So the limits that the caller chooses do
-        // not shift the controller's wake-ups.
+        // If only `limit` is reached, the control task does not run. So the caller can choose any limits without
+        // shifting the controller's wake-ups.
         let is_event = loop {
             match self.step.due() {
                 Some(due) if due <= until => {
@@ -369,21 +375,23 @@ impl Simulator {
         true
     }
 
-    /// Returns the tick at which the controller must work next, or at which a `!` in an unfinished comment becomes a
-    /// feed hold, whichever comes first; `None` if there is no such tick or the clock never reaches it.
+    /// Returns the tick of the next wake-up of the controller; `None` if there is none or the clock never reaches it. A
+    /// `!` in an unfinished comment also causes a wake-up: if no byte follows it in time, it becomes a feed hold.
     fn wake_due(&self) -> Option<u64> {
         let due = [self.controller.next_wakeup(), self.host.rest_due()].into_iter().flatten();
         let due = due.map(|instant| self.clock.ticks_at(instant)).min()?;
         (due <= self.clock.end()).then(|| due.max(self.clock.now() + 1))
     }
 
-    /// Returns the number of ticks during which nothing will happen without further input; 0 if nothing ever will.
+    /// Returns the number of ticks during which nothing will happen without further input, so that a caller can skip
+    /// them. 0 if nothing will happen at all.
     pub fn ticks_without_event(&self) -> u64 {
         let next = [self.wake_due(), self.step.due(), self.inputs.sample_due()].into_iter().flatten().min();
         next.map_or(0, |next| next.saturating_sub(self.clock.now() + 1))
     }
 
-    /// Returns whether the controller waits for a time that the clock never reaches.
+    /// Returns whether the controller waits for a time that the clock never reaches, such as the end of an extremely
+    /// long dwell.
     pub fn waits_beyond_the_clock(&self) -> bool {
         self.controller.next_wakeup().is_some() && self.wake_due().is_none()
     }
@@ -398,8 +406,8 @@ impl Simulator {
             && self.job.0.as_ref().is_none_or(|job| job.is_used_up())
     }
 
-    /// Returns whether the power cut ordered with [`Store::cut_power_after`] has happened. From then on the simulator
-    /// does nothing.
+    /// Returns whether the power cut of [`Store::cut_power_after`] has happened. From then on the simulator does
+    /// nothing.
     pub fn power_is_gone(&self) -> bool {
         self.store.power_is_gone()
     }
@@ -409,7 +417,7 @@ impl Simulator {
         !self.power_is_gone() && (self.step.due().is_some() || self.wake_due().is_some())
     }
 
-    /// Returns whether the step task is busy.
+    /// Returns whether the timer of the step task is running.
     pub fn is_stepping(&self) -> bool {
         self.step.due().is_some()
     }
@@ -436,7 +444,7 @@ impl Simulator {
         &self.world.trace
     }
 
-    /// Trace of the step outputs, for changing what it records.
+    /// Trace of the step outputs, for writing it to a file or keeping it in memory.
     pub fn trace_mut(&mut self) -> &mut Trace {
         &mut self.world.trace
     }
@@ -468,7 +476,7 @@ impl Simulator {
         &self.world.meter
     }
 
-    /// The meter of distances and speeds, for changing what it collects.
+    /// The measured distances and speeds, for starting a drawing or fetching it.
     pub fn meter_mut(&mut self) -> &mut Meter {
         &mut self.world.meter
     }
@@ -498,7 +506,8 @@ impl Simulator {
         self.wiring
     }
 
-    /// Step-clock ticks during which the step task was busy. The trace's digest uses them as the time of a step.
+    /// Number of step-clock ticks during which the step task was busy since power-up or [`Simulator::begin_job`]. The
+    /// trace's digest uses this number as the time of a step.
     pub fn busy_ticks(&self) -> u64 {
         self.step.busy()
     }
@@ -523,20 +532,21 @@ impl Simulator {
         self.controller.work_position().0.map(millimetres)
     }
 
-    /// Restarts digests, trace, extents and measurements for a new job.
+    /// Restarts digests, trace, extents and measurements, because a new job begins.
     pub fn begin_job(&mut self) {
         self.step.restart();
         self.world.restart();
         self.learn_resolution();
     }
 
-    /// From here on, moves have numbers, by which drawings and times find the line and tool of each move. Status
-    /// reports then contain these numbers instead of N words.
+    /// Numbers all moves from here on. Drawings and times use the numbers to find the line and tool of each move.
+    /// Status reports then contain these numbers instead of N words.
     pub fn mark_moves(&mut self) {
         self.marks = Some(Marks::default());
     }
 
-    /// Loads a job. The controller reads its lines as soon as it can execute more.
+    /// Loads a job. Until its end, the controller reads the lines of the job instead of those of the host, whenever it
+    /// can execute more.
     pub fn load_job(&mut self, mut job: JobText) {
         // In Grbl's dialect (0), a line `%` is no tape mark.
         let has_tape_marks = self.controller.settings().whole(Key::Dialect) != 0;
@@ -565,8 +575,8 @@ impl Simulator {
         }
     }
 
-    /// Takes all samples that the input filter needs to settle, at the present virtual time. Call after a change by the
-    /// user or by a setting: for such slow changes, the delay of the filter does not matter.
+    /// Takes as many samples of the inputs as the filter needs to settle, all at the present virtual time. Call after a
+    /// change by the user or by a setting: the delay of the filter does not matter for such slow changes.
     pub(crate) fn settle_inputs(&mut self) {
         for _ in 0..self.inputs.settle() {
             self.stop();
@@ -602,7 +612,8 @@ impl Simulator {
         self.inputs.restart();
         self.inputs.sample_at(self.clock.now());
         (self.stored, self.pins_asked, self.wiring) = (None, false, None);
-        // No sender goes on with its job after a greeting. The new controller also counts lines from 0.
+        // End the job, because a sender also stops at a greeting. Besides, the new controller counts lines from 0
+        // again.
         if let Some(job) = &mut self.job.0 {
             job.end_by_restart();
         }
@@ -625,7 +636,8 @@ impl Simulator {
         }
     }
 
-    /// Counts the time since the tick `began` as dwell or as spin-up, if the line in progress waits for one of them.
+    /// If the line in progress waits in a dwell or for the spindle, counts the time since the tick `began` as dwell or
+    /// as spin-up.
     fn count_wait(&mut self, began: u64) {
         let Some(spindle_until) = self.controller.waits_for_spindle_until() else { return };
         let now = self.clock.now();

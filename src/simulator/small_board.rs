@@ -1,5 +1,5 @@
-//! Features that a small board does not support ([`Board::has_all_words`]). The simulator supports everything; a check
-//! for such a board adds the error that the board would return for each line.
+//! Features that a small board does not support ([`Board::has_all_words`]). The simulator itself supports everything. A
+//! check of a job for a small board adds the errors that the board would return.
 //!
 //! [`Board::has_all_words`]: oxmill_boards::profiles::Board::has_all_words
 
@@ -7,14 +7,15 @@ use crate::prologue::words_of;
 use oxmill_controller::error::Error;
 use oxmill_controller::units::Decimal;
 
-/// Returns the error with which a board without all words rejects a line that other boards accept.
+/// Returns the error with which a small board rejects a line that other boards accept; `None` if it accepts the line,
+/// too.
 pub fn error_of(line: &str) -> Option<Error> {
     let code = code(line);
     let is_computed = code.contains(['#', '[']) || is_o_word(&code);
     match code.chars().next() {
         Some('$') => return (code.starts_with("$M") && code.contains('=')).then_some(Error::ExpressionsLeftOut),
-        // Do not judge a line with `/`, which may be skipped, or a checked line (`:`), which begins with a header that
-        // is not G-code.
+        // Do not judge a line with `/`, because it may be skipped. Do not judge a checked line (`:`) either: it begins
+        // with a header, which is not G-code.
         Some('/' | ':') => return None,
         _ if is_computed => return Some(Error::ExpressionsLeftOut),
         _ => {}

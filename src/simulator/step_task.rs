@@ -1,6 +1,6 @@
-//! The step task of the simulator: the controller's own stepper, with a message queue and a timer in virtual time. Each
-//! tick steps the motors, checks the probe and is traced. Stops and underruns are reported to the controller as on a
-//! board.
+//! The step task of the simulator: the same stepper as on the boards, with a message queue and a timer in virtual time.
+//! Each tick moves the motors, checks the probe and is recorded in the trace. The controller gets reports of stops and
+//! underruns, as on a board.
 
 use crate::boards::AXES;
 use crate::clock::Clock;
@@ -49,8 +49,8 @@ pub struct StepTask {
     busy: u64,
     directions: u8,
     begun: u32,
-    /// After a stop: the count of stops. The stepper discards messages until a `Resume` with this count, so the meter
-    /// must not count them. `None` while messages are accepted.
+    /// After a stop: the number of this stop. The stepper discards messages until a `Resume` with this number, so the
+    /// meter must not count them. `None` while the stepper accepts messages.
     shut: Option<u16>,
     power: u16,
     outputs: Option<SlowOutputs>,
@@ -77,13 +77,14 @@ impl Default for StepTask {
 }
 
 impl StepTask {
-    /// Next expiry of the step timer, in ticks.
+    /// Next expiry of the step timer, in ticks; `None` while the timer is stopped.
     #[inline]
     pub fn due(&self) -> Option<u64> {
         self.due
     }
 
-    /// Number of ticks during which the task was busy. The trace's digest uses it as the time of a step.
+    /// Number of ticks during which the task was busy since [`StepTask::restart`]. The trace's digest uses it as the
+    /// time of a step.
     pub fn busy(&self) -> u64 {
         self.busy
     }
@@ -128,12 +129,12 @@ impl StepTask {
         self.events.pop_front()
     }
 
-    /// Applies the polarity of the probe pin.
+    /// Applies the polarity of the probe pin. The rest of `wiring` does not concern this task.
     pub fn wire(&mut self, wiring: &Wiring) {
         self.probe_invert = wiring.probe_invert;
     }
 
-    /// Sets the slow outputs. The power of a moving laser stays as it is, because each segment sets it.
+    /// Sets the slow outputs. While a laser moves, its power stays as it is, because each segment sets it.
     pub fn show(&mut self, outputs: SlowOutputs, clock: &Clock, world: &mut World) {
         self.outputs = Some(outputs);
         if !outputs.power_from_segments || self.due.is_none() {
@@ -165,7 +166,7 @@ impl StepTask {
         }
     }
 
-    /// Handles the expiry of the step timer. Returns `true` if the control task should run immediately.
+    /// Handles the expiry of the step timer. Returns `true` if the control task must run at the same tick.
     #[inline]
     pub fn tick(&mut self, clock: &Clock, world: &mut World, inputs: &mut InputTask) -> bool {
         let due = clock.now();
@@ -207,8 +208,8 @@ impl StepTask {
             self.load(clock, world);
         }
         if self.due.is_none() {
-            // At standstill the power comes from `outputs`, not from a segment. For a laser in M4, whose power is
-            // scaled with the speed, it is 0.
+            // At standstill the power comes from `outputs` and not from a segment. For a laser in M4 it is 0, because
+            // its power is scaled with the speed.
             self.carry_power(due, self.outputs.map_or(0, |outputs| outputs.power), world);
             world.meter.at_rest(clock.seconds(due));
             return true;
@@ -239,13 +240,13 @@ impl StepTask {
         first
     }
 
-    /// Stops immediately. If segments set the power of a laser, switches the laser off. Reports the stop to the
-    /// controller, and drops all waiting messages.
+    /// Stops immediately, switches off a laser whose power segments set, and drops all waiting messages. Reports the
+    /// stop to the controller.
     pub fn stop(&mut self, clock: &Clock, world: &mut World) {
         let event = self.stepper.stop([0; AXES]);
         self.stopped(event, clock, world);
-        // Let the stepper discard all messages of the queue, which the stop has made void. A full queue would have no
-        // room for `Resume`.
+        // After a stop the stepper discards all messages up to `Resume`. Let it do so now, because a full queue would
+        // have no room for `Resume`.
         self.load(clock, world);
     }
 

@@ -1,9 +1,9 @@
 //! The settings store of a simulated board: the boards' own log, on two flash sectors in memory. Every written word can
 //! also be passed to a copy, such as a file.
 //!
-//! The copy gets every word as soon as it is written. So if the process ends at any moment, the copy is like a flash
-//! after a power cut. A power cut can also be ordered: after a given number of writes and erases, the next operation is
-//! left half done and all further ones fail.
+//! The copy gets every word as soon as it is written. So if the process is killed, the copy is like a flash after a
+//! power cut. A power cut can also be ordered: after a given number of writes and erases, the next operation is left
+//! half done, and all further ones fail.
 
 use anyhow::{Context, Result, anyhow, bail};
 use oxmill_controller::messages::{Record, Store as Change};
@@ -20,7 +20,7 @@ const ERASED: u32 = u32::MAX;
 /// A change of the image, or the request to make all changes durable.
 #[derive(Clone, Copy, Debug)]
 pub enum Kept<'a> {
-    /// Bytes at this offset have changed to the given ones.
+    /// The bytes of the image from this offset (in bytes) on have changed to the given ones.
     Bytes(usize, &'a [u8]),
     /// All changes so far must be made durable.
     Sync,
@@ -38,7 +38,7 @@ pub enum Unusable {
     Log(Failure),
 }
 
-/// The settings log in its flash.
+/// The settings log, with the flash image that contains it.
 #[derive(Clone, Debug)]
 pub struct Store {
     log: Log<Image>,
@@ -50,8 +50,8 @@ impl Store {
         Self::with_sectors_of(SECTOR)
     }
 
-    /// Makes an empty store in memory, with sectors of `bytes` bytes each. If they are smaller than those of a board, a
-    /// sector is full after fewer changes. So tests reach the move to the other sector sooner.
+    /// Makes an empty store in memory, with sectors of `bytes` bytes each. Small sectors are full after few changes, so
+    /// tests soon reach the move to the other sector.
     ///
     /// # Panics
     /// If a sector is too small for its own header.
@@ -69,7 +69,7 @@ impl Store {
         Self::power_up(image).map_err(Unusable::Log)
     }
 
-    /// Returns an erased image with an empty log.
+    /// Returns the bytes of an image with an empty log, for a new file.
     pub fn blank() -> Vec<u8> {
         Self::in_memory().log.into_flash().bytes()
     }
@@ -127,9 +127,9 @@ impl Store {
         self.log.erase_spare().map_err(|failure| anyhow!("{failure}"))
     }
 
-    /// Cuts the power after `operations` more operations: the next operation is left half done. `torn`: mask of the
-    /// bits that an interrupted word write still programs. If bit 0 of `torn` is set, an interrupted erase looks
-    /// complete but counts as failed; otherwise half of the sector is erased.
+    /// Orders a power cut: `operations` more operations succeed, and the next one is left half done. `torn`: mask of
+    /// the bits that an interrupted word write still programs. Bit 0 of `torn` also decides about an interrupted erase:
+    /// if it is set, the whole sector is erased, otherwise only half of it. In both cases the operation fails.
     pub fn cut_power_after(&mut self, operations: u32, torn: u32) {
         let image = self.log.flash_mut();
         image.cut = Some(operations);
@@ -174,7 +174,8 @@ impl fmt::Display for Failure {
 #[derive(Clone)]
 struct Image {
     sectors: [Vec<u32>; 2],
-    /// Receives every change. Clones share it, because a cloned store represents the same flash.
+    /// Receives every change. Clones of the image share this function, because a cloned store represents the same
+    /// flash.
     keep: Option<Keep>,
     operations: u32,
     cut: Option<u32>,
@@ -222,7 +223,8 @@ impl Image {
         }
     }
 
-    /// Counts an operation. Returns whether there is power for it; fails if the power was cut before.
+    /// Counts an operation. Returns whether there is power for the whole operation. Fails if the power was cut before
+    /// it.
     fn spend(&mut self) -> Result<bool, Failure> {
         if self.gone {
             return Err(Failure::PowerCut);
@@ -264,7 +266,8 @@ impl Flash for Image {
         let torn = self.torn;
         let at = address as usize / 4;
         let slot = &mut self.words(sector)[at];
-        // A write to flash can only clear bits. If the power is cut during the write, it clears only those of `torn`.
+        // A write to flash can only clear bits. If the power is cut during the write, only the bits in `torn` are
+        // cleared.
         *slot &= if powered { word } else { word | !torn };
         let now = *slot;
         self.tell(sector, at, &[now])?;

@@ -1,5 +1,5 @@
-//! Forecasts how long a job takes over a serial link of a given baud rate, and at which lines the machine waits for
-//! bytes, in comparison with an unlimited link.
+//! Forecasts how long a job takes over a serial link of a given baud rate. Lists the lines at which the machine waits
+//! for bytes, in comparison with an unlimited link.
 //!
 //! The sender counts characters: it sends a line if the line and all unanswered lines together fit into the
 //! controller's receive buffer. Replies take time on the way back, too. Time advances in slices of a millisecond.
@@ -17,9 +17,9 @@ const SLICE: Duration = Duration::from_millis(1);
 /// link of N baud gains a capacity of N in each slice of 1/1000 s. For example, at 115200 baud a slice carries
 /// 115200 / 10000 = 11.52 bytes.
 const BYTE: u64 = 1000 * 10;
-/// Minimum growth of the lag that is listed, in seconds. The lag of a line is how much later the line ends than over an
-/// unlimited link. The time slices alone can cause smaller growth, so smaller growth counts only with that of the lines
-/// after it.
+/// Minimum loss of time that is listed, in seconds. The lag of a line is how much later it ends than over an unlimited
+/// link. A line is listed if its lag is greater by at least this much than that of the last listed line. The time
+/// slices alone can cause smaller differences.
 const NOTICEABLE: f64 = 0.005;
 /// Maximum number of lines that are listed.
 const MOST_PLACES: usize = 20;
@@ -29,11 +29,12 @@ const MOST_PLACES: usize = 20;
 pub struct Lost {
     /// Line number in the text sent, from 1.
     pub line: u64,
-    /// By how much the lag behind an unlimited link grows at this line, in seconds.
+    /// Time lost since the previous line of the list (in the order of the text), compared with an unlimited link, in
+    /// seconds.
     pub seconds: f64,
 }
 
-/// Result of sending a job over a link.
+/// Forecast for a job that is sent over a link.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Streamed {
     /// Bits per second of the link; 0 for an unlimited link.
@@ -57,7 +58,7 @@ pub struct Streaming {
     waiting: VecDeque<Vec<u8>>,
     /// Lengths of the lines that have been sent and not answered.
     in_flight: VecDeque<usize>,
-    /// Bytes that the sender has handed to the link and that the link has not carried yet.
+    /// Bytes of the sender that the link has not carried yet.
     outgoing: VecDeque<u8>,
     /// Capacity that the link has gained for `outgoing` and not used yet, in the unit of [`BYTE`].
     credit: u64,
@@ -159,7 +160,7 @@ impl Streaming {
         }
     }
 
-    /// Returns the number of lines that the controller has read, and the approximate number of all lines.
+    /// Returns the progress: the number of lines that the controller has read, and the approximate number of all lines.
     pub fn progress(&self) -> (u64, u64) {
         let left = (self.waiting.len() + self.in_flight.len()) as u64;
         // After a restart (`$REBOOT`) the controller counts from 0 again.
@@ -207,12 +208,14 @@ fn carried(baud: u32, credit: &mut u64, waiting: usize) -> usize {
     }
     *credit += u64::from(baud);
     let carried = usize::try_from(*credit / BYTE).unwrap_or(waiting).min(waiting);
-    // If all bytes are carried, keep less than a byte as credit: an idle link cannot save up capacity.
+    // If all bytes are carried, the rest of the capacity is lost, except for a part of a byte: an idle link cannot save
+    // up capacity.
     *credit = if carried < waiting { *credit - carried as u64 * BYTE } else { *credit % BYTE };
     carried
 }
 
-/// Returns the lines as a sender transmits them: without tape marks and without realtime commands.
+/// Returns the lines as a sender transmits them. A tape mark becomes an empty line. Realtime commands and characters
+/// beyond ASCII become blanks.
 fn lines_of(text: &[u8]) -> VecDeque<Vec<u8>> {
     let text = String::from_utf8_lossy(text).replace("\r\n", "\n").replace('\r', "\n");
     let plain = |c: char| if c.is_ascii_graphic() && !"!?~".contains(c) { c as u8 } else { b' ' };

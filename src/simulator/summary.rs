@@ -15,7 +15,7 @@ pub struct LineError {
     pub code: u8,
     /// Column of the word that `text` names, in characters from 1; `None` if it names no word of the line.
     pub column: Option<u64>,
-    /// What is wrong with the line.
+    /// What is wrong: the controller's message about the line if there was one, otherwise the explanation of `code`.
     pub text: String,
     /// The line, without blanks at its ends, cut off after 120 characters.
     pub source: String,
@@ -37,7 +37,7 @@ pub struct Warning {
 pub struct AlarmReport {
     /// Number of the alarm, as in `ALARM:N`.
     pub code: u8,
-    /// The meaning of the alarm.
+    /// What the alarm means, for users.
     pub text: String,
     /// Line number of the oldest line that was unanswered at the time of the alarm, if any.
     pub line: Option<u64>,
@@ -64,8 +64,9 @@ impl Extents {
     }
 }
 
-/// The complete report. Field names are stable for readers of the JSON. Lists of axes have one entry per axis in use
-/// (`$930`); entries of A are in degrees, and distances that involve A count a degree as a millimetre.
+/// The complete report of a job. Field names do not change, for programs that read the JSON. Lists of axes have one
+/// entry per axis in use (`$930`). Entries of A are in degrees, and distances that involve A count a degree as a
+/// millimetre.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[allow(missing_docs, reason = "names and units say it; the others are explained")]
 pub struct Summary {
@@ -86,7 +87,7 @@ pub struct Summary {
     /// Number of warnings beyond those in `warnings`.
     pub more_warnings: u64,
     pub alarm: Option<AlarmReport>,
-    /// Whether the job was completed.
+    /// `true` if every line was read and answered, even if with an error, and no alarm occurred.
     pub complete: bool,
     /// Notes of the simulator, such as a pause that it ended; at most 50.
     pub notes: Vec<String>,
@@ -98,17 +99,18 @@ pub struct Summary {
     pub message_lines: Vec<u64>,
     /// Number of messages beyond those in `messages`.
     pub more_messages: u64,
-    /// From the first line to rest: the time that a board will need if its link never starves it.
+    /// Time from the first line until the machine is at rest. A board needs this time if its link always delivers lines
+    /// early enough.
     pub forecast_s: f64,
-    /// From the first step to the last.
+    /// Time from the first step to the last.
     pub duration_s: f64,
     /// Part of `duration_s` during which the step task was busy.
     pub moving_s: f64,
-    /// Part of the forecast in motion at feed: all moves except rapids.
+    /// Part of `forecast_s` in moves at feed: all moves except rapids.
     pub feed_s: f64,
-    /// Part of the forecast in rapids.
+    /// Part of `forecast_s` in rapids.
     pub rapid_s: f64,
-    /// Part of the forecast without motion: dwells, spindle delays, tool changes.
+    /// Part of `forecast_s` without motion: dwells, spindle delays, tool changes.
     pub standing_s: f64,
     /// Part of `standing_s` for G4 and the dwells of canned cycles.
     pub dwell_s: f64,
@@ -131,16 +133,16 @@ pub struct Summary {
     pub extents_mm: Extents,
     /// Travel of X, Y and Z after homing, in machine coordinates, by the settings.
     pub travel_mm: Extents,
-    /// Maximum path speed: an average over a few milliseconds or more, reduced by what rounding to steps may have
-    /// added.
+    /// Maximum path speed, averaged over a few milliseconds or more. What rounding to steps may have added is
+    /// subtracted.
     pub peak_speed_mm_s: f64,
     /// Maximum change of path speed per time (on ramps), averaged and reduced like `peak_speed_mm_s`. Excludes the
     /// acceleration across the path in curves and corners.
     pub peak_acceleration_mm_s2: f64,
     /// Maximum speed of each axis, averaged and reduced like `peak_speed_mm_s`.
     pub peak_axis_speed_mm_s: Vec<f64>,
-    /// For each axis, the maximum of its component of the acceleration on ramps: the change of path speed per time,
-    /// times the direction of the path.
+    /// Maximum acceleration of each axis on ramps: the change of path speed per time, times the share of the axis in
+    /// the path's direction.
     pub peak_axis_acceleration_mm_s2: Vec<f64>,
     /// Hash over (time in step-clock ticks, step bits, direction bits) of each step event.
     pub trace_hash: String,
@@ -217,7 +219,7 @@ impl fmt::Display for Summary {
             (false, None) => "not taken to the end".into(),
         };
         row(f, "job", ended)?;
-        // List equal consecutive messages once, because one message can be the reason for many errors.
+        // Show equal consecutive messages once, with their number: the same reason can lead to many errors.
         for (message, times) in runs(&self.messages) {
             row(f, "message", if times > 1 { format!("{message} ({times} times)") } else { message.into() })?;
         }
@@ -303,7 +305,7 @@ fn list(values: impl Iterator<Item = f64>) -> String {
     values.map(|v| format!("{v:.1}")).collect::<Vec<_>>().join(", ")
 }
 
-/// Formats a number of items, with the plural of `name` where needed.
+/// Formats a number of items, such as `1 line` or `3 lines`. `name`: the singular.
 pub fn counted(number: u64, name: &str) -> String {
     format!("{number} {name}{}", if number == 1 { "" } else { "s" })
 }
@@ -313,7 +315,8 @@ fn runs(texts: &[String]) -> impl Iterator<Item = (&str, usize)> {
     texts.chunk_by(|a, b| a == b).map(|run| (run[0].as_str(), run.len()))
 }
 
-/// Formats a duration for users. Rounds before splitting, so that 1 min 59.98 s becomes 2 min 0.0 s.
+/// Formats a duration, such as `1.500 s`, `1 min 35.0 s` or `1 h 2 min 6 s`. Rounds before it splits, so that 1 min
+/// 59.98 s becomes 2 min 0.0 s.
 pub fn clock_time(seconds: f64) -> String {
     let tenths = (seconds * 10.0).round();
     if (seconds * 1000.0).round() < 60_000.0 {

@@ -1,5 +1,5 @@
-//! `serve --tcp` and `--pins`: accepts TCP connections, serves one client of the machine and several pin clients, and
-//! turns others away. Time-outs and keep-alive end the connections of clients that have vanished or do not read.
+//! TCP connections of `oxmill serve`: programs that control the machine (`--tcp`) and clients that set its input pins
+//! (`--pins`). Time-outs and keep-alive end the connections of clients that have vanished or do not read.
 
 use crate::clients::{Connection, ENDLESS, Happened, Incoming, LOOK, PIECE, Places};
 use crate::files::eprint_line;
@@ -14,10 +14,11 @@ use std::time::{Duration, Instant};
 
 /// Sent to a client if all connections are in use.
 const CROWDED: &[u8] = b"[MSG:Too many connections]\r\n";
-/// Maximum time to keep reading from a rejected client, so that it can read the reason.
+/// Maximum time for which the bytes of a rejected client are read and discarded. If the socket were closed with unread
+/// bytes in it, the client might not get the reason.
 const CLOSING_TIME: Duration = Duration::from_secs(1);
-/// Idle time after which TCP keep-alive probes a client on another computer. With [`QUESTIONS`], a client whose cable
-/// was pulled releases the machine after a minute or two.
+/// Idle time after which TCP starts to probe whether the client still exists (keep-alive). With the interval
+/// [`QUESTIONS`], a client whose cable was pulled releases the machine after a minute or two.
 const SILENCE: Duration = Duration::from_secs(20);
 /// Time between keep-alive probes.
 const QUESTIONS: Duration = Duration::from_secs(5);
@@ -25,7 +26,8 @@ const QUESTIONS: Duration = Duration::from_secs(5);
 #[cfg(target_os = "linux")]
 const UNACKNOWLEDGED: Duration = Duration::from_secs(60);
 
-/// Sets up a client's connection. A write to a client that does not read blocks for at most `unread`.
+/// Sets the time-outs and keep-alive of a client's connection. `unread`: maximum time for which a write blocks if the
+/// client does not read.
 pub(crate) fn set_up(stream: &TcpStream, unread: Duration) -> io::Result<()> {
     // Send small packets at once: replies are short, and the client waits for each.
     stream.set_nodelay(true)?;
@@ -47,8 +49,8 @@ const UNREAD: Duration = Duration::from_secs(5);
 /// Socket buffer sizes for the lines and the replies of a pin client, bytes.
 const PIN_BUFFER: usize = 1 << 14;
 
-/// Listens on an address; a port alone, or with a colon before it, is on the loopback. Warns if other computers can
-/// connect.
+/// Listens on an address such as `192.168.1.5:7000`. A port alone (`7000` or `:7000`) means the loopback, which only
+/// programs on this computer can reach. Warns if other computers can connect.
 pub(crate) fn listen(address: &str) -> Result<TcpListener> {
     let port = address.strip_prefix(':').unwrap_or(address).parse::<u16>();
     let address = port.map_or_else(|_| address.to_owned(), |port| format!("127.0.0.1:{port}"));

@@ -17,15 +17,15 @@ use std::io::{self, BufRead};
 
 /// Maximum length of a line, in bytes. A file with a longer line is not a program for a machine.
 const LONGEST_LINE: usize = 1 << 20;
-/// Maximum number of names of parameters that are kept for advice.
+/// Maximum number of parameter names that are remembered. They are suggested when a line uses a similar, unknown name.
 const MOST_NAMES: usize = 100;
-/// Maximum number of letters by which a suggested name differs.
+/// A name is suggested only if it differs from the unknown name by at most this many letters.
 const MOST_DIFFERENT: usize = 2;
 /// Maximum number of lines that are kept because the controller may have stored them.
 const MOST_STORED: usize = 20_000;
 /// Maximum number of characters that the controller quotes of a stored line.
 const QUOTED: usize = 24;
-/// Number of characters of a line that reports show.
+/// Reports show at most this many characters of a line.
 const SHOWN_LINE: usize = 120;
 /// Number of bytes that are kept ready for the controller, as in the full receive queue of a board.
 const AHEAD: usize = 256;
@@ -50,7 +50,7 @@ pub enum Said {
         line: u64,
         /// The line of output.
         text: String,
-        /// The text of that line of the file, as in [`Said::Error`]; empty if there was none.
+        /// Text of the line `line` of the file, cut off as in [`Said::Error`]; empty if `line` is 0.
         source: String,
     },
     /// A line given to the controller may not do what was intended.
@@ -73,8 +73,8 @@ pub struct JobText {
     metric_at: Option<u64>,
     /// Line number of the most recent line with G20.
     inches_at: Option<u64>,
-    /// Unanswered lines: line number in the file, text, and the error with which the board rejects the line if it does
-    /// not support all words (see `small_board`).
+    /// Unanswered lines: the number in the file, the text, and an error if the line has words that the board does not
+    /// support (see `small_board`).
     unanswered: VecDeque<(u64, String, Option<Error>)>,
     /// Whether the board supports all words of the simulator.
     has_all_words: bool,
@@ -94,9 +94,9 @@ pub struct JobText {
     lines_before: u32,
     /// For each tape mark (`%`) in the file: the number of lines before it that are not tape marks.
     marks: Vec<u64>,
-    /// Line number of a tape mark that follows words. If words follow this mark, too, it separates two programs, and
-    /// the controller gets the mark before these words. `None` if there is no such mark, or if the controller already
-    /// has it.
+    /// Line number of a tape mark after words, while it is unknown whether words follow it. A tape mark between words
+    /// separates two programs: the controller gets the mark before the words that follow. `None` if there is no such
+    /// mark, or if the controller has it.
     between: Option<u64>,
     /// For each tape mark that was given to the controller: the number of lines given before it, including tape marks.
     given_marks: Vec<u64>,
@@ -185,23 +185,23 @@ impl JobText {
     }
 
     /// Starts the job. `lines_before`: number of lines (wrapping) that the controller has read before. `has_all_words`:
-    /// if `false`, adds the errors that a board returns for words that it does not support. `has_tape_marks`: whether
-    /// the controller's dialect has tape marks.
+    /// `false` for a board that does not support all words; its errors for these words are then added.
+    /// `has_tape_marks`: `true` if the controller's dialect has tape marks.
     pub fn begin(&mut self, lines_before: u32, has_all_words: bool, has_tape_marks: bool) {
         self.lines_before = lines_before;
         self.has_all_words = has_all_words;
         self.has_tape_marks = has_tape_marks;
     }
 
-    /// Returns the line number in the file and the text of the line that the controller counts as `line`, if it may
-    /// have opened a block.
+    /// Finds a line that may have opened a block (subroutine, loop or condition). `line`: its number as the controller
+    /// counts lines. Returns its number in the file and its text.
     pub fn opener(&self, line: u32) -> Option<(u64, &str)> {
         let given = u64::from(line.wrapping_sub(self.lines_before));
         self.openers.iter().find(|opener| opener.given == given).map(|opener| (opener.number, opener.text.as_str()))
     }
 
-    /// Returns the program numbers, such as `O1001`, among the lines that may have opened a block, without the number of
-    /// the program that contains the line `call`.
+    /// Returns the program numbers in the file (such as `O1001`), except the number of the program that contains the
+    /// line `call`. Searches only the lines since the last [`JobText::forget_openers`].
     pub fn other_programs(&self, call: u64) -> Vec<&str> {
         let mut numbers: Vec<(u64, &str)> = self.program_numbers().collect();
         if let Some(own) = numbers.iter().rposition(|(line, _)| *line < call) {
@@ -232,7 +232,7 @@ impl JobText {
         of_file + self.marks.partition_point(|before| *before < of_file) as u64
     }
 
-    /// Forgets the lines that may have opened a subroutine, loop or condition. Call while none is open.
+    /// Forgets the lines that may have opened a subroutine, loop or condition. Called while none is open.
     pub fn forget_openers(&mut self) {
         self.openers.clear();
     }
@@ -290,8 +290,8 @@ impl JobText {
         self.unanswered.front().map(|(number, ..)| *number)
     }
 
-    /// Returns the line number of the line that was the oldest unanswered one at the first alarm; further lines can
-    /// have been answered since. Without an alarm so far, returns the number of the oldest unanswered line now.
+    /// Returns the line at which the first alarm came: the oldest line that was unanswered then. It may have been
+    /// answered since. Before the first alarm, returns the oldest unanswered line. Lines are counted as in the file.
     pub fn alarmed_at(&self) -> Option<u64> {
         self.alarmed_at.or_else(|| self.oldest_unanswered())
     }
@@ -452,8 +452,8 @@ impl JobText {
         (distance(nearest) <= MOST_DIFFERENT && distance(nearest) < name.chars().count()).then_some(nearest)
     }
 
-    /// Returns the numbers of the lines that call the program `number`, such as `O1001`, among the lines that may have
-    /// opened a block.
+    /// Returns the numbers of the lines that call a program. `number`: number of the program, such as `O1001`. Searches
+    /// only the lines since the last [`JobText::forget_openers`].
     pub fn calls_of(&self, number: &str) -> Vec<u64> {
         let word = number.replace(['O', 'o'], "P");
         let is_one = |opener: &&Opener| is_call(&opener.text) && advice::words(&opener.text).contains(&word);
@@ -474,8 +474,8 @@ impl JobText {
         }
     }
 
-    /// Returns the line that ended the program (M2, M30, or a tape mark after words), and the number of later lines that
-    /// have words and were answered `ok`; `None` if there were no such lines.
+    /// Returns where the program ended (M2, M30, or a tape mark after words), and how many later lines with words were
+    /// answered `ok`. `None` if there are no such lines.
     pub fn behind_end(&self) -> Option<(ProgramEnd, u64)> {
         self.ended_at.filter(|_| self.behind_end > 0).map(|end| (end, self.behind_end))
     }
@@ -722,7 +722,8 @@ mod tests {
         assert_eq!(job.said(), [Said::Error { line: 1, code: 2, text: "G1 X?".into(), reason: None }]);
     }
 
-    /// The exception: if the state of the machine causes an error, the message before that error is not about the line.
+    /// A message before an error explains the error, except if the state of the machine causes the error (here 9:
+    /// locked). Such a message is not about the line.
     #[test]
     fn the_message_in_front_of_an_error_says_what_is_wrong_with_its_line() {
         let mut job = JobText::new(&b"G1 X\nG1\nG2\n"[..]);

@@ -13,8 +13,8 @@ use crate::boards::AXES;
 pub struct StepRecord {
     /// Virtual time in step-clock ticks since power-up.
     pub at: u64,
-    /// Number of step-clock ticks, up to this event, during which the step task was busy. The digest uses this time,
-    /// not `at`.
+    /// Total time in motion up to this event, in ticks of the step clock. Times at rest do not count. The digest uses
+    /// this time, not `at`.
     pub busy: u64,
     /// Axes that stepped; bit 0 is X.
     pub steps: u8,
@@ -89,12 +89,12 @@ pub fn hash(words: impl IntoIterator<Item = u64>) -> u64 {
 }
 
 impl Trace {
-    /// From here on, also writes a row for each step event into this CSV file.
+    /// Also writes a row for each step event from now on into this CSV file.
     pub fn write_csv(&mut self, csv: Csv) {
         self.csv = Sole(Some(csv));
     }
 
-    /// Also keeps every step event in memory from here on.
+    /// Also keeps every step event from now on in memory.
     pub fn keep(&mut self) {
         self.list = Some(Vec::new());
     }
@@ -156,7 +156,7 @@ impl Trace {
         }
     }
 
-    /// Digests of the steps so far.
+    /// Returns the digests of the steps since the start or the last [`Trace::restart`].
     pub fn digest(&self) -> &Digest {
         &self.digest
     }
@@ -166,7 +166,7 @@ impl Trace {
         self.history.hash
     }
 
-    /// Number of step events.
+    /// Returns the number of step events since the start or the last [`Trace::restart`].
     pub fn events(&self) -> u64 {
         self.events
     }
@@ -271,8 +271,8 @@ impl Csv {
     }
 }
 
-/// Appends an integer with at least `width` digits. Formatting a row is most of the cost of a trace, and `write!` takes
-/// several times as long.
+/// Appends an integer in decimal, with zeros in front up to `width` digits. Most of the time for a trace is spent on
+/// formatting its rows, and `write!` would take several times as long.
 fn push_number(row: &mut Vec<u8>, mut value: u64, width: usize) {
     let mut digits = [b'0'; 20];
     let mut start = digits.len();

@@ -1,8 +1,9 @@
 //! `serve --web`: serves the page over HTTP and carries the machine's bytes over a WebSocket, on the loopback only.
 //!
-//! Any web site that the user visits can reach ports of this computer. Therefore, requests are answered only if `Host`
-//! names the loopback (another site's name may resolve to this computer), and the machine is connected only if `Origin`
-//! is this page: a browser reports both truthfully and lets no page change them.
+//! Any web site that the user visits can send requests to ports of this computer. Two headers tell such requests apart,
+//! because a browser sets them truthfully and lets no page change them. A request is answered only if `Host` names the
+//! loopback, because the name of another site may resolve to this computer. The machine is connected only if `Origin`
+//! is this page.
 
 use crate::clients::{Connection, ENDLESS, Happened, Inbox, Incoming, Places, Taken, hung_up};
 use crate::tcp_link::connections;
@@ -30,10 +31,10 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const MESSAGE: usize = 1 << 16;
 /// Path of the machine's WebSocket.
 const DEVICE: &str = "/machine";
-/// The part of the page's content security policy, as built, that forbids connections. In the served page, a part that
-/// allows the WebSocket replaces it.
+/// Text in the built page: the part of the content security policy that forbids all connections. In the served page, a
+/// part that allows the WebSocket replaces it.
 const POLICY: &str = "connect-src 'none'";
-/// Text of the page after which a `meta` element with the path of the machine is inserted.
+/// Text in the built page. In the served page, a `meta` element with the path of the machine's WebSocket follows it.
 const MARK: &str = "<meta charset=\"utf-8\">";
 
 /// The page that is served.
@@ -45,8 +46,8 @@ pub struct Site {
 }
 
 impl Site {
-    /// Opens the port and reads the page: the given file, otherwise `oxmill.html` beside the program or where `cargo
-    /// xtask web` writes it.
+    /// Opens the port on the loopback and reads the page from the file `page`. Without `page`, reads `oxmill.html`
+    /// beside this program, or else the file that `cargo xtask web` has written.
     pub fn open(port: u16, page: Option<&Path>) -> Result<(TcpListener, Self)> {
         let path = page.map_or_else(usual_page, |path| Ok(path.to_owned()))?;
         let text =
@@ -62,7 +63,7 @@ impl Site {
         Ok((listener, Self { html, hosts }))
     }
 
-    /// The URL of the page.
+    /// Returns the URL of the page, such as `http://127.0.0.1:8080/`.
     pub fn address(&self) -> String {
         format!("http://{}/", self.hosts[0])
     }
@@ -76,7 +77,8 @@ impl Site {
     }
 }
 
-/// Returns how a browser names this computer in `Host`, and after `http://` in `Origin`, if the page is at `port`.
+/// Returns the names of this computer that a browser sends if the page is at `port`: in `Host`, and after `http://` in
+/// `Origin`.
 fn names(port: u16) -> Vec<String> {
     const NAMES: [&str; 2] = ["127.0.0.1", "localhost"];
     let bare = NAMES.iter().filter(|_| port == 80).map(|name| (*name).to_owned());
@@ -166,7 +168,7 @@ fn reply(mut stream: TcpStream, request: &str, status: &str, body: &[u8]) -> io:
     stream.write_all(body)
 }
 
-/// Carries bytes between a page and the loop until the page or the loop has ended.
+/// Carries bytes between a page and the loop that runs the simulator, until one of them has ended.
 pub fn pass_messages(
     mut socket: WebSocket<TcpStream>,
     inbox: &Inbox,

@@ -20,12 +20,12 @@ pub fn square_root(value: f32) -> f32 {
     libm::sqrtf(value)
 }
 
-/// The square root under the C library's name. LLVM recognizes a function of this name as the square root and detects
-/// that this one has no other effect, so it replaces each call by the instruction `vsqrt`. Then no registers are saved
-/// around a call, and code that does not use the result can run before the result is ready.
+/// The square root under the C library's name. LLVM takes a function of this name for the square root, and detects that
+/// it has no other effect. So LLVM replaces each call by the instruction `vsqrt`. Then no registers are saved around a
+/// call, and code that does not use the result can run before the result is ready.
 ///
-/// Inline assembly cannot name floating-point registers as operands on this processor. So `s0` is used by name, and its
-/// value is restored.
+/// Inline assembly for this processor cannot have floating-point operands. So the code names the register `s0` itself,
+/// and restores its value.
 #[cfg(all(target_arch = "arm", target_os = "none", target_abi = "eabihf"))]
 #[inline(never)]
 // SAFETY: unsafe because of the exported name; safe because the function does the same as the C library's `sqrtf`.

@@ -1,5 +1,5 @@
-//! Data that tasks share without a channel or signal, because a message would be out of date when it is read: atomics,
-//! grouped by the task that writes them. The table in docs/how-it-works.md gives the reason for each.
+//! Atomics that tasks share, grouped by the task that writes them. A channel or signal would not do for this data,
+//! because a message could be out of date when it is read. The table in docs/how-it-works.md gives the reason for each.
 
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU16, AtomicU32, Ordering};
 use oxmill_controller::DeferredCommands;
@@ -12,11 +12,11 @@ pub type Wake = rtic_sync::signal::SignalWriter<'static, ()>;
 pub struct StepStatus {
     /// Segments begun since power-up (wrapping).
     pub segments_begun: AtomicU32,
-    /// Whether no motor turns and no message is loaded in the step task.
+    /// `true` while no motor turns and no message is loaded in the step task.
     pub at_rest: AtomicBool,
-    /// Nonzero if a message queued now must not wait for the next scheduled run of `step`: the task that queues the
-    /// message must then pend the step vector. Each run of `step` writes 0 or 1. So if the watchdog has written
-    /// [`STEP_ASKED`] and later finds that value unchanged, `step` has not run since.
+    /// Nonzero if `step` needs the next message at once. A task that queues a message must then pend the step vector.
+    /// If the value is 0, the message can wait for the next scheduled run of `step`. Each run of `step` writes 0 or 1;
+    /// the watchdog relies on that ([`STEP_ASKED`]).
     pub needs_message: AtomicU8,
 }
 
@@ -24,8 +24,9 @@ pub struct StepStatus {
 pub static STEP: StepStatus =
     StepStatus { segments_begun: AtomicU32::new(0), at_rest: AtomicBool::new(true), needs_message: AtomicU8::new(1) };
 
-/// Value of [`StepStatus::needs_message`] that the watchdog (in `inputs`) writes to check whether `step` runs: each run
-/// replaces it. It is nonzero, so a task that queues a message before that run still pends the step vector.
+/// Value that the watchdog (in `inputs`) writes into [`StepStatus::needs_message`] to check whether `step` runs. Each
+/// run of `step` replaces the value. If the watchdog still finds it at its next check, `step` has not run. The value is
+/// nonzero, so a task that queues a message in between still pends the step vector.
 pub const STEP_ASKED: u8 = 2;
 
 /// Status that `serial` publishes to the other tasks.
@@ -64,7 +65,7 @@ pub static SERIAL: SerialStatus = SerialStatus {
 
 /// Status that `inputs` publishes to the other tasks.
 pub struct InputStatus {
-    /// Mask of the pins that are low.
+    /// Mask of the input pins that are low, as read last and not filtered. Bit numbers: `input_bits` of the boards.
     pub low: AtomicU32,
     /// Number of changes of each input that the filter rejected. `control` resets the counts to 0 on request.
     pub noise: [AtomicU16; input::COUNT],
@@ -76,7 +77,7 @@ pub static INPUTS: InputStatus =
 
 /// Status that `control` publishes to the other tasks.
 pub struct ControlStatus {
-    /// Value of [`SerialStatus::activity`] up to which everything has been executed and answered.
+    /// If this equals [`SerialStatus::activity`], everything received has been executed and answered.
     free_at: AtomicU32,
     /// Whether UTF-8 characters in G-code comments are text. `false` until the first round of `control`. While it is
     /// `false`, each byte of such a character is a command or ignored, as in Grbl.
@@ -116,17 +117,19 @@ pub fn ask_for_stop() {
     STOPS_ASKED.fetch_add(1, Ordering::Relaxed);
 }
 
-/// For `serial`: keeps a command for which the queue had no room. If the loss of the command does no harm, does not
-/// keep it and returns `false`. A stop (0x19) and a jog cancel are kept as resets, and each reset needs a stop of the
-/// step task. For a stop or jog cancel, this function requests that stop of the step task; for a reset, `serial` has
-/// already requested it. The caller must pend the step vector afterwards, as for [`ask_for_stop`].
+/// For `serial`: keeps a command for which the queue had no room, until `control` takes it. Returns `false` and keeps
+/// nothing if the loss of the command does no harm.
+///
+/// A stop (0x19) and a jog cancel are kept as resets, and each reset needs a stop of the step task. This function
+/// requests that stop for 0x19 and a jog cancel. For a reset, `serial` has already requested it. The caller must pend
+/// the step vector afterwards, as for [`ask_for_stop`].
 pub fn defer(command: Realtime) -> bool {
     let Some(deferred) = DeferredCommands(SERIAL.deferred.load(Ordering::Relaxed)).with(command) else { return false };
     if command.opens_epoch() && command != Realtime::Reset {
         ask_for_stop();
     }
-    // A separate load and store suffice here: `control`, which takes the commands, cannot run in between, as it does
-    // not preempt `serial`.
+    // A load and a separate store suffice: only `control` could change the value in between, and `control` does not
+    // preempt `serial`.
     SERIAL.deferred.store(deferred.0, Ordering::Relaxed);
     true
 }
@@ -137,8 +140,8 @@ pub fn has_deferred() -> bool {
     SERIAL.deferred.load(Ordering::Relaxed) != 0
 }
 
-/// For `control`: takes the deferred commands. Call only if [`has_deferred`] has returned `true` and the queue of
-/// commands was emptied after that, because the deferred commands arrived after all commands in the queue.
+/// For `control`: takes the deferred commands. They arrived after all commands in the queue. So `control` first checks
+/// [`has_deferred`], then empties the queue, and only then calls this function.
 pub fn take_deferred() -> DeferredCommands {
     DeferredCommands(SERIAL.deferred.swap(0, Ordering::Relaxed))
 }
@@ -149,8 +152,9 @@ pub fn stops_asked() -> u16 {
     STOPS_ASKED.load(Ordering::Relaxed)
 }
 
-/// For `control`: publishes whether everything that [`SerialStatus::activity`] had counted at the value `activity` has
-/// been executed and answered.
+/// For `control`: publishes whether everything received so far has been executed and answered (`free`). `activity`:
+/// value of [`SerialStatus::activity`] that `control` read before it checked this. If more has arrived since,
+/// [`is_free`] returns `false`.
 pub fn set_free(activity: u32, free: bool) {
     CONTROL.free_at.store(if free { activity } else { activity.wrapping_sub(1) }, Ordering::Relaxed);
 }

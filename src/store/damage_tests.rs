@@ -1,5 +1,5 @@
-//! Tests with wrong bits and bytes in the memory. Only the records that contain them may be lost, and the damage must
-//! be reported until the user confirms it, by removing the report.
+//! Tests with wrong bits and bytes in the memory. Only the records with wrong bytes may be lost. The damage must be
+//! reported until the user confirms it, which removes the report.
 
 use super::*;
 use std::ops::Range;
@@ -158,7 +158,8 @@ fn damage_leads_nowhere() {
     }
 }
 
-/// A value that looks like a record must not be taken for one when damage makes the reader search within it.
+/// A value may contain bytes that look like a record. If damage makes the reader search within the value, these bytes
+/// must not be taken for a record.
 #[test]
 fn a_record_in_a_value_does_not_count() {
     let mut value = [b' '; 32];
@@ -224,7 +225,7 @@ fn damage_is_told_until_it_is_confirmed() {
     }
 }
 
-/// Without an erased spare sector the report of damage cannot be removed; `needs_erase_soon` is then true.
+/// The report of damage can be removed only while the spare sector is erased. Before that, `needs_erase_soon` is true.
 #[test]
 fn a_confirmation_waits_for_the_spare_sector() {
     let (log, _) = image(Spare::Blank);
@@ -290,8 +291,8 @@ fn any_word() -> impl Strategy<Value = u32> {
     prop_oneof![4 => first, 2 => any::<u32>(), 1 => Just(ERASED), 1 => Just(0), 1 => Just(MARK)]
 }
 
-/// Maximum number of reads for opening a log of this size: in the worst case each word is read as the start of a record
-/// of the maximum length. Everything else takes at most 1000 reads.
+/// Maximum number of reads for opening a log of [`SIZE`] bytes. In the worst case each word is read as the start of a
+/// record of the maximum length. Everything else takes at most 1000 reads.
 const OPENING: u32 = SIZE / 4 * (LONGEST_WORDS as u32 + 3) + 1000;
 
 proptest! {

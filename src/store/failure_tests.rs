@@ -18,8 +18,8 @@ enum Fault {
     Cut(u32),
 }
 
-/// Flash on which operations fail according to a list of faults, each with the number of operations that succeed before
-/// it.
+/// Flash on which operations fail according to a list. Each fault of the list has the number of operations that succeed
+/// before it.
 #[derive(Clone, Debug)]
 struct Worn {
     sectors: [Vec<u32>; 2],
@@ -130,8 +130,8 @@ fn faults() -> impl Strategy<Value = Vec<(u32, Fault)>> {
     proptest::collection::vec((0_u32..120, fault), 1..8)
 }
 
-/// After a compaction in which the write of any one word has failed, in any way, changes that are accepted later
-/// survive a restart.
+/// A compaction (a move of all records to the other sector) fails at any one of its writes, in any way. Changes that
+/// the log accepts afterwards must survive a restart.
 #[test]
 fn a_move_that_fails_takes_nothing_along() {
     let faults = [Fault::Refused, Fault::Reported, Fault::Partly(0x00FF_FFFF), Fault::Partly(0xFF00_0000)];
@@ -173,8 +173,9 @@ fn what_failed_needs_an_erase_soon() {
     assert_eq!(stored(&mut log), BTreeMap::from([(1, b"new".to_vec())]));
 }
 
-/// On a board a read takes about a hundred cycles, or a thousand with more than eight gaps, and the watchdog allows the
-/// control task half a second. So the log must not be searched again for each of its records.
+/// Reads of a full log must be few, because the watchdog allows the control task half a second. On a board a read takes
+/// about a hundred cycles, or a thousand if the log has more than eight gaps (damaged places). So the log must not be
+/// searched again for each of its records.
 #[test]
 fn a_full_log_is_soon_looked_through() {
     let mut log = with_sectors_of(16 * 1024);
@@ -200,8 +201,8 @@ fn a_full_log_is_soon_looked_through() {
     assert_eq!(stored(&mut log).len(), 240);
 }
 
-/// The memory stores a record, but reports a failure. A restart would find this record as valid, so the change that
-/// restores the old state must be written even if it seems to change nothing.
+/// The memory stores a record, but reports a failure. A restart would find this record as valid. So the change back to
+/// the old state must be written, even if it seems to change nothing.
 #[test]
 fn a_record_that_was_reported_as_failed_is_replaced() {
     for back in [put(1, b"old"), Store::Remove { from: 1, until: 2 }] {
@@ -252,7 +253,7 @@ fn play(series: Vec<(Store, u8)>, faults: Vec<(u32, Fault)>) -> Result<(), TestC
     Ok(())
 }
 
-/// Changes of more keys than the [`KEYS`] that one walk over the log finds.
+/// Returns changes of up to three times [`KEYS`] keys, which is more than one walk over the log finds.
 fn many_keys() -> impl Strategy<Value = Vec<Store>> {
     let one = prop_oneof![
         20 => (0_u16..3 * KEYS as u16, proptest::collection::vec(any::<u8>(), 0..5)).prop_map(|(key, v)| put(key, &v)),

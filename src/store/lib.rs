@@ -1,5 +1,5 @@
-//! Settings log that survives a power cut at any moment: records (key, value, CRC-32) in two sectors of a [`Flash`]. It
-//! replaces Grbl's EEPROM.
+//! Settings log that survives a power cut at any time. It keeps records (key, value, CRC-32) in two sectors of a
+//! [`Flash`], and replaces Grbl's EEPROM.
 //!
 //! ```text
 //!  sector  ┌───────┬────────┬────────┬────────┬───────────┐
@@ -24,9 +24,9 @@
 //! store never looks like a record, because its characters are neither the kind `PUT` nor the length of a `REMOVE`.)
 //! One wrong byte in a header is corrected by means of its crc.
 //!
-//! A power cut leaves a partial record at the end: some words, the last with only some of its bits programmed, then
-//! only erased words. This counts as damage only if a complete record with one wrong byte would look the same. That is
-//! possible only if the power was cut during the last word of a record.
+//! A power cut during a write leaves a partial record at the end: some words, the last with only some of its bits
+//! programmed, then only erased words. A partial record is normally not damage. But if the power was cut in the last
+//! word of a record, the result can look like a complete record with one wrong byte. Only this case counts as damage.
 //!
 //! Damage is reported as a record with the key [`STORE_DAMAGED`] until that record is removed. The report survives
 //! power cycles and compaction. Removing the record compacts the log into the spare sector. Opening a damaged log
@@ -79,9 +79,9 @@ impl<F: Flash> Flash for &mut F {
 /// One of the two sectors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sector {
-    /// The first.
+    /// The first one; a new log begins here.
     A,
-    /// The second.
+    /// The second one.
     B,
 }
 
@@ -191,8 +191,8 @@ fn wrong_byte(words: &[u32]) -> Option<(usize, u32)> {
         if difference.to_le_bytes().iter().filter(|byte| **byte != 0).count() <= 1 {
             return Some((index, difference));
         }
-        // If the error is in word `index`, `difference` holds the wrong bits of that word. An error in the word before
-        // has other wrong bits. The CRC is linear, so running it backwards over one word computes them.
+        // `difference` holds the bits that would be wrong in word `index`. Convert it to the bits that would be wrong
+        // in the word before: the CRC is linear, so it can be run backwards over one word.
         for _ in 0..32 {
             difference = if difference >> 31 == 0 { difference << 1 } else { (difference ^ POLYNOMIAL) << 1 | 1 };
         }
@@ -240,7 +240,7 @@ impl Entry {
         }
     }
 
-    /// Returns whether this entry, later in the log, invalidates an earlier record of `key`.
+    /// Returns whether this entry makes an earlier record of `key` invalid: it sets or removes that key.
     fn replaces(&self, key: u16) -> bool {
         match self.kind {
             PUT => self.key == key,
@@ -361,7 +361,7 @@ impl<F: Flash> Log<F> {
         Ok(false)
     }
 
-    /// Finds the records of the sector in use, the gaps between them, and the end of the log.
+    /// Finds the records of the sector in use, the gaps (damaged bytes) between them, and the end of the log.
     fn survey(&mut self) -> Result<(), F::Error> {
         let mut address = HEADER;
         self.end = HEADER;
@@ -434,7 +434,7 @@ impl<F: Flash> Log<F> {
         &self.flash
     }
 
-    /// Returns the memory for direct access.
+    /// Returns the flash memory for direct access, for example to simulate power cuts in tests.
     pub fn flash_mut(&mut self) -> &mut F {
         &mut self.flash
     }
@@ -490,15 +490,15 @@ impl<F: Flash> Log<F> {
         if cleans || !self.appendable || self.end + entry.size() > self.flash.sector_size() {
             return self.compact_into_spare(&entry);
         }
-        // If the memory fails while the record is written, the words written so far remain after `end`, and no other
-        // record can be appended there.
+        // If a write of the record fails, the words written so far remain after `end`. Then no other record can be
+        // appended there.
         self.appendable = false;
         self.end = self.append(self.sector, self.end, &entry)?;
         self.appendable = true;
         Ok(())
     }
 
-    /// Returns whether the spare sector should be erased at the next opportunity.
+    /// Returns whether the spare sector should be erased at the next opportunity, that is when nothing moves.
     pub fn needs_erase(&self) -> bool {
         !self.spare_erased
     }
@@ -654,8 +654,8 @@ impl<F: Flash> Log<F> {
     }
 
     /// Finds the valid records of `KEYS` consecutive keys, beginning with `from`. Returns their addresses, and the next
-    /// key after these that has a record. Walks over the log once for all keys. A search for newer records of each key
-    /// separately would take seconds in a full log.
+    /// higher key that has a record. Walks over the log once for all these keys. A separate search for each key would
+    /// take seconds in a full log.
     fn counting(&mut self, from: u16) -> Result<(Places, Option<u16>), F::Error> {
         let mut places = [NOWHERE; KEYS];
         let index = |key: u16| usize::from(key.saturating_sub(from)).min(KEYS);

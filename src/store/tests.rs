@@ -19,13 +19,13 @@ fn some_cases() -> ProptestConfig {
     ProptestConfig { cases, ..ProptestConfig::default() }
 }
 
-/// Flash in RAM whose power can be cut: `power` more operations succeed, then each operation is done only in part and
-/// fails.
+/// Flash in RAM whose power can be cut. `power`: number of operations that still succeed. After them, each operation is
+/// done only in part and fails.
 #[derive(Clone, Debug)]
 struct Mock {
     sectors: [Vec<u32>; 2],
-    /// For each sector, whether its last erase was completed. If not, cells that read as ones may not hold what is
-    /// written.
+    /// For each sector: `true` if its last erase was complete. After an incomplete erase, cells that read as ones may
+    /// not hold what is written to them.
     whole: [bool; 2],
     power: Option<u32>,
     operations: u32,
@@ -130,7 +130,7 @@ fn apply(model: &mut BTreeMap<u16, Vec<u8>>, change: &Store) {
     }
 }
 
-/// Stores a change as the owner of the log does: first erases the spare sector if that is due.
+/// Stores a change as the owner of the log does: first erases the spare sector if it is not erased.
 fn change(log: &mut Log<Mock>, change: &Store) -> Result<(), StoreError<PowerCut>> {
     if log.needs_erase() {
         log.erase_spare()?;
@@ -277,8 +277,8 @@ fn cut_everywhere(changes: &[Store], torn_bits: u32) -> Result<(), TestCaseError
         let mut log = Log::open(flash).unwrap();
         let (stored, told) = found(&mut log);
         prop_assert!(stored == before || stored == after, "{stored:?} is neither {before:?} nor {after:?}");
-        // A word whose write was interrupted may be reported as damage only if it is a crc, and if its unprogrammed
-        // bits lie in a single byte.
+        // A power cut may be reported as damage only if it interrupted the write of a crc, and if the unprogrammed bits
+        // lie in a single byte.
         let one_byte = |missing: u32| missing.to_le_bytes().iter().filter(|byte| **byte != 0).count() == 1;
         let like_damage = torn.is_some_and(|(sector, address, missing)| {
             one_byte(missing) && (address == 4 || log.is_erased(sector, address + 4).unwrap())

@@ -1,6 +1,5 @@
-//! The functions of the WebAssembly module, with Rust types instead of pointers: `check` and `stream` run a job, `turn`
-//! advances a machine by microseconds, `rows` returns the path as numbers, and `describe` the tables of settings,
-//! errors and alarms. Orders are JSON.
+//! The functions of the WebAssembly module, with Rust types instead of pointers. Each works on an [`Order`], which the
+//! caller sends as JSON. For example, `check` and `stream` run a job, and `turn` advances a machine by microseconds.
 
 use oxmill_controller::axes::LINEAR;
 use oxmill_controller::error::{Alarm, Error};
@@ -37,7 +36,7 @@ pub struct Order {
     pub dialect: Option<String>,
     /// Numbers of settings and their values.
     pub settings: BTreeMap<u16, Number>,
-    /// Whether the path is kept, for [`rows`].
+    /// `true` to record the path of the job, for [`rows`].
     pub path: bool,
     /// The machine's hardware, with the fields of a file for `--machine`.
     pub machine: Option<Description>,
@@ -47,7 +46,7 @@ pub struct Order {
     /// Lines that the machine executes before its job, to set its offsets and tools, such as `G10 L1 P1 Z12.5`. For
     /// [`check`] and [`stream`] only.
     pub stored: Vec<String>,
-    /// Where an interrupted job is resumed. For [`resume()`] only.
+    /// Where to resume an interrupted job. For [`resume()`] only.
     pub resume: Option<Resume>,
     /// Bits per second of the link over which a job is sent; 0 for an unlimited link. For [`stream`] only.
     pub baud: u32,
@@ -149,7 +148,7 @@ pub fn check(order: &Order, job: &[u8]) -> Result<Check, String> {
 /// Prepares sending a job twice: over an unlimited link, and over a link with the order's `baud`.
 ///
 /// # Errors
-/// As [`check`], except that a job that is not text is not rejected.
+/// As [`check`], but a job that is not text is accepted.
 pub fn stream(order: &Order, job: &[u8]) -> Result<[Streaming; 2], String> {
     Ok([Streaming::new(power_up_for_job(order)?, job, 0), Streaming::new(power_up_for_job(order)?, job, order.baud)])
 }
@@ -175,7 +174,8 @@ pub fn resume(order: &Order, job: &[u8]) -> Result<Value, String> {
     Ok(json!({ "program": program, "line": rest.line, "lines": rest.lines, "prologue": rest.prologue }))
 }
 
-/// Returns a machine that was powered up with its settings, and to which a host has connected.
+/// Returns a machine with the settings of the order. After they are stored, the machine is switched off and on, and a
+/// host connects.
 ///
 /// # Errors
 /// As [`power_up`].
@@ -208,8 +208,8 @@ pub const ARC: u32 = 1 << 30;
 pub fn rows(check: &Check) -> (Vec<f32>, Vec<u32>, Vec<u32>, Vec<u32>) {
     let simulator = check.simulator();
     let points = simulator.meter().drawing().map_or(&[][..], Drawing::points);
-    // The points of the path are relative to the position at power-up, whose machine coordinates are not 0 if the
-    // machine was homed.
+    // The points of the path are relative to the position at power-up. If the machine was homed, the machine
+    // coordinates of that position are not 0, so add them.
     let here = simulator.machine_place();
     let counted = simulator.meter().millimetres(simulator.machine().motors());
     let row = |point: &Point| {
@@ -255,7 +255,7 @@ pub fn describe() -> Value {
         "settings": rows, "errors": errors, "alarms": alarms })
 }
 
-/// Returns a row of the table of settings, with the default of a new controller.
+/// Returns a row of the table of settings as JSON, with the default of a new controller.
 fn setting(row: &Row, settings: &Settings<AXES>) -> Value {
     let (kind, min, max) = match row.entry.kind {
         Kind::Whole(min, max) => ("whole", Some(json!(min)), Some(json!(max))),
@@ -272,8 +272,8 @@ fn setting(row: &Row, settings: &Settings<AXES>) -> Value {
     let default = settings.by_number(row.number).unwrap_or_default();
     json!({ "number": row.number, "name": String::from_utf8_lossy(&name), "unit": row.description.unit, "kind": kind,
         "min": min, "max": max, "values": String::from_utf8_lossy(&values),
-        // Convert through text, because the `f64` nearest to the text 0.01 is shown as 0.01, but that of the `f32` 0.01
-        // as 0.00999999977...
+        // Convert the `f32` to text and then to `f64`. A direct conversion would show the `f32` 0.01 as
+        // 0.00999999977...
         "default": default.to_string().parse::<f64>().unwrap_or_default(), "grbl": row.entry.grbl,
         "explanation": explain::setting(row.number), "title": row.description.name, "group": row.description.group.text(),
         "labels": row.description.labels.split(',').filter(|label| !label.is_empty()).collect::<Vec<_>>(),
@@ -359,8 +359,8 @@ mod tests {
         assert_eq!(errors("\"G999\""), Err("G999: error:20".into()));
     }
 
-    /// The firmware merges short moves of several lines unless the lines have different N words. A kept path numbers
-    /// the moves by lines, but must not change which moves are merged.
+    /// The firmware merges short moves of several lines, unless the lines have different N words. To record the path,
+    /// each move gets the number of its line. This must not change which moves are merged.
     #[test]
     fn a_path_changes_nothing_of_the_job() {
         let short: String = (1..400).map(|i| format!("G1 X{}\n", f64::from(i) * 0.003)).collect();

@@ -1,7 +1,6 @@
-//! The simulator as a WebAssembly module. It exports `extern` functions (`oxmill_path`, `oxmill_stream_begin` and so
-//! on) with pointers to the input and the output and their lengths; the text of a panic is kept. All state is in the
-//! module, which needs no imports, so it runs in a page, in Node or in Python. For two simulators, make two instances.
-//! The state is an `Instance`: input, output, and a check, streams or a machine; the `engine` does the work.
+//! The simulator as a WebAssembly module. It needs no imports, so it runs in a page, in Node or in Python. It exports
+//! `extern` functions (`oxmill_path`, `oxmill_stream_begin` and so on), and keeps all state in itself (`Instance`). For
+//! two simulators, make two instances of the module. The work is done in `engine`.
 //!
 //! # How to call it
 //!
@@ -23,7 +22,7 @@
 //! | `oxmill_check_summary()` | | status | JSON: what `oxmill run --json` prints; `host_s` is 0 |
 //! | `oxmill_path()` | | rows of the path, for an order with `"path": true` | |
 //! | `oxmill_path_rows()` | | address of 6 `f32` for each row: x, y, z in mm of machine coordinates, speed in mm/s, start and end in s | |
-//! | `oxmill_path_lines()` | | address of a `u32` for each row: line of the file, bit 31 for a rapid, bit 30 for an arc |
+//! | `oxmill_path_lines()` | | address of a `u32` for each row: line of the file, bit 31 for a rapid, bit 30 for an arc | |
 //! | `oxmill_path_tools()` | | address of a `u32` for each row: tool, 0 if no M6 has named one | |
 //! | `oxmill_path_speeds()` | | address of a `u32` for each row: S, 0 while the spindle is off | |
 //! | `oxmill_stream_begin()` | order with `baud`, 0, job | status | |
@@ -51,8 +50,9 @@
 //! machine coordinates, the machine of a check or a stream is homed before the job and G54 is set there, as with
 //! `--work-zero`. `"resume": {"line": 1200, "clearance": 20, "plunge": 100, "spin_up": 5}` says where the rest of a job
 //! begins; only `line` is required. `"stored": ["G10 L1 P1 Z12.5"]` are lines that the machine of a check or a stream
-//! executes before the job, to set its offsets and tools. Settings are applied in the order of their numbers, the
-//! dialect last.
+//! executes before the job, to set its offsets and tools. Settings are applied in the order of their numbers, then the
+//! dialect. Settings that were rejected are tried again after that, because the dialect determines which values are
+//! accepted.
 //!
 //! A panic traps and ends the instance; the text of the panic can still be fetched.
 
@@ -71,10 +71,10 @@ use std::sync::Once;
 pub const ABI: u32 = 2;
 /// Result of `oxmill_check_advance` and `oxmill_stream_advance` at the end of the job.
 pub const DONE: u32 = 1001;
-/// Progress is reported in this many parts.
+/// Progress is reported in thousandths of the job.
 const PARTS: u64 = 1000;
 
-/// The state of an instance.
+/// The state of an instance of the module: input, output, and the check, the streams or the machine that it runs.
 #[derive(Default)]
 struct Instance {
     input: Vec<u8>,
@@ -129,7 +129,7 @@ pub extern "C" fn oxmill_abi() -> u32 {
     ABI
 }
 
-/// Makes room for an input of `length` bytes and returns its address.
+/// Makes room for an input of `length` bytes, which the next call takes. Returns its address.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_input(length: usize) -> *mut u8 {
     with(|instance| {
@@ -170,8 +170,8 @@ pub extern "C" fn oxmill_check_begin() -> u32 {
     })
 }
 
-/// Advances the check by up to `rounds` rounds ([`Check::advance`]). Returns the part of the job read, 0 to 1000, or
-/// [`DONE`].
+/// Advances the check by up to `rounds` rounds ([`Check::advance`]). Returns how much of the job has been read, in
+/// thousandths, or [`DONE`].
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_check_advance(rounds: u32) -> u32 {
     with(|instance| {
@@ -247,8 +247,8 @@ pub extern "C" fn oxmill_stream_begin() -> u32 {
     })
 }
 
-/// Advances both machines, that of the unlimited and that of the limited link, by up to `milliseconds`. Returns the
-/// part of the job that the machine of the limited link has read, 0 to 1000, or [`DONE`].
+/// Advances both machines (with the unlimited and with the limited link) by up to `milliseconds`. Returns how much of
+/// the job the machine with the limited link has read, in thousandths, or [`DONE`].
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_stream_advance(milliseconds: u32) -> u32 {
     with(|instance| {
@@ -279,26 +279,27 @@ pub extern "C" fn oxmill_resume() -> u32 {
     })
 }
 
-/// Outputs, as JSON, the settings that the settings of another controller (the input) become, and the entries that are
-/// not taken.
+/// Converts the settings of another controller, which are the input. Outputs JSON: the resulting settings of this
+/// firmware, and the entries that have none.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_import() -> u32 {
     answer(|_, text| json(&settings_import::import(&String::from_utf8_lossy(text))?))
 }
 
-/// Outputs the pin table of the board whose name is the input.
+/// Outputs the pin table of a board, whose name is the input. Outputs nothing if there is no such board.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_pins_file() -> u32 {
     answer(|_, name| Ok(pins::file(&String::from_utf8_lossy(name)).into()))
 }
 
-/// Outputs the name in the pin table of the image that is the input.
+/// Outputs the name in the pin table of a firmware image, which is the input. Outputs nothing if the image has no pin
+/// table.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_pins_in() -> u32 {
     answer(|_, image| Ok(pins::name_in(image).into_bytes()))
 }
 
-/// Checks the pin table in the input, and outputs what it is for, as JSON.
+/// Checks the pin table in the input. Outputs its `name`, `image` and number of `pins` as JSON, or its faults.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_pins_check() -> u32 {
     answer(|_, text| json(&pins::check(&String::from_utf8_lossy(text))?))

@@ -3,7 +3,7 @@
 use oxmill_tables::{BOARDS, Board, image_file};
 use serde::Serialize;
 
-/// What a page shows about a pin table without faults.
+/// A pin table without faults, as JSON for a page.
 #[derive(Serialize)]
 pub struct Table {
     /// The board's name, as in `$I`.
@@ -69,7 +69,7 @@ mod tests {
         let mine = own.replacen("name = \"spider_f446\"", "name = \"mine\"", 1);
         assert_eq!(check(&mine).unwrap().name, "mine");
         let order = |table: &str, image: &[u8]| [table.as_bytes(), b"\0", image].concat();
-        // The table of a board with the same image may be replaced.
+        // The image may have the table of another board: the Spider and the Octopus share an image.
         let written = write(&order(&mine, &image("octopus_f446"))).unwrap();
         let wanted = Board::parse(&mine).unwrap().table();
         assert_eq!(written, [&[0x55; 100][..], wanted.bytes(), &[0xaa; 100]].concat());

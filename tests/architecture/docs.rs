@@ -43,7 +43,6 @@ fn the_journey_passes_functions_that_exist() {
     assert!(stations > 50, "{stations}");
 }
 
-/// Paths in backticks exist.
 #[test]
 fn paths_in_documents_exist() {
     let mut seen = 0;
@@ -102,7 +101,7 @@ fn every_room_has_a_sentence() {
     assert!(rooms.len() > 18, "{rooms:?}");
 }
 
-/// A test file that its program does not declare as a module would silently not be compiled.
+/// A test file that `main.rs` does not declare as a module would not be compiled, without any message.
 #[test]
 fn every_file_of_tests_is_in_its_program() {
     let folder = root().join("src/controller/tests");

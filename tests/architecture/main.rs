@@ -1,5 +1,4 @@
-//! Checks which parts of the code may depend on which, by reading the sources, so that a forbidden dependency fails a
-//! test.
+//! Reads the sources and checks which parts of the code depend on which others. A forbidden dependency fails a test.
 
 mod docs;
 mod shape;
@@ -101,9 +100,9 @@ fn module_of(file: &Path) -> Vec<String> {
     parts
 }
 
-/// Resolves `path`, as a file writes it, from the root of the crate, and returns its first name: a room (top-level
-/// module) of the controller, or another name in the root. `module`: the module of that file, from which `self` and
-/// `super` are resolved. Returns `None` if the path does not start with `crate`, `self` or `super`.
+/// Returns the room (top-level module of the controller) to which `path` leads, or another name in the root of the
+/// crate. `path`: as a file writes it. `module`: the module of this file, where `self` and `super` start. Returns
+/// `None` if the path does not start with `crate`, `self` or `super`.
 fn room_of(path: &[String], module: &[String]) -> Option<String> {
     let mut base = module.to_vec();
     let mut rest = path;
@@ -133,7 +132,7 @@ fn faults(file: &Path, text: &str) -> Vec<String> {
     let text = source::bare(text).replace("extern crate alloc;", "");
     let module = module_of(file);
     let mut faults = Vec::new();
-    // `bare` has removed all items marked `#[cfg(test)]`. So a `mod tests` that is still in the text is not marked.
+    // `bare` has removed all items with `#[cfg(test)]`. So a `mod tests` that is left has no such attribute.
     if source::words(&text).zip(source::words(&text).skip(1)).any(|(a, b)| a == "mod" && b == "tests") {
         faults.push("has `mod tests` without #[cfg(test)] right before it".to_string());
     }
@@ -152,9 +151,9 @@ fn faults(file: &Path, text: &str) -> Vec<String> {
         if path[0] == "std" || path[0] == "alloc" && room != "lent" {
             faults.push(format!("uses `{}`", path.join("::")));
         }
-        // `room_of` counts `super` from the module of the file. That is right because rooms have inline modules only in
-        // tests. A path to a name that the crate's root re-exports, such as `crate::Profile`, is rejected: it does not
-        // show the room that the name comes from.
+        // `room_of` resolves `super` from the module of the file. Inline modules would need more, but only tests have
+        // them. A path to a re-export in the crate's root, such as `crate::Profile`, is rejected: it hides the room of
+        // the name.
         if let Some(other) = room_of(&path, &module)
             && other != *room
             && !allowed.contains(&other.as_str())
@@ -237,7 +236,7 @@ fn simulator_faults(_: &Path, text: &str) -> Vec<String> {
     let text = source::bare(text);
     let mut faults: Vec<String> =
         source::words(&text).filter(|w| w == "unsafe").map(|_| "says `unsafe`".to_string()).collect();
-    // The simulator runs on any host, so it must not use crates for the hardware.
+    // The simulator runs on any host: crates for the hardware are forbidden.
     for path in source::paths(&text) {
         if ["rtic", "rtic_sync", "cortex_m", "stm32f4xx_hal", "defmt"].contains(&path[0].as_str()) {
             faults.push(format!("uses `{}`", path.join("::")));
@@ -253,8 +252,8 @@ fn the_simulator_is_safe_and_knows_no_hardware() {
     assert!(text.contains("forbid(unsafe_code)"));
 }
 
-/// Returns the rules that a file of the boards violates. From the controller, boards may use the profile, the reset
-/// cause, and the step digest (for boards without pins); they must not use the tasks.
+/// Returns the rules that a file of the boards violates. From the controller, boards may use the profile, the step
+/// rates, the reset cause, and the step digest (for boards without pins). They must not use RTIC or the simulator.
 fn board_faults(_: &Path, text: &str) -> Vec<String> {
     let mut faults = Vec::new();
     for path in source::paths(&source::bare(text)) {
@@ -288,7 +287,7 @@ fn registers_are_reached_from_their_folder_only() {
     assert!(text.contains("pub(super) fn write(") && text.contains("pub(super) fn read("));
 }
 
-/// The page of errors must not list errors that are never reported.
+/// `docs/errors.md` lists all errors. An error that the controller never reports must not exist.
 #[test]
 fn each_error_and_alarm_is_given_somewhere() {
     let texts: String = sources(&root().join("src/controller"))

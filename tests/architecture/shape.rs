@@ -1,13 +1,13 @@
-//! Checks the shape of the code: calls and imports between the files of a room (a top-level module of the controller)
-//! have no cycles, and each type name occurs once per crate.
+//! Checks the shape of the code. Calls and imports between the files of a room (a top-level module of the controller)
+//! have no cycles. Each type name occurs once per crate.
 
 use crate::source::{self, Item};
 use crate::{CORE, module_of, root, sources};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Type names that occur several times in a crate, with the number of occurrences: a stub has the name of the part that
-/// it replaces.
+/// Type names that occur several times in a crate, with the number of occurrences. A stub for builds without a part
+/// has the same type names as this part.
 const SAME_NAMES: &[(&str, usize)] = &[
     ("src/controller Computed", 2),
     ("src/controller ComputedMemory", 2),
@@ -20,8 +20,8 @@ const SAME_NAMES: &[(&str, usize)] = &[
 const CRATES: [&str; 8] =
     ["boards", "src/controller", "src/firmware", "src/sqrt", "src/simulator", "src/step_task", "src/store", "src/web"];
 
-/// Compares figures with a limit. `listed` has the known exceptions. Fails if a figure exceeds the limit and is not
-/// listed with exactly its value, or if a listed figure is within the limit.
+/// Compares figures with a limit. `listed`: the known exceptions, with their figures. The list must be exact: fails if
+/// a figure above the limit is not listed or has another value, and if a listed figure is within the limit.
 fn judge(what: &str, found: &BTreeMap<String, usize>, limit: usize, listed: &[(&str, usize)]) {
     let mut faults = Vec::new();
     for (name, figure) in found.iter().filter(|(_, figure)| **figure > limit) {
@@ -74,7 +74,7 @@ fn circles(graph: &BTreeMap<String, BTreeSet<String>>) -> usize {
     let reached: BTreeMap<&String, BTreeSet<String>> = graph.keys().map(|file| (file, reach(file))).collect();
     let on: Vec<_> = reached.iter().filter(|(file, there)| there.contains(**file)).map(|(file, _)| file).collect();
     if !on.is_empty() {
-        // Printed because the failing assertion shows only the number of these files.
+        // Print the files: the failing assertion shows only their number.
         println!("on a circle: {on:?}");
     }
     on.len()
@@ -87,7 +87,7 @@ fn calls_between_the_files_of_a_room_go_one_way() {
         let mut methods: BTreeMap<(String, String), String> = BTreeMap::new();
         let read: Vec<(&String, Vec<Item>)> =
             files.iter().map(|(file, text)| (file, source::items(&source::lex(&source::bare(text))))).collect();
-        // A `none.rs` has the same functions as the module that it replaces.
+        // A `none.rs` is a stub with the same functions as the module that it replaces.
         for (file, items) in read.iter().filter(|(file, _)| !file.ends_with("none.rs")) {
             for item in items.iter().filter(|item| item.kind == "impl") {
                 for name in item.functions() {
@@ -126,8 +126,8 @@ fn imports_between_the_files_of_a_room_go_one_way() {
                     |name: &String| by_module.contains_key(&[&module[..], std::slice::from_ref(name)].concat());
                 let Some(full) = full_path(&path, &module, is_child) else { continue };
                 let full = exported.get(&full).unwrap_or(&full);
-                // The path leads to the file whose module is the longest prefix of the path. Paths to a room's root are
-                // ignored, because all files of the room share the types and states there.
+                // The path leads to the file whose module is the longest prefix of the path. Ignore paths to the
+                // room's root: all files of a room share the types there.
                 let target = (2..=full.len()).rev().find_map(|n| by_module.get(&full[..n]));
                 if let Some(other) = target.filter(|other| **other != file) {
                     graph.entry(file.clone()).or_default().insert((*other).clone());
@@ -140,7 +140,7 @@ fn imports_between_the_files_of_a_room_go_one_way() {
     judge("files on a circle of imports", &found, 0, &[]);
 }
 
-/// Returns the names that a module re-exports, each as a pair: its path in this module, and its original path.
+/// Returns the names that a module re-exports. Each is a pair: its path in this module, and its original path.
 fn re_exports(module: &[String], text: &str) -> Vec<(Vec<String>, Vec<String>)> {
     let bare = source::bare(text);
     let uses = bare.split(';').filter_map(|item| item.trim().rsplit_once("pub use ").map(|(_, tree)| tree.to_owned()));
@@ -155,7 +155,8 @@ fn re_exports(module: &[String], text: &str) -> Vec<(Vec<String>, Vec<String>)> 
         .collect()
 }
 
-/// Returns the path from the root of the crate. `is_child`: whether a name is a module within this one.
+/// Returns a path as written in `module`, resolved from the root of the crate; `None` if it leads to another crate.
+/// `is_child`: `true` for the name of a child module of `module`.
 fn full_path(path: &[String], module: &[String], is_child: impl Fn(&String) -> bool) -> Option<Vec<String>> {
     let mut base = module.to_vec();
     let mut rest = path;
@@ -178,11 +179,11 @@ fn full_path(path: &[String], module: &[String], is_child: impl Fn(&String) -> b
 #[test]
 fn a_crate_has_each_type_name_once() {
     let mut found: BTreeMap<String, usize> = BTreeMap::new();
-    // The boards are excluded, because each board defines the same types, as their contract requires.
+    // The boards are excluded: their contract demands the same type names from each board.
     for folder in CRATES.into_iter().filter(|folder| *folder != "boards") {
         for (_, items) in items(folder) {
             for item in items.iter().filter(|item| ["struct", "enum", "trait"].contains(&item.kind.as_str())) {
-                // A type that a macro declares with `$name` is not counted: its name is known only where the macro is
+                // Do not count a type that a macro declares as `$name`: its name is known only where the macro is
                 // used.
                 if item.name != "$" {
                     *found.entry(format!("{folder} {}", item.name)).or_default() += 1;

@@ -1,5 +1,5 @@
-//! A minimal reader of Rust source that finds the paths it names: it removes comments, strings and test modules, then
-//! collects `use` trees and qualified paths.
+//! A minimal reader of Rust source. It removes comments, strings and test modules. Then it collects the paths in `use`
+//! trees and elsewhere, and the items of a file.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -25,7 +25,7 @@ pub fn all(folder: &Path) -> Vec<(PathBuf, String)> {
     found
 }
 
-/// Returns the text without comments, strings, characters and everything under `#[cfg(test)]`.
+/// Returns the text without comments, strings, character literals, and items with `#[cfg(test)]`.
 pub fn bare(text: &str) -> String {
     without_tests(&without_comments_and_strings(text))
 }
@@ -171,14 +171,14 @@ pub fn lex(text: &str) -> Vec<String> {
 /// An item with a body: `struct`, `enum`, `trait`, `impl` or `fn`.
 pub struct Item {
     pub kind: String,
-    /// Name; for an `impl`, that of the type.
+    /// Its name; for an `impl`, the name of the type.
     pub name: String,
     /// All tokens from the keyword to the end.
     pub body: Vec<String>,
 }
 
 impl Item {
-    /// Returns the names of the functions within the item, or its own name if it is a function.
+    /// Returns the names of the functions in this item. If the item is a function, returns its own name.
     pub fn functions(&self) -> Vec<String> {
         let mut found = Vec::new();
         let mut at = 0;
@@ -197,8 +197,8 @@ impl Item {
     }
 }
 
-/// Returns the index of the last token of an item that starts at `at`: its closing brace, or the semicolon of an item
-/// without a body.
+/// Returns the index of the last token of the item that starts at `at`: its closing brace, or its semicolon if it has
+/// no body.
 fn end_of(tokens: &[String], at: usize) -> usize {
     let (mut depth, mut braces) = (0_usize, 0_usize);
     for (i, token) in tokens.iter().enumerate().skip(at) {

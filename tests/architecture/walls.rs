@@ -3,7 +3,8 @@
 use crate::{dependencies, root, source, sources};
 use std::fs;
 
-/// Crates of this workspace that each crate may use. External crates are not restricted here.
+/// For each crate, the crates of this workspace that it must use; others of the workspace are forbidden. External
+/// crates are not restricted here.
 const CRATES: &[(&str, &[&str])] = &[
     ("boards", &["oxmill-controller", "oxmill-store"]),
     ("boards/images", &[]),
@@ -31,8 +32,7 @@ fn crates_build_on_those_below_them() {
     }
 }
 
-/// Only the crate of the boards may have conditions on features: its contract hides the differences between boards from
-/// the firmware.
+/// The firmware must have no conditions on features: the contract of the boards hides the differences between boards.
 #[test]
 fn no_condition_of_the_firmware_names_a_board() {
     let mut read = 0;
@@ -48,7 +48,8 @@ fn no_condition_of_the_firmware_names_a_board() {
     assert!(read > 10);
 }
 
-/// Conditions name the feature of a chip and not of a board, so a new board with a known chip needs no change to them.
+/// Conditions in the boards' crate name the feature of a chip, not of a board. So a new board with a known chip needs
+/// no change to them.
 #[test]
 fn only_the_choice_of_a_board_names_one_in_a_condition() {
     let files = sources(&root().join("boards"));
@@ -82,7 +83,7 @@ fn the_simulator_as_a_library_has_no_files_threads_or_clock() {
         {
             if condition { &mut gated } else { &mut parts }.push(name.to_owned());
         }
-        // Any `cfg(feature = "...")` counts: `bare` has blanked the string with the name of the feature.
+        // Any `cfg(feature = "...")` counts, because `bare` has blanked the name of the feature.
         condition = line.starts_with("#[cfg(feature");
     }
     assert!(parts.len() > 12 && gated.contains(&"server".to_owned()), "{parts:?} {gated:?}");

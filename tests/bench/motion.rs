@@ -1,8 +1,8 @@
 //! Durations of jobs, compared with those of other controllers for equivalent jobs: the table of `docs/motion.md`.
 //!
-//! `cargo xtask bench` prints the table; given file names, it prints the durations of these programs. The controller
-//! and the step generator run in a loop, in which the controller never has to wait for bytes of a job. So every figure
-//! is in step-clock time and the same on every machine. Each job also runs with a look-ahead that holds the whole job.
+//! `cargo xtask bench` prints the table; given file names, it prints the durations of these programs. Time is counted
+//! in step-clock ticks, and the bytes of a job are always available. So the figures are the same on every computer.
+//! Each job also runs with a look-ahead that holds the whole job.
 
 #[path = "../../xtask/src/programs/mod.rs"]
 #[allow(dead_code, unused_imports, reason = "only the benchmark's jobs are wanted here, and without their tests")]
@@ -17,14 +17,15 @@ use std::process::ExitCode;
 const AXES: usize = 3;
 /// Look-ahead of the boards, in blocks (moves).
 const BOARD: usize = oxmill_simulator::boards::BLOCKS;
-/// More blocks than any job has.
+/// Look-ahead that holds any whole job, in blocks.
 const UNLIMITED: usize = 1 << 17;
 const STEP_CLOCK_HZ: u32 = 96_000_000;
 /// The machine: 80 steps/mm, 10,000 mm/min, 500 mm/s², junction deviation 0.010.
 const MACHINE: &str = "$0=3\n$11=0.010\n$30=1000\n$100=80\n$101=80\n$102=80\n$110=10000\n$111=10000\n$112=10000\n\
     $120=500\n$121=500\n$122=500\n";
 
-/// Motion of a program on the simulated machine: its duration, its net steps, and the number of `error:` answers.
+/// Motion of a program on the simulated machine. `net`: steps forward minus steps back; `lines_refused`: number of
+/// `error:` answers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Outcome {
     /// Time from the first to the last step, s.
@@ -33,7 +34,7 @@ struct Outcome {
     lines_refused: u32,
 }
 
-/// Runs a program on a new controller with `BLOCKS` of look-ahead.
+/// Runs a program on a new controller with a look-ahead of `BLOCKS` moves.
 fn simulate<const BLOCKS: usize>(settings: &str, program: &str) -> Outcome {
     let profile = Profile {
         name: "bench",
@@ -121,8 +122,8 @@ struct Row {
     job: &'static str,
     what: &'static str,
     settings: &'static str,
-    /// Results of the equivalent job with Grbl 1.1h and with grblHAL: the duration in seconds, or the number of steps
-    /// followed by `steps`. An empty text if there is no result.
+    /// Results of the equivalent job with Grbl 1.1h and with grblHAL. A result is a duration in seconds, or a number
+    /// of steps followed by `steps`. It is empty if there is no result.
     peers: [&'static str; 2],
 }
 
@@ -244,8 +245,8 @@ fn main() -> ExitCode {
         }
         files.iter().try_for_each(|file| own(file))
     };
-    // A controller with an unlimited look-ahead is built on the stack before it moves to the heap, so a large stack is
-    // needed.
+    // A controller with an unlimited look-ahead is built on the stack before it moves to the heap. So the thread needs
+    // a large stack.
     let thread = std::thread::Builder::new().stack_size(256 << 20).spawn(work);
     match thread.map(std::thread::JoinHandle::join) {
         Ok(Ok(Ok(()))) => ExitCode::SUCCESS,

@@ -6,9 +6,9 @@ use oxmill_controller::StepRates;
 use oxmill_tables::{BOARDS, Board as Described};
 use std::fmt::Write;
 
-/// Lengths of the step pulse (`$0`), tenths of a microsecond, for which the table lists maximum step rates.
+/// Lengths of the step pulse (`$0`) in the table of step rates, tenths of a microsecond.
 const PULSES: [u16; 7] = [5, 10, 20, 25, 30, 50, 100];
-/// What an image built for size lacks (the features of `FULL_IMAGE`).
+/// What an image lacks if it is built for size, that is, without the features of `FULL_IMAGE`.
 const LEFT_OUT: &str = "expressions, parameters, O words; rotated and scaled coordinates; splines; rounded corners (`G64 P`); habits of CAM \
     programs (`G31`, `G70`, `G54.1`, D); outputs and inputs of programs; texts of settings and errors (`$ES`); recording (`$REC`)";
 
@@ -80,7 +80,7 @@ fn rates_table() -> String {
             None => rows.push((vec![name], cells)),
         }
     }
-    // The row of the rates that most boards have comes last, and is named "all others".
+    // The row with the rates of most boards comes last, and is named "all others".
     rows.sort_by_key(|(names, _)| names.len());
     for (names, cells) in &rows {
         let is_rest = names.len() > BOARDS.len() / 2;
@@ -104,7 +104,7 @@ pub const SECTIONS: [(&str, &[&str]); 11] = [
     ("Sienci SuperLongBoard EXT", &["slb_ext"]),
 ];
 
-/// Returns the boards of a section. All have the same pins and remarks.
+/// Returns the boards of a section. Panics if their pins or remarks differ.
 fn section(names: &[&str]) -> Vec<Described> {
     let boards: Vec<Described> = names.iter().map(|name| described(name)).collect();
     for board in &boards[1..] {
@@ -134,8 +134,8 @@ fn wiring_list() -> String {
     text
 }
 
-/// Rows of the table for choosing a board: the boards, whom they suit, their drivers, and what they lack. The numbers
-/// come from the profiles.
+/// Rows of the table for choosing a board: title, boards, whom they suit, their drivers, and what they lack. The
+/// numbers in the table come from the profiles.
 const CHOICES: [(&str, &[&str], &str, &str, &str); 12] = [
     (
         "Black Pill, STM32F411",
@@ -287,7 +287,6 @@ fn the_page_of_boards_has_the_boards() {
     });
 }
 
-/// Facts about the boards in the page's text match the code.
 #[test]
 fn facts_of_the_page_of_boards_are_those_of_the_code() {
     let page = read(&root().join("docs/boards.md"));

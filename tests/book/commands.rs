@@ -14,8 +14,8 @@ const OF_OTHERS: [&str; 9] = ["dfu-util", "git", "ls", "mdbook", "printf", "rust
 /// A command that a page shows or names, split into words.
 struct Command<'a> {
     words: Vec<&'a str>,
-    /// Whether the page shows the command as a line to type. If not, its text only names the command, and arguments can
-    /// be missing.
+    /// `true` if the page shows the command as a line to type. `false` if the text only names the command: then
+    /// arguments can be missing.
     whole: bool,
 }
 
@@ -49,7 +49,7 @@ fn commands(text: &str, mut seen: impl FnMut(Command<'_>)) {
     }
 }
 
-/// Returns the value that a reader would fill in for a word in capitals.
+/// Returns an example value for a placeholder, such as `1` for `PORT`. Other words stay as they are.
 fn filled_in(word: &str) -> String {
     match word {
         "N" | "PORT" | "OPERATIONS" => "1",
@@ -113,7 +113,6 @@ fn fault_of_cargo(words: &[&str], whole: bool) -> Option<String> {
     }
 }
 
-/// Returns what is wrong with a command.
 fn fault(command: &Command) -> Option<String> {
     match command.words[..] {
         ["oxmill", ..] => fault_of_oxmill(&command.words, command.whole),
@@ -139,7 +138,7 @@ fn commands_of_the_pages_exist() {
     assert!(seen[0] > 60 && seen[1] > 20, "{seen:?} commands");
 }
 
-/// Checks the test above: it must find these faults.
+/// Checks the check itself: it must find these faults.
 #[test]
 fn commands_that_do_not_exist_are_seen() {
     for line in [

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::fs;
 
 const FENCE: &str = "```conversation\n";
-/// Pages on which every line that the reader sends to the machine must be in a fence named `conversation`.
+/// Pages for work at a machine. On these pages, all lines for the machine must be in fences named `conversation`.
 const HANDS_ON: [&str; 5] = ["boards", "first-cut", "set-up", "tuning", "troubleshooting"];
 
 /// Returns a new machine. The mark `<!-- machine: FILE -->` in the page names the file that describes its hardware, as
@@ -23,7 +23,7 @@ fn machine(page: &str) -> Simulator {
     mill
 }
 
-/// Sends the line after `> `; a realtime command on its own gets no line end.
+/// Sends the text of a line that begins with `> `. A realtime command is sent without a line end.
 fn send(mill: &mut Simulator, line: &str) {
     match line {
         "?" => mill.press(Realtime::Status),
@@ -34,9 +34,9 @@ fn send(mill: &mut Simulator, line: &str) {
     }
 }
 
-/// Sends the lines of a fence to the machine. Returns these lines with the machine's actual answers, and the number of
-/// lines. A line after `> ` is sent to the controller; a line after `* ` sets an input pin, as `--pins` does. After
-/// each line virtual time runs until the machine is idle, or for half a second if the line ends in ` ...`.
+/// Sends the lines of a fence to the machine. Returns these lines with the machine's answers, and the number of lines.
+/// A line after `> ` goes to the controller. A line after `* ` sets an input pin, as `--pins` does. Virtual time then
+/// runs until the machine is idle, or for half a second if the line ends in ` ...`.
 fn said(mill: &mut Simulator, fence: &str) -> (String, usize) {
     let (mut now, mut seen) = (String::new(), 0);
     for line in fence.lines().filter(|line| line.starts_with("> ") || line.starts_with("* ")) {
@@ -51,8 +51,8 @@ fn said(mill: &mut Simulator, fence: &str) -> (String, usize) {
             mill.run_for(std::time::Duration::from_millis(500));
         }
         let answer = mill.take_output().replace('\r', "");
-        // The machine must become idle after each line. The only exception is an alarm that only a reset ends, in which
-        // the controller reads no more lines.
+        // The machine must become idle after each line. Exception: after an alarm that only a reset ends, the
+        // controller reads no more lines.
         assert!(done || answer.contains("ALARM"), "{line}: {answer}");
         now += &format!("{line}\n{answer}");
         seen += 1;
@@ -81,7 +81,7 @@ fn conversations_of_the_pages_are_what_is_said() {
     assert!(seen > 80, "{seen} lines");
 }
 
-/// Lines for the machine in another kind of fence would not be tested.
+/// Only fences named `conversation` are tested. So lines for the machine must not be in other fences.
 #[test]
 fn pages_with_hands_on_say_all_lines_in_conversations() {
     for name in HANDS_ON {
@@ -99,8 +99,8 @@ fn pages_with_hands_on_say_all_lines_in_conversations() {
     }
 }
 
-/// Returns the values that the lines `$n=v` of a text assign, by setting number; of several values of a setting the
-/// last. Only lines that begin with `before` count.
+/// Returns the values that lines `$n=v` of a text assign, by setting number. The last value of a setting counts. Only
+/// lines that begin with `before` are read.
 fn assignments(text: &str, before: &str) -> BTreeMap<u16, String> {
     let lines = text.lines().filter_map(|line| line.strip_prefix(before)?.strip_prefix('$')?.split_once('='));
     lines.filter_map(|(number, value)| Some((number.parse().ok()?, value.to_owned()))).collect()

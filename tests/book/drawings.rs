@@ -1,5 +1,5 @@
-//! Drawings of the boards' wiring (`docs/pictures/boards`), made from the boards' tables: pins in the colours of their
-//! groups, with their prints on the board and their functions.
+//! Drawings of the boards' wiring (`docs/pictures/boards`), made from the boards' pin tables. A drawing shows the
+//! pins, the names printed beside them, and their functions, in a colour for each kind.
 
 use crate::boards::SECTIONS;
 use crate::wiring::{Group, Kind, Way, Wire, groups};
@@ -50,7 +50,7 @@ fn all(groups: &[Group]) -> impl Iterator<Item = (Kind, &Wire)> {
     groups.iter().flat_map(|group| group.wires.iter().map(move |wire| (group.kind, wire)))
 }
 
-/// Direction in which the line, the arrow and the text of a pin are drawn.
+/// Side to which the line, the arrow and the text of a pin extend.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Side {
     Left,
@@ -58,13 +58,13 @@ enum Side {
 }
 
 impl Side {
-    /// Returns the x coordinate at this distance outside of an edge.
+    /// Returns the x coordinate that lies `distance` beyond the edge `edge`, on this side.
     fn out(self, edge: i32, distance: i32) -> i32 {
         if self == Side::Left { edge - distance } else { edge + distance }
     }
 
-    /// Returns the CSS class of a text that is drawn in this direction: `e` (`text-anchor:end`) for the left, so that
-    /// the text ends at its coordinate; none for the right.
+    /// Returns the CSS class of a text that extends to this side. `e` (`text-anchor:end`) makes a text on the left end
+    /// at its coordinate.
     fn class(self) -> &'static str {
         if self == Side::Left { "e" } else { "" }
     }
@@ -125,8 +125,8 @@ impl Svg {
         self.add(format_args!("<text x=\"{x}\" y=\"{y}\"{class}>{}{mosfet}</text>", wire.text));
     }
 
-    /// Draws the legend: the colours of the kinds of pins that the board has, and below them `lines`, which explain the
-    /// signs. Returns the y coordinate of its lower end.
+    /// Draws the legend: the colours of the kinds of pins on this board, and below them `lines`, which explain the
+    /// signs. Returns the y coordinate of the lower end of the legend.
     fn legend(&mut self, y: i32, groups: &[Group], lines: &[&str]) -> i32 {
         let mut x = 20;
         for (kind, colour, name) in COLOURS {
@@ -182,8 +182,8 @@ fn signs(boards: &[Board], groups: &[Group]) -> Vec<String> {
     signs
 }
 
-/// x coordinates of the left and right edge of a control board. The next three constants are the heights of a group's
-/// caption, of a pin's row and of the gap between groups; the last is the y coordinate of the first group.
+/// x coordinates of the left and right edge of a control board. Then the heights of a group's caption, of a pin's row
+/// and of the gap between groups, and the y coordinate of the first group.
 const EDGES: (i32, i32) = (305, 635);
 const CAPTION: i32 = 24;
 const ROW: i32 = 22;
@@ -303,7 +303,7 @@ const BLACK_PILL: ([&str; 20], [&str; 20]) = (
         "C14", "C13", "VBAT",
     ],
 );
-/// Pins of a Black Pill that its own components use, with this use.
+/// Pins of a Black Pill that parts on the board itself use, with this use.
 const OWN_USES: [(&str, &str); 5] =
     [("B2", "BOOT1"), ("C13", "LED"), ("C14", "32 kHz crystal"), ("C15", "32 kHz crystal"), ("A0", "KEY")];
 
@@ -359,8 +359,8 @@ fn black_pill(title: &str, boards: &[Board]) -> String {
     svg.finished(title, height)
 }
 
-/// Pins of the Arduino headers of a Nucleo-64. Each has the name printed on the board, and the row of connector CN7
-/// (left) or CN10 (right) beside it, counted from 1.
+/// Pins of the Arduino headers of a Nucleo-64: the name printed on the board, and the row of the pin. Row 1 is the
+/// first row of the connector beside it, CN7 on the left or CN10 on the right.
 const ARDUINO_LEFT: [(&str, i32); 11] = [
     ("3V3", 8),
     ("5V", 9),
@@ -397,7 +397,7 @@ const ARDUINO_RIGHT: [(&str, i32); 17] = [
 /// Draws a Nucleo-64 with its headers.
 fn nucleo(title: &str, boards: &[Board]) -> String {
     const PITCH: i32 = 25;
-    /// x coordinates of the board's edges. The next constants are those of the pins of its headers, from left to right.
+    /// x coordinates of the board's edges. Then the x coordinates of the pins of its headers, from left to right.
     const EDGE: (i32, i32) = (187, 753);
     const CN7: (i32, i32) = (198, 216);
     const ARDUINO: (i32, i32) = (248, 692);
@@ -438,8 +438,8 @@ fn nucleo(title: &str, boards: &[Board]) -> String {
             let Some((kind, wire)) = used else { continue };
             drawn += 1;
             let (side, edge) = if name == "CN7" { (Side::Left, EDGE.0) } else { (Side::Right, EDGE.1) };
-            // In the first row, the line and the text of the inner pin are drawn 24 units higher, above those of the
-            // outer pin.
+            // In the first row, the line of the inner pin would cover the line of the outer pin. So the line and the
+            // text of the inner pin are 24 units higher.
             let is_inner = row == 1 && (x == CN7.1 || x == CN10.0);
             let y = if is_inner { at(1) - 24 } else { at(row) };
             let end = side.out(edge, 18);
@@ -477,7 +477,7 @@ fn nucleo(title: &str, boards: &[Board]) -> String {
     svg.finished(title, height)
 }
 
-/// Returns the path of a section's drawing, from the root of the tree.
+/// Returns the path of the drawing of a section, from the root of the tree. `first`: the first board of the section.
 pub fn path(first: &str) -> String {
     format!("{FOLDER}/{first}.svg")
 }

@@ -1,6 +1,5 @@
-//! Checks the pages of `docs/`: pages generated from tables of the firmware are current, links are valid, commands
-//! exist and print what the pages show, and pictures are those that the simulator draws.
-//! `OXMILL_WRITE_DOCS=1 cargo test --test book` writes everything that is generated.
+//! Checks the pages of `docs/`: generated pages are current, links are valid, commands exist and print what the pages
+//! show, and pictures are current. `OXMILL_WRITE_DOCS=1 cargo test --test book` writes everything that is generated.
 
 mod boards;
 mod commands;
@@ -47,10 +46,10 @@ fn pages(folder: &str) -> Vec<PathBuf> {
     found
 }
 
-/// Lock: only one test at a time writes pages.
+/// Held while a page is read and written, so that tests do not write at the same time.
 static PAGES: Mutex<()> = Mutex::new(());
 
-/// Returns whether to write what is generated, instead of comparing it (`OXMILL_WRITE_DOCS`).
+/// Returns `true` if generated pages are to be written instead of compared (`OXMILL_WRITE_DOCS`).
 fn writes() -> bool {
     std::env::var_os("OXMILL_WRITE_DOCS").is_some()
 }
@@ -85,12 +84,13 @@ fn with_table(text: &str, name: &str, table: &str) -> String {
     format!("{before}{begin}{table}{end}{after}")
 }
 
-/// Returns the text after the fence if the line opens or closes a fenced block, which is indented within a list.
+/// Returns the text after the fence if the line opens or closes a fenced block. A block in a list is indented.
 fn fence(line: &str) -> Option<&str> {
     line.trim_start().strip_prefix("```")
 }
 
-/// Returns the fenced blocks of a page: the text after the fence, and the lines without the indentation of the fence.
+/// Returns the fenced blocks of a page. Each has the text after its opening fence, and its lines without the
+/// indentation of that fence.
 fn fences(text: &str) -> Vec<(String, Vec<String>)> {
     let mut found: Vec<(String, Vec<String>)> = Vec::new();
     let mut open = None;
@@ -202,7 +202,7 @@ fn settings_that_pages_for_newcomers_name_exist() {
         (0..Settings::<3>::LINES).filter_map(|line| settings.row(line)).map(|row| row.1).collect();
     let mut seen = 0;
     for name in ["boards", "first-cut", "set-up", "tuning", "coming-from", "troubleshooting", "senders"] {
-        // The first column of a table can have the setting numbers of other controllers.
+        // Skip the first column of tables: it can have the setting numbers of other controllers.
         let text = read(&root().join(format!("docs/{name}.md")));
         let own: String = text
             .lines()
@@ -229,7 +229,7 @@ fn settings_of(cell: &str) -> Vec<u16> {
     found
 }
 
-/// The page for users who come from Grbl has each setting of Grbl in the first column of its tables.
+/// The page for users of Grbl treats each setting of Grbl, in the first column of its tables.
 #[test]
 fn each_setting_of_grbl_is_treated_for_those_who_come_from_it() {
     let page = read(&root().join("docs/coming-from.md"));

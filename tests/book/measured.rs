@@ -1,11 +1,11 @@
-//! Runs the commands of the pages and compares their output, and the durations of jobs in tables.
+//! Runs the commands that pages show, and compares their output and the durations of jobs in tables.
 
 use crate::{all_pages, keep, read, root};
 use std::process::{Command, Stdio};
 
 const FENCE: &str = "```console\n";
 
-/// Returns the output of this tree's program for a command line, run in the folder of the tree.
+/// Runs the `oxmill` program of this tree in the root folder. Returns its output.
 pub fn oxmill(words: &[&str]) -> String {
     let output =
         Command::new(env!("CARGO_BIN_EXE_oxmill")).args(words).current_dir(root()).stdin(Stdio::null()).output();
@@ -14,7 +14,7 @@ pub fn oxmill(words: &[&str]) -> String {
     String::from_utf8(output.stdout).expect("text")
 }
 
-/// Fences named `console`: the command after `$ ` is run, and its output must follow.
+/// In a fence named `console`, a line after `$ ` is a command. The lines after it must be its output.
 #[test]
 fn consoles_of_the_pages_are_what_is_printed() {
     let mut seen = 0;
@@ -45,8 +45,9 @@ fn time(words: &[&str]) -> String {
     time.trim().to_owned()
 }
 
-/// Checks a table of durations. Its first head cell is a command, `oxmill check JOB ...`. In each row, the first cell
-/// has the words to add to the command, and the second cell the duration that the program reports.
+/// Returns a page with the durations in its tables measured again. The first head cell of such a table is a command,
+/// `oxmill check JOB ...`. In each row, the first cell has the words to add to the command, and the second cell the
+/// duration.
 fn measured(text: &str, seen: &mut usize) -> String {
     let mut common: Vec<&str> = Vec::new();
     let mut now = String::new();

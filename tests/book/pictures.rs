@@ -1,4 +1,5 @@
-//! Pictures drawn by the simulator: the page with a picture has the command that draws it, and the picture is current.
+//! Checks the pictures that the simulator draws. A page with such a picture has the command that draws it, and the
+//! picture must be current.
 
 use crate::measured::oxmill;
 use crate::{all_pages, links, read, root, writes};
@@ -52,8 +53,8 @@ fn pictures_are_what_the_simulator_draws() {
     assert!(shown.len() > 4, "{shown:?}");
 }
 
-/// Screenshots differ between browsers: this test only checks that each is a picture and is shown somewhere. The tests
-/// of the page check what it shows.
+/// Screenshots differ between browsers. So this test only checks that each is a picture and is shown on a page. The
+/// tests of the browser page check its contents.
 #[test]
 fn photographs_of_the_page_are_pictures_that_are_shown() {
     let shown: BTreeSet<String> =

@@ -4,7 +4,7 @@
 use oxmill_tables::{Board, text_of};
 use std::fmt::Write;
 
-/// What a group of pins is for. A drawing has a colour for each.
+/// What a group of pins is for. Each kind has its own colour in the drawings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     Motors,
@@ -30,18 +30,19 @@ pub enum Way {
 /// A pin and its function.
 #[derive(Clone, Debug)]
 pub struct Wire {
-    /// Name of the function in the board's file; empty for links to the host, whose pins are not in this file.
+    /// Name of the function in the board's file. Empty for the links to the host: their pins are not in the file.
     pub key: &'static str,
     pub text: &'static str,
     pub way: Way,
     pub pin: String,
-    /// Print on the board; empty if the pin's name is printed.
+    /// The name printed beside the pin; empty if that is the pin's own name.
     pub label: String,
 }
 
 impl Wire {
-    /// Returns whether the connector has a MOSFET that switches the ground of a load. On control boards the prints of
-    /// such outputs begin with FAN, HE or HB, or are E0 and E1. Sockets of drivers may be called E0, too.
+    /// Returns `true` if the connector has a MOSFET that switches the ground of a load. On control boards, the names
+    /// printed beside such outputs begin with FAN, HE or HB, or are E0 and E1. But a socket of a driver may be called
+    /// E0, too.
     pub fn has_mosfet(&self) -> bool {
         let is_slow = !["step_", "direction_", "enable"].iter().any(|part| self.key.contains(part));
         let label = self.label.as_str();
@@ -58,7 +59,8 @@ pub struct Group {
     pub wires: Vec<Wire>,
 }
 
-/// A group: its kind, title and signal direction, and its functions with their texts in drawings.
+/// A group of functions: its kind, title and signal direction. Each function has its name in the board's file, and its
+/// text in drawings.
 type Plan = (Kind, &'static str, Way, &'static [(&'static str, &'static str)]);
 
 const PLANS: [Plan; 10] = [
@@ -165,8 +167,8 @@ pub fn groups(board: &Board) -> Vec<Group> {
     groups
 }
 
-/// Returns the pins that connect a board to hosts: those of the UART and, if the image has USB, those of USB (as in
-/// `boards/stm32f4/setup.rs`).
+/// Returns the pins that connect a board to a host: a UART and, if the image has USB, also USB. They are the same as
+/// in `boards/stm32f4/setup.rs`.
 fn links(board: &Board) -> Vec<Wire> {
     let link = |text, way, pin: &str| Wire { key: "", text, way, pin: pin.to_owned(), label: String::new() };
     let (tx, rx) = if board.image.has_usb { ("A9", "A10") } else { ("A2", "A3") };
@@ -177,7 +179,7 @@ fn links(board: &Board) -> Vec<Wire> {
     links
 }
 
-/// Rows of a board's table: functions whose pins stand side by side.
+/// Rows of a board's table. The functions of a row share its cells.
 const ROWS: [(&str, &[&str]); 18] = [
     ("X motor: step, direction, enable", &["step_x", "direction_x", "enable"]),
     ("Y motor: step, direction, enable", &["step_y", "direction_y", "second_enable"]),
@@ -215,7 +217,7 @@ pub fn table(board: &Board) -> String {
     };
     for (function, keys) in ROWS {
         let is_motor = keys.len() == 3 && keys[2].contains("enable");
-        // A common enable input has a row of its own.
+        // If all drivers share one enable output, this output has a row of its own.
         let is_left_out = |key: &str| key == "enable" && is_motor == has_common_enable;
         let function = if is_motor && has_common_enable { function.trim_end_matches(", enable") } else { function };
         let found: Vec<_> =

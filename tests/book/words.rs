@@ -1,5 +1,5 @@
-//! `docs/gcode.md`: its table has every word that the firmware accepts, and its list of rejected words has every word
-//! that the firmware names in an error.
+//! Checks `docs/gcode.md`. Its table must have each word that the firmware accepts. Its list of rejected words must
+//! have each word that the firmware rejects as not supported (error:121) or as cutter compensation.
 
 use crate::{keep, read, root, with_table};
 use oxmill_controller::error::Error;
@@ -9,7 +9,7 @@ use oxmill_simulator::{Options, Simulator};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
-/// Words of each row, with their meaning. Their dialects and groups come from the firmware.
+/// Words of each row, with their meaning. The firmware gives their groups and dialects.
 const MEANINGS: &[(&str, &str)] = &[
     ("G0", "rapid"),
     ("G1", "line at the feed F"),
@@ -101,7 +101,7 @@ const LETTERS: &[(&str, &str)] = &[
 
 const DIALECTS: [(Dialect, &str); 3] = [(Dialect::Grbl, "grbl"), (Dialect::Oxmill, "oxmill"), (Dialect::Seed, "seed")];
 
-/// Formats a word, such as G38.2.
+/// Formats a word: `G38.2` for the letter G and 3,820 hundredths.
 fn written(letter: char, hundredths: u16) -> String {
     match (hundredths / 100, hundredths % 100) {
         (whole, 0) => format!("{letter}{whole}"),
@@ -110,7 +110,7 @@ fn written(letter: char, hundredths: u16) -> String {
     }
 }
 
-/// Returns the firmware's answer for each G and M word, from 0 to 255.99.
+/// Returns for each G and M word from 0 to 255.99 its group, or the error of the firmware.
 fn asked(dialect: Dialect) -> impl Iterator<Item = (String, Result<Group, Error>)> {
     let all = ['G', 'M'].into_iter().flat_map(|letter| (0..25_600_u16).map(move |hundredths| (letter, hundredths)));
     all.map(move |(letter, hundredths)| {
@@ -119,7 +119,7 @@ fn asked(dialect: Dialect) -> impl Iterator<Item = (String, Result<Group, Error>
     })
 }
 
-/// Returns each word of any dialect, with its group and its dialects.
+/// Returns each word that any dialect has, with its group and its dialects.
 fn words() -> BTreeMap<String, (String, Vec<&'static str>)> {
     let mut found: BTreeMap<String, (String, Vec<&str>)> = BTreeMap::new();
     for (dialect, name) in DIALECTS {
@@ -162,7 +162,7 @@ fn table() -> String {
     table
 }
 
-/// Returns the dialects in which a letter with a value is a known word.
+/// Returns the dialects that accept this letter with a value.
 fn dialects_of_letter(letter: char) -> Vec<&'static str> {
     let mut found = Vec::new();
     for (number, (_, name)) in DIALECTS.into_iter().enumerate() {
@@ -206,13 +206,12 @@ fn the_page_of_words_has_those_of_the_firmware() {
     keep(&root().join("docs/gcode.md"), |text| with_table(&with_table(text, "words", &table), "letters", &letters));
 }
 
-/// Returns the words after an error in the section of unsupported words, up to the next error.
+/// Returns the words that the section of unsupported words lists for an error.
 fn refused_on_the_page(text: &str, error: Error) -> BTreeSet<String> {
     let section = text.split("## Not supported").nth(1).expect("a section");
     let list = section.split(&format!("`error:{}` for `", error.code())).nth(1).expect("a list").split('`').next();
     let words: Vec<&str> = list.unwrap_or_default().split_whitespace().collect();
-    // The page also lists `M52 P1` and `M53 P0`, which are M words with an invalid value. Only the M words are
-    // returned, so the P words are dropped here.
+    // The page also lists `M52 P1` and `M53 P0`: these M words are rejected only with this value. Drop the P words.
     words
         .windows(2)
         .map(|pair| pair[0])
@@ -238,8 +237,7 @@ fn what_the_page_says_is_refused_is_what_the_firmware_refuses() {
         assert!(named.remove(known), "{known}");
     }
     let mut every: BTreeSet<String> = refused(Error::NotSupported).collect();
-    // `group_of` rejects the words of subprograms, but the firmware accepts them in lines that call or end a
-    // subprogram.
+    // `group_of` rejects the words of subprograms. The firmware accepts them in lines that call or end a subprogram.
     every.retain(|word| !["G65", "G66", "M98", "M99"].iter().any(|known| word.starts_with(known)));
     for word in &named {
         assert!(every.contains(word), "the firmware does not refuse {word} by error:121");

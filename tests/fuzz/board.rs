@@ -1,9 +1,13 @@
-//! A board without the simulator: a controller with its queues, the step generator, a store and a clock. A fuzz target
-//! can delay, starve or falsify any of these. The board follows [`oxmill_controller::pump`], as every board does.
+//! A model of a board for the fuzz targets, without the simulator. It has a controller with its queues, the step
+//! generator, a store and a clock. A fuzz target can delay events, hold them back, or send false ones.
+//! [`oxmill_controller::pump`] moves events and outputs, as on every board.
 //!
-//! It checks invariants for any input: a round (one pass of the pump) makes a bounded number of outputs; a controller
-//! that accepts lines has nothing left to do after a bounded number of rounds; no wake-up is in the past; while the
-//! machine is locked, no motion is sent to the step task and no step is made; each line is answered once.
+//! Invariants, for any input:
+//! - A round (one pass of the pump) makes a bounded number of outputs.
+//! - After a bounded number of rounds, a controller that accepts lines has nothing left to do.
+//! - No wake-up is in the past.
+//! - While the machine is locked, no motion is sent to the step task, and no step is made.
+//! - Each line is answered once.
 
 use super::work;
 use oxmill_controller::memory::Memory;
@@ -19,18 +23,19 @@ use std::collections::{BTreeMap, VecDeque};
 
 pub const AXES: usize = 3;
 const BLOCKS: usize = 16;
-/// Maximum number of outputs in a round (one pass of the pump), not counting [`REPLIES_DEPTH`] texts for the host. Most
-/// of these outputs change a pin or the wiring of pins.
+/// Maximum number of outputs in a round (one pass of the pump), in addition to [`REPLIES_DEPTH`] texts for the host.
+/// Such an additional output changes, for example, a pin or the wiring of the pins.
 const MOST_QUIET_OUTPUTS: usize = 8;
-/// Maximum number of rounds without time passing. A program can loop without moving; after this many rounds the board
-/// no longer waits for its end.
+/// Maximum number of rounds without time passing. A program can loop for ever without a move, so the board runs no
+/// more rounds than this.
 const MOST_ROUNDS: usize = 3_000;
 /// Maximum number of control-flow edges in a round; the highest count when this was chosen: 24,963.
 const MOST_WORK: u64 = 100_000;
 /// Maximum number of ticks and wake-ups in a session. After these, time no longer advances.
 const MOST_MOMENTS: u32 = 60_000;
 
-/// Bits of [`Board::late`]. While a bit is set, the controller does not get the events of this source.
+/// Bits of [`Board::late`], one for each source of events. While a bit is set, the controller gets no events of that
+/// source.
 pub mod late {
     pub const STEP: u8 = 1;
     pub const COMMANDS: u8 = 2;
@@ -48,8 +53,8 @@ pub fn shows() -> bool {
     *SHOWS
 }
 
-/// A byte of a line, and whether the controller must answer that line. It need not answer a line that it may have
-/// dropped, for example at a reset.
+/// A byte of a line, and `true` if the controller must answer that line. A line that the controller may have dropped,
+/// for example at a reset, need not be answered.
 type Queued = (LineByte, bool);
 
 #[derive(Clone)]
@@ -79,16 +84,17 @@ pub struct Board {
     signals: Signals,
     sensed: Sensed,
     armed: u32,
-    /// Whether the store rejects changes.
+    /// `true`: the store answers each change with [`Event::StoreFailed`] and stores nothing.
     pub store_fails: bool,
     pub records: BTreeMap<u16, Vec<u8>>,
     said: Vec<u8>,
     round_replies: usize,
     moments: u32,
-    /// Whether all events are events that a real board can send. If not, events can be false, and the controller only
-    /// has to survive them.
+    /// `true` if a real board could send all events of this session. If `false`, some events are false. Then the
+    /// controller only has to survive, and invariants that rely on true events are not checked.
     pub is_true: bool,
     /// Minimum and maximum positions of the motors, in steps, while soft limits are on and the position is trusted.
+    /// `None`: the positions are not checked.
     pub travel: Option<[(i32, i32); AXES]>,
     /// Maximum number of rounds without time passing.
     pub most_rounds: usize,
@@ -97,8 +103,8 @@ pub struct Board {
     book: Book,
 }
 
-/// Returns whether an output line answers a G-code line: `ok` or `error:`, or an answer with a line number and a
-/// checksum after a colon, as the controller sends them while lines are checked (`$LC=ON`).
+/// Returns `true` if an output line is the answer to a G-code line: `ok` or `error:`. While lines are checked
+/// (`$LC=ON`), an answer begins with a colon, a line number and a checksum.
 fn is_answer(line: &[u8]) -> bool {
     match line.strip_prefix(b":") {
         None => line == b"ok" || line.starts_with(b"error:"),
@@ -108,11 +114,11 @@ fn is_answer(line: &[u8]) -> bool {
     }
 }
 
-/// Counts the answers to lines, and how many there must and can be.
+/// Counts the answers to lines, and the minimum and maximum number of answers that the lines allow.
 #[derive(Clone, Debug, Default)]
 struct Book {
-    /// Whether the controller must answer the line that is being read. It need not answer a line of which it may have
-    /// dropped a part, for example at a reset.
+    /// `true` if the controller must answer the line that is being read. A line of which the controller may have
+    /// dropped a part, for example at a reset, need not be answered.
     is_sure: bool,
     last_byte: u8,
     /// Minimum number of answers since the previous [`Book::settle`]: one for each line that has been read and must be
@@ -133,8 +139,8 @@ impl Book {
         match byte.byte {
             HOST_CHANGED => self.is_sure = true,
             b'\n' | b'\r' => {
-                // The controller may answer the LF of a CR LF, as the end of an empty line, or not, as a part of the
-                // line end. So this LF raises only `most`.
+                // After a CR, an LF is either the second half of the line end, or the end of an empty line. The
+                // controller answers only the empty line. Both are allowed, so this LF raises only `most`.
                 let merged = byte.byte == b'\n' && self.last_byte == b'\r';
                 self.most += 1;
                 self.least += usize::from(self.is_sure && !merged);
@@ -173,7 +179,7 @@ impl Book {
 }
 
 impl Board {
-    /// Returns a board that has just been powered up, with the contents of its store.
+    /// Returns a board that has just been powered up. `records`: the contents of its store, as keys and values.
     pub fn new(records: BTreeMap<u16, Vec<u8>>) -> Board {
         let profile = Profile {
             name: "test",
@@ -239,7 +245,7 @@ impl Board {
         self.lines.len() + bytes <= LINES_DEPTH
     }
 
-    /// Returns whether all lines have been read and the controller wants another.
+    /// Returns whether the controller has read all queued lines and accepts the next one.
     pub fn is_read(&self) -> bool {
         self.lines.is_empty() && self.controller.wants_line()
     }
@@ -310,7 +316,7 @@ impl Board {
         self.lines.push_back((cut, false));
     }
 
-    /// Stops the step task at once.
+    /// Stops the step task at once and queues its report for the controller.
     pub fn stop(&mut self) {
         let event = self.stepper.stop([0; AXES]);
         self.stopped(event);
@@ -322,7 +328,8 @@ impl Board {
         self.load();
     }
 
-    /// Simulates that the output of an axis makes this many steps too many or too few during motion.
+    /// Simulates wrong pulses during motion: the motor of an axis makes `steps` steps more (if negative, fewer) than
+    /// ordered. The step task then stops and reports the error. At rest, nothing happens.
     pub fn miscount(&mut self, axis: usize, steps: i32) {
         if self.due.is_some()
             && let StepEvent::Stopped { stops, position, .. } = self.stepper.stop([0; AXES])
@@ -419,7 +426,7 @@ impl Board {
 
     // Controller
 
-    /// Runs rounds until there is nothing to do, at most `most_rounds` of them.
+    /// Runs rounds (passes of the pump) until there is nothing to do, at most `most_rounds` of them.
     pub fn settle(&mut self) {
         for _ in 0..self.most_rounds {
             self.round_replies = 0;
@@ -527,9 +534,9 @@ impl Pump<AXES> for Board {
                     // The controller drops all lines received so far.
                     self.forget_lines();
                     if self.commands.iter().any(|command| command.opens_epoch()) {
-                        // A reset, stop or jog cancel is still queued. The controller may hold a byte that it has read,
-                        // such as a line end, until this command arrives, and may then drop the byte. So the lines read
-                        // so far need not be answered any more.
+                        // A reset, stop or jog cancel is still queued. Until this command arrives, the controller may
+                        // hold back a byte that it has read, such as a line end. The command may then drop this byte.
+                        // So the lines read so far need not be answered any more.
                         self.book.least = self.book.come;
                     }
                 }
@@ -570,7 +577,8 @@ impl Pump<AXES> for Board {
         Some(byte)
     }
 
-    /// Passes at most as many bytes to the controller at once as a message between the firmware's tasks holds.
+    /// Passes the next bytes of lines to the controller. At most [`LineBytes::MOST`] bytes are passed at once,
+    /// because a message between the firmware's tasks holds no more.
     fn give_text(&mut self, now: Instant) -> bool {
         let Some((LineByte { epoch, .. }, _)) = self.lines.front().copied() else { return false };
         let alike = self.lines.iter().take_while(|(byte, _)| byte.epoch == epoch && !byte.damaged);

@@ -1,4 +1,5 @@
-//! With libFuzzer, compiles the work counter, which is written in C, so that the counting code itself is not counted.
+//! Compiles the work counter (`work.c`) in a build with libFuzzer. The counter is in C, so that its own code is not
+//! counted as work.
 
 fn main() {
     println!("cargo::rerun-if-changed=work.c");

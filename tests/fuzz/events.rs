@@ -1,11 +1,15 @@
-//! All events that a controller can receive, in any order: bytes of lines, realtime commands, inputs, contacts, stops,
-//! late segments, miscounted steps, replies of a store that works or fails, hosts that connect and disconnect, jumps in
-//! time; most sources of events can be delayed. The first byte chooses whether there are also false events: stops that
-//! nobody requested, with any number and position, and replies of the store to no request.
+//! Fuzz target: all events that a controller can receive, in any order. These are bytes of lines, realtime commands,
+//! inputs, contacts, stops, late segments, miscounted steps, replies of a store that works or fails, hosts that
+//! connect and disconnect, and jumps in time. Most sources of events can be delayed.
 //!
-//! Invariants, in addition to those of the board: `?` is answered by one report; the position at rest is that of the
-//! motors; a machine that has miscounted steps does not claim to know its position; after a reset with restored
-//! settings it is idle, and a jog makes exactly its steps.
+//! The first byte of the input chooses whether there are also false events. Examples are a stop that nobody
+//! requested, with any number and position, and a reply of the store to no request.
+//!
+//! Invariants, in addition to those of `board.rs`:
+//! - `?` is answered by one report.
+//! - At rest, the controller's position agrees with the steps of the motors.
+//! - After miscounted steps, the controller does not trust its position.
+//! - After a reset with restored settings, the machine is idle, and a jog makes exactly its steps.
 
 use super::board::{AXES, Board, late, shows};
 use super::session::SETTINGS;
@@ -41,7 +45,7 @@ enum Action<'a> {
     Pass(u8),
     Stall(u8),
     Leap(u32),
-    /// From now on delays the events of these sources, which are bits of [`late`], and no others.
+    /// From now on delays the events of the sources whose bits (see [`late`]) are set, and of no other source.
     Late(u8),
     Miscount(u8, i8),
     StoreFails(bool),
@@ -118,7 +122,7 @@ const WATCHES_FROM: u8 = 240;
 /// Settings of what the machine monitors, and of its reactions to faults. None of them changes how positions are
 /// computed from the motors' step counts.
 const WATCHES: [u16; 11] = [914, 915, 916, 918, 922, 923, 924, 926, 927, 928, 929];
-/// Those of [`WATCHES`] whose value is a multiple of 0.05 s.
+/// Settings of [`WATCHES`] that are times in seconds. A [`Line::Setting`] sets them to multiples of 0.05 s.
 const TIMES: [u16; 4] = [916, 922, 923, 929];
 
 impl Line {
@@ -225,8 +229,8 @@ fn tell(board: &mut Board, lie: &Lie) {
     }
 }
 
-/// Compares the controller's position with that of the motors: their offset (`apart`) must be the same at each rest,
-/// until an action redefines the position.
+/// Compares the controller's position with the steps of the motors. The difference of the two (`apart`, in 0.01
+/// steps) must be the same whenever the machine is idle, until an action redefines the position.
 #[derive(Default)]
 struct Account {
     apart: Option<[i64; AXES]>,
@@ -260,7 +264,7 @@ impl Account {
         let places = board.controller.machine_position();
         let mut apart = [0; AXES];
         for (apart, (place, motor)) in apart.iter_mut().zip(places.iter().zip(board.motors)) {
-            // Hundredths of a step.
+            // In 0.01 steps; `place.0` is in 0.1 nm.
             *apart = place.0 * STEPS_PER_MM / 100_000 - 100 * i64::from(motor);
         }
         let known = *self.apart.get_or_insert(apart);
@@ -270,7 +274,8 @@ impl Account {
     }
 }
 
-/// After the actions: delivers late events, releases inputs, restores settings, and checks that a jog makes its steps.
+/// Ends a session: delivers late events, releases inputs, restores settings, and checks that a jog makes its steps.
+/// After false events, nothing is checked.
 fn back_to_idle(mut board: Board) {
     board.late = 0;
     board.store_fails = false;
@@ -278,8 +283,8 @@ fn back_to_idle(mut board: Board) {
         return;
     }
     board.inputs(0);
-    // A reset runs the startup lines. One of them can keep the machine moving for long, even after a dwell. A second
-    // reset during this motion locks the machine, so this reset does not run the startup lines again.
+    // A reset runs the startup lines. One of them can keep the machine moving for long, at once or after a dwell. So
+    // a second reset follows: a reset during motion locks the machine, and then the startup lines do not run.
     let is_restored = (0..4).any(|_| {
         for time in [20_000, 200_000] {
             board.command(Realtime::Reset);

@@ -1,8 +1,11 @@
-//! Bytes of two hosts, one on a UART and one on USB, with queues that fill up and hosts that connect and disconnect.
+//! Fuzz target: bytes of two hosts, one on a UART and one on USB. Queues fill up, and hosts connect and disconnect.
 //!
-//! Invariants: a line that is read is a whole line of a host, in the order of that host's lines, unless it is marked as
-//! damaged or cut off by a reset; rejected bytes leave no trace; no command is invented or doubled; a waiting host gets
-//! room as soon as the queues have been read.
+//! Invariants:
+//! - A line that is read is a whole line of one host. The lines of a host are read in order.
+//! - Only a line that is marked as damaged, or cut off by a reset, may be incomplete.
+//! - Rejected bytes leave no trace.
+//! - No command is invented or doubled.
+//! - A waiting host gets room as soon as the queues have been read.
 
 use super::work::at_most;
 use arbitrary::{Arbitrary, Unstructured};
@@ -60,7 +63,7 @@ enum Action {
     Usb(u8, u8),
     UsbComes,
     UsbGoes,
-    /// The controller reads some bytes.
+    /// The controller reads at most this many bytes of lines.
     Read(u8),
     ReadCommands,
     Free(bool),
@@ -71,8 +74,8 @@ enum Action {
 struct Reader {
     half: Vec<LineByte>,
     epoch: u16,
-    /// For each host, the lines that it has sent and the controller has not read. A line has two possible numbers of
-    /// letters: of the whole line, and of its rest after a reset in the middle of the line.
+    /// Lines that each host has sent and the controller has not read. A line is stored as two numbers of letters: of
+    /// the whole line, and of the part after a reset in its middle. Without a reset, both numbers are equal.
     sent: [VecDeque<[usize; 2]>; 2],
     /// Realtime commands that were sent and have not been read.
     commands: Vec<Realtime>,
@@ -89,7 +92,8 @@ pub fn run(data: &[u8]) {
 const LETTERS: [u8; 2] = [b'a', b'b'];
 
 impl Reader {
-    /// Returns a line of a host: its letter repeated, with `byte` in the middle unless that is a letter of a host.
+    /// Returns the bytes of a line: the letter of the host, repeated `length` modulo 12 times, with `byte` in the
+    /// middle. If `byte` is the letter of a host, it is left out. Also notes what the controller is expected to read.
     fn line(&mut self, host: usize, length: u8, byte: u8) -> Vec<u8> {
         let mut line = vec![LETTERS[host]; usize::from(length % 12)];
         let (whole, middle) = (line.len(), line.len() / 2);

@@ -17,7 +17,7 @@ pub mod stored;
 pub mod usb;
 pub mod work;
 
-/// A target: its name and its function.
+/// The name of a target, as in `OXMILL_FUZZ_TARGET`, and its function.
 pub type Target = (&'static str, fn(&[u8]));
 
 /// The fuzz targets. Each has a corpus of the same name.
@@ -33,7 +33,7 @@ pub const TARGETS: [Target; 9] = [
     ("usb", usb::run),
 ];
 
-/// Returns the target of this name.
+/// Returns the function of the target with this name; `None` if there is no such target.
 pub fn target(name: &str) -> Option<fn(&[u8])> {
     TARGETS.iter().find(|(known, _)| *known == name).map(|(_, run)| *run)
 }
@@ -73,7 +73,8 @@ mod tests {
         };
     }
 
-    /// The corpus is older than the dialect of `$900=3`, so no input of it chooses this dialect.
+    /// Runs the corpus of `settings` in the dialect of grblHAL (`$900=3`). The corpus is older than this dialect, so
+    /// none of its inputs chooses the dialect itself.
     #[test]
     fn settings_in_the_dialect_of_grblhal() {
         let text = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/corpus/settings.txt"));

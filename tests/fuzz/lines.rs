@@ -1,8 +1,12 @@
-//! G-code as a host sends it, in each dialect: lines, comments, expressions, parameters, O words, lines of macros. The
-//! first byte chooses the dialect, block delete on or off, and a fourth axis or none.
+//! Fuzz target: G-code as a host sends it, in the dialects Oxmill, Grbl and Seed. The text has lines, comments,
+//! expressions, parameters, O words, and lines of macros. The first byte chooses the dialect, block delete on or off,
+//! and a fourth axis or none.
 //!
-//! Invariants: a rejected line changes nothing; every position stays within range; every value that a line yields is a
-//! finite number; each stored line of a subroutine, loop or macro is carried out with a bounded amount of work.
+//! Invariants:
+//! - A rejected line changes nothing.
+//! - Every position stays within range.
+//! - Every value that a line yields is a finite number.
+//! - Each stored line of a subroutine, loop or macro is carried out with a bounded amount of work.
 
 use super::work::at_most;
 use oxmill_controller::error::Error;
@@ -13,8 +17,8 @@ use oxmill_controller::protocol::line_filter::{self, Line, LineRules, Pushed};
 
 /// X, Y, Z and A; the first byte can disable A.
 const AXES: usize = 4;
-/// Maximum number of control-flow edges in a call; the highest count in 20 million executions was 5,120: a call that
-/// looks for its subroutine in a full store of macros.
+/// Maximum number of control-flow edges in a call. The highest count in 20 million executions was 5,120, in a call
+/// that looked for its subroutine in a full store of macros.
 const MOST_WORK: u64 = 20_000;
 /// Maximum number of lines that a program executes, because it can contain an endless loop.
 const MOST_LINES: usize = 2_000;

@@ -1,11 +1,15 @@
-//! Programs on a homed machine with soft limits, each line through the whole controller to the pulses: every dialect,
-//! lines, arcs, splines, cycles, expressions, loops, jogs, pauses. The first byte chooses the dialect. A realtime
-//! command within a line (hold, door, override, jog cancel, reset) is sent after the line, with a delay proportional to
-//! its position in the line.
+//! Fuzz target: programs on a homed machine with soft limits. Each line passes through the whole controller to the
+//! pulses. The programs have lines, arcs, splines, cycles, expressions, loops, jogs and pauses. The first byte
+//! chooses the dialect: Oxmill, Grbl or Seed.
 //!
-//! Invariants: while the position is trusted no pulse leaves the travel, whatever is held, overridden or reset; each
-//! line is answered once, after a bounded number of rounds; nothing moves in an alarm; at rest the reported position
-//! agrees with the steps that were output.
+//! A realtime command within a line (hold, door, override, jog cancel, reset) is sent after the line. Its delay is
+//! proportional to its position in the line.
+//!
+//! Invariants:
+//! - While the position is trusted, no pulse leaves the travel, even with holds, overrides and resets.
+//! - Each line is answered once, after a bounded number of rounds.
+//! - Nothing moves in an alarm.
+//! - At rest, the reported position agrees with the steps that were output.
 
 use super::board::{AXES, Board, shows};
 use oxmill_controller::messages::Realtime;
@@ -157,7 +161,7 @@ fn end(mut board: Board) {
     let places = board.controller.machine_position();
     for (axis, place) in places.iter().enumerate().take(AXES) {
         let steps = i64::from(board.motors[axis] - travel[axis].1);
-        // Hundredths of a step.
+        // In 0.01 steps; `place.0` is in 0.1 nm.
         let apart = place.0 * STEPS_PER_MM / 100_000 - 100 * steps;
         assert!(apart.abs() <= 100, "axis {axis} is at {} of 0.1 nm, and has made {steps} steps", place.0);
     }

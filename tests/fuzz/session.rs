@@ -1,9 +1,12 @@
-//! A machine in the simulator with all kinds of events: text, realtime commands, inputs, hosts that connect and
-//! disconnect, power cuts while a record is written, and time.
+//! Fuzz target: a machine in the simulator with all kinds of events. These are text, realtime commands, inputs, hosts
+//! that connect and disconnect, power cuts while a record is written, and time.
 //!
-//! Invariants: `?` is always answered with a report; a reset ends every motion; if a power cut interrupts a line,
-//! either everything of it is stored or nothing; once the inputs are released, the settings restored and a reset sent,
-//! the machine is idle, and a jog makes exactly its steps and changes the reported position by them.
+//! Invariants:
+//! - `?` is always answered with a report.
+//! - A reset ends every motion.
+//! - If a power cut interrupts a line, either everything that the line stores is stored, or nothing.
+//! - At the end, inputs are released, settings restored and a reset sent. Then the machine is idle, and a jog makes
+//!   exactly its steps and changes the reported position by them.
 
 use super::board::shows;
 use arbitrary::{Arbitrary, Unstructured};
@@ -12,7 +15,8 @@ use oxmill_simulator::{Fittings, Options, Simulator, Store};
 use oxmill_test_support::numbers;
 use std::time::Duration;
 
-/// A machine with switches and a plate, fast enough for short sessions. 250 steps/mm: a report shows each step exactly.
+/// Description of a machine with limit switches and a probe plate. They are only a few mm away, so that sessions are
+/// short. At 250 steps/mm a step is 0.004 mm, so a report with three decimals shows each step exactly.
 pub const MACHINE: &str = r#"
     steps_per_mm = [250, 250, 250]
     switch = [
@@ -93,7 +97,7 @@ const COMMANDS: [&str; 21] = [
     "O1CALL",
 ];
 
-/// Settings of what the machine monitors and how it reacts to faults. A [`Line::Command`] with the number
+/// Lines that set what the machine monitors and how it reacts to faults. A [`Line::Command`] with the number
 /// [`WATCHES_FROM`] or a higher one sends one of them.
 const WATCHES: [&str; 16] = [
     "$914=0", "$915=1", "$916=.02", "$918=1", "$922=.02", "$922=.1", "$923=.02", "$923=.1", "$924=1", "$924=5",
@@ -222,8 +226,8 @@ fn reset(mill: &mut Simulator) {
     mill.run_for(Duration::from_millis(200));
 }
 
-/// After any events: releases inputs, restores settings, resets, and checks that the machine moves as commanded.
-/// `history` is printed on failure.
+/// Brings the machine back to idle after any events: releases inputs, restores settings, and resets. Then checks that
+/// a jog makes its steps. `history` is printed on failure.
 pub fn back_to_idle(mill: &mut Simulator, history: &str) {
     mill.connect();
     for pin in PINS {
@@ -232,8 +236,8 @@ pub fn back_to_idle(mill: &mut Simulator, history: &str) {
     reset(mill);
     reset(mill);
     assert!(!mill.is_stepping(), "a reset ends every motion: {} {history}", status(mill));
-    // The empty line ends a line whose start was cut off by a reset. If the store looks damaged after a power cut, the
-    // controller accepts `$X` only some time after the settings have been listed.
+    // The empty line ends a line whose start was cut off by a reset. After a power cut the store can look damaged.
+    // Then the controller accepts `$X` only some time after the settings have been listed.
     mill.take_output();
     mill.send("\n$X\n");
     mill.run_for(Duration::from_millis(100));

@@ -1,8 +1,11 @@
-//! `$` commands, and values of settings, startup lines, macros and build info in each dialect, with a store that works
-//! or fails, and power-ups between them. The first byte chooses the dialect.
+//! Fuzz target: `$` commands, and changes of settings, startup lines, macros and build info, in each dialect. The
+//! store works or fails, and the power is cycled in between. The first byte chooses the dialect.
 //!
-//! Invariants: each line is answered once; a rejected line leaves every listing unchanged; an accepted value is listed
-//! as it was set and changes nothing else; after a power-up, everything that the store has accepted is as before.
+//! Invariants:
+//! - Each line is answered once.
+//! - A rejected line leaves every listing unchanged.
+//! - An accepted value is listed as it was set and changes nothing else.
+//! - After a power-up, everything that the store has accepted is as before.
 
 use super::board::{Board, shows};
 use arbitrary::{Arbitrary, Unstructured};
@@ -39,7 +42,7 @@ enum Value {
     Text([u8; 4]),
 }
 
-/// Settings with side effects or with related settings.
+/// Numbers of settings that have side effects, or that other settings depend on.
 const KNOWN: [u16; 48] = [
     0, 1, 2, 3, 4, 5, 6, 10, 11, 12, 13, 20, 21, 22, 23, 24, 25, 26, 27, 29, 30, 31, 32, 33, 37, 40, 41, 43, 44, 56,
     57, 58, 59, 100, 101, 110, 112, 120, 122, 130, 132, 140, 900, 901, 904, 905, 924, 928,
@@ -123,7 +126,7 @@ pub fn run(data: &[u8]) {
     }
 }
 
-/// Returns a text as one line, without bytes that the link treats as commands.
+/// Returns a text as one line of at most 110 characters, without bytes that the link treats as commands.
 fn one_line(text: &str) -> String {
     text.chars().filter(|c| c.is_ascii() && !c.is_ascii_control() && !matches!(c, '!' | '?' | '~')).take(110).collect()
 }
@@ -165,8 +168,8 @@ impl Machine {
         }
     }
 
-    /// Sends a line and checks that listings change only where `may` allows it, and not at all if the line was
-    /// rejected.
+    /// Sends a line and checks which lines of the listings it changes. A rejected line must change none. An accepted
+    /// line may change only those for which `may` returns `true`. Returns `true` if the line was accepted.
     fn line(&mut self, line: &str, may: impl Fn(&str) -> bool) -> bool {
         let mut said = self.board.ask(line);
         // A line that waits for the operator is resumed with `~`.
@@ -198,7 +201,8 @@ impl Machine {
         }
         let listed = self.list();
         let accepted = answers == ["ok"];
-        // `$B` and `$O` of `$900=3` act until power-off.
+        // With `$900=3`, `$B` switches block delete and `$O` switches optional stop, until power-off. They are not
+        // stored.
         self.is_stored &= !["[MSG:Block delete", "[MSG:Optional stop"].iter().any(|toggled| said.contains(toggled));
         let gone = self.listed.iter().filter(|line| !listed.contains(line));
         let new = listed.iter().filter(|line| !self.listed.contains(line));
@@ -220,8 +224,8 @@ impl Machine {
             self.go_on();
         }
         self.is_busy = !self.board.controller.is_idle();
-        // The empty line ends an unfinished line, and the mode of checked lines (`$LC=ON`), which a reset ends only at
-        // the next line end.
+        // The empty line ends an unfinished line. It also ends the mode of checked lines (`$LC=ON`): after a reset
+        // this mode lasts until the next line end.
         self.board.ask("");
         self.board.ask("$X");
     }
@@ -231,12 +235,12 @@ impl Machine {
         self.board.pass(1_000_000, false);
     }
 
-    /// Changes a setting and checks that it is listed as set, to the digits of the report, and that no other line of
-    /// the listings changes, except those that depend on this setting.
+    /// Changes a setting. If the value is accepted, the listing must show it, to as many digits as the listing has.
+    /// No other line of the listings may change, except lines that depend on this setting.
     fn set(&mut self, number: u16, text: &str) {
         let name = format!("${number}=");
-        // Disabling homing also disables soft limits; inches change the units of listings; another dialect has other
-        // listings.
+        // Lines that depend on this setting: without homing there are no soft limits, inches change the units of
+        // listings, and another dialect has other listings.
         let is_grblhal = self.board.controller.speaks_grblhal();
         let follows = |line: &str| match number {
             22 => line.starts_with("$20=") || is_grblhal && line.starts_with("$932="),
@@ -280,7 +284,7 @@ impl Machine {
         let number = name.trim_start_matches("$N").trim_start_matches("$M").trim_end_matches('=');
         let shown = format!("{}{number}=", if listing == "$I" { "[VER" } else { listing });
         let accepted = self.line(&format!("{name}{text}"), |changed| {
-            // A startup line is carried out when it is set.
+            // A startup line is carried out when it is set, so it can change the lines of `$#`, which begin with `[`.
             let carried_out = listing == "$N" && changed.starts_with('[');
             changed.starts_with(&shown) || listing == "$I" && changed.starts_with("[VER") || carried_out
         });

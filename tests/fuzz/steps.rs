@@ -1,8 +1,11 @@
-//! Messages to the step generator: blocks of any steps, cut into any segments that a planner can produce, loaded early
-//! or late, with stops between them.
+//! Fuzz target: messages to the step generator. Blocks have any numbers of steps and are cut into any segments that a
+//! planner can produce. Messages arrive early or late, with stops in between.
 //!
-//! Invariants: no axis makes more than one step per tick; the reported position is that of the steps made; a complete
-//! block makes exactly its steps; after a stop or an underrun nothing moves until motion is resumed.
+//! Invariants:
+//! - No axis makes more than one step per tick.
+//! - The reported position agrees with the steps made.
+//! - A complete block makes exactly its steps.
+//! - After a stop or an underrun nothing moves until motion is resumed.
 
 use super::work::at_most;
 use arbitrary::{Arbitrary, Unstructured};
@@ -11,7 +14,7 @@ use oxmill_controller::messages::{AxisSteps, Segment, StepEvent, ToStep, UNITS_P
 use std::collections::VecDeque;
 
 const AXES: usize = 3;
-/// Maximum number of ticks of a run.
+/// After so many ticks of the step generator, no more actions are carried out.
 const MOST_TICKS: u32 = 20_000;
 
 #[derive(Arbitrary)]
@@ -45,7 +48,7 @@ struct Run {
     /// End position of the queued blocks.
     planned: [i32; AXES],
     ticks: u32,
-    /// While a stop or an underrun has stopped the motion: the number of stops so far. `None` while motion is allowed.
+    /// Number of stops so far, while a stop or an underrun blocks motion. `None` while motion is allowed.
     shut: Option<u16>,
 }
 
@@ -126,8 +129,8 @@ impl Run {
         }
     }
 
-    /// Returns the path units that one tick advances in a segment that starts at `units`: at most those of `level`, and
-    /// so few that `units` is a multiple of them.
+    /// Returns how many path units ([`UNITS_PER_STEP`] to a step) one tick of a segment advances. `units`: path units
+    /// before the segment. `level` gives the maximum. The value is halved until `units` is a multiple of it.
     fn units_per_tick(&self, units: u32, level: u8) -> u32 {
         let mut per_tick = UNITS_PER_STEP >> (level % 5);
         while !units.is_multiple_of(per_tick) {

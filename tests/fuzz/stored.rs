@@ -1,8 +1,11 @@
-//! Flash memory with arbitrary contents, and changes to it, each of which a power cut can interrupt.
+//! Fuzz target: flash memory with arbitrary contents, and changes to it. A power cut can interrupt each change.
 //!
-//! Invariants: opening never fails, whatever the contents; a key is never counted twice; only erased words are written;
-//! a stored value is found, even after another power-up; if a change is interrupted, either all of it is stored or
-//! nothing, and all other values stay.
+//! Invariants:
+//! - Opening never fails, whatever the contents.
+//! - No key is read twice.
+//! - Only erased words are written.
+//! - A stored value is found, even after another power-up.
+//! - If a change is interrupted, either all of it is stored or nothing, and all other values stay.
 
 use super::work::at_most;
 use arbitrary::{Arbitrary, Unstructured};
@@ -99,8 +102,9 @@ fn open(memory: Memory) -> Log<Memory> {
     }
 }
 
-/// Makes a change, cuts the power during it, and powers up again. Acknowledged values must still be there. `after`:
-/// number of flash operations before the cut, modulo 64.
+/// Makes a change, cuts the power during it, and powers up again. `after`: number of flash operations before the cut,
+/// modulo 64. `new`: the contents after the change. `known` becomes `new` if the change was acknowledged, or if all
+/// of it was stored. The caller compares `known` with the contents.
 fn cut(
     mut log: Log<Memory>,
     after: u8,

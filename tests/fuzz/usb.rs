@@ -1,10 +1,12 @@
-//! Programs that open and close the USB port, with or without DTR, a cable that is pulled, packets that arrive after
-//! their sender has closed the port, and a controller that reads at any time. Tests the boards' tracking of the
-//! connected host (`boards/usb_host.rs`) and the link after it. The parts of the port that use registers and the driver
-//! library are tested on the virtual board.
+//! Fuzz target: programs that open and close the USB port, with or without DTR. The cable is pulled, packets arrive
+//! after their sender has closed the port, and the controller reads at any time. Tests how the boards track the
+//! connected host (`boards/usb_host.rs`), and the link behind that. Code that uses registers or the driver library is
+//! tested on the virtual board.
 //!
-//! Invariants: a line that is read is a whole line of a host; bytes that arrive from a host after it has closed the
-//! port are not read; at the end of the session, the lines of a host that opens the port are read.
+//! Invariants:
+//! - A line that is read is a whole line of one host.
+//! - Bytes that arrive from a host after it has closed the port are not read.
+//! - At the end of the session, the lines of a host that opens the port are read.
 
 use super::board::shows;
 use super::hosts::MOST_WORK;
@@ -88,8 +90,8 @@ struct Bus {
     now: u32,
     dtr: bool,
     plugged: bool,
-    /// Letter that the lines of the current host consist of; the next host has another one. After a close it is still
-    /// the letter of the host that has closed the port, because late packets of that host can arrive.
+    /// Letter of which the lines of the current host consist. Each new host gets another letter. After a close the
+    /// letter stays for a while, because late packets of the host that has closed the port can arrive.
     letter: u8,
     closed_at: Option<u32>,
     /// Number of letters of this host's unfinished line.
@@ -169,7 +171,8 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
         board.act(&action);
         board.task();
     }
-    // Reads everything that earlier hosts have sent: more bytes than the queue to the controller and the links hold.
+    // Reads everything that earlier hosts have sent. The three reads fetch more bytes than the links and the queue to
+    // the controller hold.
     for _ in 0..3 {
         board.act(&Action::Read(255));
         board.task();
@@ -191,7 +194,8 @@ impl Board {
             Action::Open if *plugged && !*dtr => {
                 *dtr = true;
                 *closed_at = None;
-                // A host that opens the port is a different one from a host that sent without opening it.
+                // A host that opens the port counts as another host, even if one has sent without opening the port
+                // before.
                 self.bus.next_host();
             }
             Action::Close if *plugged && *dtr => {
@@ -199,8 +203,8 @@ impl Board {
                 *closed_at = Some(*now);
             }
             Action::Packet(bytes, end) if *plugged => {
-                // After a close, a host that sends without opening the port counts as another host only when no late
-                // bytes of the previous host can arrive any more.
+                // Soon after a close, bytes without DTR count as late bytes of the previous host. So another host
+                // that sends without opening the port starts only after this time.
                 if !*dtr && is_late {
                     return;
                 }

@@ -1,51 +1,55 @@
-//! Compares how much each axis changes its speed, read from the step times alone, with what physics and the junction
-//! rule allow. Nothing here is taken from the planner.
+//! Compares how much each axis changes its speed with what physics and the junction rule allow. The speeds are read
+//! from the step times alone. Nothing here is taken from the planner.
 //!
-//! **Measured.** p(t) is the position of an axis at time t (mm), v(t) its speed (mm/s). The mean speed over a window of
-//! T seconds is compared with the mean speed over the next window: `D = (p(t+2T) - 2 p(t+T) + p(t)) / T`, in mm/s. D is
-//! the mean of `v(τ+T) - v(τ)` over all τ from t to t+T. So D has a bound: the allowed change of speed over a window of
-//! length T, averaged over the same τ. A change of speed that takes only a fraction of T is seen in full: if it happens
-//! at t+T, D equals it.
+//! **Measured.** p(t) is the position of an axis at time t (mm), v(t) its speed (mm/s). The mean speed over a window
+//! of T seconds is subtracted from the mean speed over the next window. The difference, in mm/s, is:
 //!
-//! **Allowed.** Between τ and τ+T the path turns from one direction to another by the angle φ (rad), in any number of
-//! vertices. From here on, v is the speed along the path.
-//! - Acceleration: `a T` for the axis, where a covers the acceleration along and across the path together. It may be
-//!   exceeded by the share [`RAMP`].
-//! - The junction rule passes a single vertex of turn φ at `v² = a d s / (1 - s)`, where a is the acceleration across
-//!   the path, d the junction deviation and s = cos(φ / 2). The axis speed then jumps by v times the difference of the
-//!   axis' two direction cosines. A turn made in several vertices is granted the jump of the *whole* turn once, not a
-//!   jump per vertex, because for the motor several vertices are no different from one. For a stretch of the path that
-//!   is L long and turns by φ, the controller's rule is `v² <= a (L / φ + d s / (1 - s))`. With L <= v T it follows
-//!   that the change of velocity is `v φ <= a T + v_j φ`, where v_j is the speed at a single vertex of turn φ. So the
-//!   two terms here are this rule, for a path of any form. A jump per vertex would grant a multiple of the rule.
-//! - The granted jump falls to zero for a reversal, and has a limit for small turns: v_j φ → √(8 a d). The feed also
+//! `D = (p(t+2T) - 2 p(t+T) + p(t)) / T`.
+//!
+//! D is the mean of `v(τ+T) - v(τ)` over all times τ from t to t+T. So the limit of D is the mean of the allowed
+//! changes of speed over the same times τ. If the speed jumps at t+T, D is the whole jump.
+//!
+//! **Allowed.** Between the times τ and τ+T the path turns by the angle φ (rad), in any number of vertices. From here
+//! on, v is the speed along the path.
+//! - Acceleration: an axis with the acceleration a may change its speed by `a T`. This covers the acceleration along
+//!   and across the path together. The share [`RAMP`] may be added.
+//! - Junction rule: a single vertex of turn φ is passed at `v² = a d s / (1 - s)`. Here a is the acceleration across
+//!   the path, d the junction deviation and s = cos(φ / 2). The axis speed then jumps by v times the difference of
+//!   the axis' two direction cosines.
+//! - Several vertices: the jump of the *whole* turn is granted once, not a jump per vertex. For the motor, several
+//!   vertices are no different from one. A jump per vertex would grant a multiple of the controller's rule. That rule
+//!   is `v² <= a (L / φ + d s / (1 - s))` for a part of the path of length L that turns by φ. With L <= v T it
+//!   follows that `v φ <= a T + v_j φ`, where v_j is the speed at a single vertex of turn φ. So the terms here,
+//!   acceleration and one jump, are this rule for a path of any form.
+//! - The granted jump falls to zero for a reversal. For small turns it has a limit: v_j φ → √(8 a d). The feed also
 //!   bounds v.
-//! - Directions are those of the intended chords, before rounding to the program's digits, so that they carry no noise;
-//!   the position error due to rounding is a term of its own.
+//! - Directions are taken from the intended chords, before they are rounded to the program's digits, so they have no
+//!   noise. The position error due to rounding is a term of its own.
 //!
-//! **Uncertain.** D is a second difference with the weights 1, -2, 1: positions that are off by up to u cause an error
-//! of up to `4 u / T`.
-//! - Steps: an axis steps half way between two positions, so its position is well known between two consecutive steps.
-//!   But a block starts and ends at whole steps, which adds half a step. If two steps are far apart, the axis can rest
-//!   or reverse between them, which adds another half: [`STEPS`].
-//! - Digits: each coordinate is off by up to half of a digit (the value of the program's last decimal place), and the
-//!   machine drives this noisy path. A controller sees only these points and can take a curve to be flatter by the same
-//!   amount: half a digit in each coordinate, √3 times that in all three together ([`DIGITS`]). The direction of a
-//!   stretch of length l is off by up to 2 [`POINT`] / l, because both of its ends are off. A turn can be
-//!   underestimated by the sum of the errors of its two directions. So a controller can mistake a reversal between two
-//!   pieces that are not much longer than a digit for a corner. A controller also cannot distinguish a vertex from a
-//!   bend as wide as the noise of the points on both sides. Such a bend of radius R is taken at v² = a R.
+//! **Uncertain.** D has the weights 1, -2 and 1. So if positions are off by up to u, D is off by up to `4 u / T`.
+//! - Steps ([`STEPS`]): an axis steps half way between two positions, so its position is well known between two
+//!   consecutive steps. But a block starts and ends at whole steps, which adds half a step. If two steps are far
+//!   apart, the axis can rest or reverse between them, which adds another half.
+//! - Digits ([`DIGITS`]): each coordinate is off by up to half of a digit (the value of the program's last decimal
+//!   place). The machine drives this noisy path. A controller sees only these points and can take a curve to be
+//!   flatter by half a digit in each coordinate, √3 times that in all three together.
+//! - Directions: the direction of a chord of length l is off by up to 2 [`POINT`] / l, because both of its ends are
+//!   off. A turn can be underestimated by the errors of its two directions together. So between two chords that are
+//!   not much longer than a digit, a controller can mistake a reversal for a corner.
+//! - Bends: a controller cannot distinguish a vertex from a bend as wide as the noise of the points on both sides.
+//!   Such a bend of radius R is taken at v² = a R.
 
 use super::estimator::Limits;
 use super::oracle::{AXES, Place, Pulse};
 
 /// Share by which the combined acceleration along and across the path may exceed the acceleration limit of the axis.
 pub const RAMP: f64 = 0.05;
-/// Uncertainty of a position, in steps: interpolated between two steps that follow each other quickly, and elsewhere,
-/// where the axis can rest or reverse.
+/// Uncertainty of a position, in steps. The first value is for a position interpolated between two steps that follow
+/// each other quickly. The second is for all other positions, where the axis can rest or reverse.
 const STEPS: [f64; 2] = [0.6, 1.0];
-/// Uncertainty of a position, in half digits (of the program's coordinates): 1 for its own rounding, and √3 because a
-/// controller can take the curve to be flatter by half a digit in each of three coordinates.
+/// Uncertainty of a position, in half digits of the program's coordinates. It is the sum of two parts: 1 for the
+/// rounding of the coordinate, and √3 because a controller can take the curve to be flatter by half a digit in each
+/// of three coordinates.
 const DIGITS: f64 = 2.75;
 /// Uncertainty of a point, in half digits: about √3, because a point has three coordinates.
 const POINT: f64 = 1.75;
@@ -67,15 +71,15 @@ pub struct Course {
     pub digit: f64,
     /// mm/s.
     pub feed: f64,
-    /// Whether the chords approximate a smooth curve. If so, a jump is granted only at vertices that turn by more than
-    /// [`CORNER`], one for each of them.
+    /// `true` if the chords approximate a smooth curve. Then a jump is granted only at vertices that turn by more
+    /// than [`CORNER`], one for each of them.
     pub smooth: bool,
 }
 
 /// The change of an axis' speed that is largest relative to what is allowed.
 #[derive(Clone, Copy, Debug)]
 pub struct Change {
-    /// `seen` / `allowed`: above 1 is a fault.
+    /// `seen` / `allowed`; a value above 1 is a fault.
     pub ratio: f64,
     pub axis: usize,
     /// Time of the change since the first step, s.
@@ -113,8 +117,8 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// Effect of noise on a turn: the angle by which a controller can underestimate the turn, rad, and the radius of a bend
-/// that it can take for the vertex, mm.
+/// Effects of noise on a turn. `turn`: angle by which a controller can underestimate the turn, rad. `radius`: radius
+/// of a bend that a controller can take the vertex for, mm.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Unsure {
     turn: f64,
@@ -153,8 +157,8 @@ fn places(trace: &[Pulse], hz: f64) -> Vec<(f64, Place)> {
     places
 }
 
-/// Returns the time at which the machine passes each vertex. It must pass all of them in order, each within a step. The
-/// time is the middle between the first and the last moment at which the machine is at the vertex.
+/// Returns the time at which the machine passes each vertex, s. It must pass all of them in order, each within a
+/// step. The time is the middle between the machine's arrival at the vertex and its departure.
 fn passed(places: &[(f64, Place)], course: &Course, limits: &Limits) -> Result<Vec<f64>, String> {
     let mut from = 0;
     let at = |index: usize| if index == 0 { [0; AXES] } else { places[index - 1].1 };
@@ -170,16 +174,16 @@ fn passed(places: &[(f64, Place)], course: &Course, limits: &Limits) -> Result<V
         times.push(0.5 * (time(first) + time(last)));
         from = first;
     }
-    // The first moments at the vertices are in order. The middles need not be, because a stay near one vertex can
-    // outlast a stay near the next.
+    // The machine arrives at the vertices in order. The middles need not be in order, because a stay near one vertex
+    // can outlast a stay near the next.
     for index in 1..times.len() {
         times[index] = times[index].max(times[index - 1]);
     }
     Ok(times)
 }
 
-/// State of the machine at evenly spaced times: the chord that it is on (the index of the chord's direction), and the
-/// positions of the axes.
+/// State of the machine at times that are `step` seconds apart. `directions`: index of the chord that the machine is
+/// on. `places`: positions of the axes.
 struct Reading {
     step: f64,
     directions: Vec<usize>,
@@ -188,9 +192,8 @@ struct Reading {
 }
 
 /// Returns the position of an axis at evenly spaced times, and its uncertainty, both in steps. At the time of a step
-/// the axis counts as half way between two positions. Between two steps it is taken to move evenly, so the only error
-/// comes from the ends of blocks, which are rounded to steps. If two steps are so far apart that the axis can rest or
-/// reverse between them, the counted position is returned.
+/// the axis counts as half way between two positions. Between two steps it is taken to move evenly. If two steps are
+/// so far apart that the axis can rest or reverse between them, the counted position is returned.
 fn course_of_axis(places: &[(f64, Place)], axis: usize, step: f64, margin: usize, total: usize) -> Vec<(f64, f64)> {
     let mut levels = vec![];
     let mut before = 0;
@@ -238,8 +241,9 @@ fn read(places: &[(f64, Place)], passed: &[f64], step: f64) -> Reading {
     Reading { step, directions, places }
 }
 
-/// Returns the uncertainty of each chord's direction, rad, in two lists: measured over the straight stretch that ends
-/// with the chord, and over the straight stretch that starts with it.
+/// Returns the uncertainty of each chord's direction, rad, in two lists. A direction is more certain over a longer
+/// straight part of the path. The first list measures it over the straight part that ends with the chord, the second
+/// over the straight part that starts with it.
 fn unsure(course: &Course, chords: &[[f64; AXES]]) -> [Vec<f64>; 2] {
     let length = |k: usize| norm(minus(course.meant[k + 1], course.meant[k]));
     let kept = |k: usize, others: &mut dyn Iterator<Item = usize>| {
@@ -252,8 +256,8 @@ fn unsure(course: &Course, chords: &[[f64; AXES]]) -> [Vec<f64>; 2] {
     ]
 }
 
-/// Returns for each reading the speed jump of each axis, mm/s, that the junction rule allows for the turn between this
-/// reading and the one a window later.
+/// Returns for each reading the speed jump of each axis, mm/s, that the junction rule allows within the following
+/// window. The rule is applied to the turn between the reading and the one a window later.
 fn grants(course: &Course, chords: &[[f64; AXES]], directions: &[usize], limits: &Limits) -> Vec<[f64; AXES]> {
     let [behind, ahead] = unsure(course, chords);
     let grant = |before: usize, after: usize| {
@@ -281,7 +285,8 @@ fn grants(course: &Course, chords: &[[f64; AXES]], directions: &[usize], limits:
         .collect()
 }
 
-/// Returns the change of an axis' speed over a window (s) that is largest relative to what is allowed.
+/// Returns the change of an axis' speed that is largest relative to what is allowed. `window`: time over which mean
+/// speeds are compared, s.
 ///
 /// # Errors
 /// The machine does not follow the course.

@@ -1,5 +1,5 @@
-//! A machine whose carriages have play, and a controller that compensates for it: the tests compare the positions of
-//! the carriages.
+//! A machine whose carriages have play, and a controller that compensates for it. The tests compare where the
+//! carriages are with where they should be.
 
 use super::oracle::AXES;
 use super::rig::HZ;
@@ -16,7 +16,8 @@ const STEPS: f64 = 400.0;
 const PLAY: [f64; AXES] = [0.05, 0.03, 0.0];
 const RATE: [f64; AXES] = [6000.0, 5000.0, 3000.0];
 const ACCELERATION: [f64; AXES] = [600.0, 500.0, 300.0];
-/// Edge of the cells in which nearby positions are looked up, mm: more than a carriage may be away from its path.
+/// Edge of the cubes in which nearby positions are looked up, mm. It is longer than the distance that a carriage may
+/// be off its path.
 const CELL: f64 = 0.1;
 const JUNCTION_DEVIATION: f64 = 0.01;
 
@@ -110,8 +111,8 @@ fn a_profile_is_not_interrupted() {
     assert!(seconds[1] < 1.02 * seconds[0], "{seconds:?}");
 }
 
-/// Moves shorter than the backlash, back and forth, end at the same position as without compensation, although the
-/// carriage has not reached the end of a move when the next one starts.
+/// Moves shorter than the backlash, back and forth, end at the same position as without compensation. This holds even
+/// though the carriage has not reached the end of one move when the next one starts.
 #[test]
 fn short_moves_back_and_forth_end_in_the_right_place() {
     for line in
@@ -169,8 +170,8 @@ fn carriages(mill: &Simulator) -> Vec<[f64; AXES]> {
     places
 }
 
-/// Checks that no motor exceeds its speed and acceleration, by counting steps in windows of 10 ms, in which one step is
-/// 0.25 mm/s.
+/// Checks that no motor exceeds its speed and acceleration. Steps are counted in windows of 10 ms, so one step more
+/// or less is a difference of 0.25 mm/s.
 fn within_limits(mill: &Simulator, acceleration: [f64; AXES]) -> Result<(), String> {
     let window = HZ / 100;
     let end = mill.trace().kept().last().map_or(0, |r| r.at);
@@ -276,7 +277,7 @@ fn a_motor_that_takes_up_backlash_is_not_too_fast() {
     assert!(fastest > 0.99 * least, "{fastest} of {least}");
 }
 
-/// In a relief (X is fast, and the slow Z reverses while X moves), no axis exceeds its limits while Z takes up its
+/// In a relief, X is fast, and the slow Z reverses while X moves. No axis may exceed its limits while Z takes up its
 /// backlash.
 #[test]
 fn a_slow_axis_takes_up_its_backlash_no_faster_than_its_own_corners() {
@@ -358,7 +359,7 @@ fn a_reset_after_parking_finds_the_tool_where_it_is() {
             mill.run_for(Duration::from_millis(100));
             assert_eq!(mill.machine_position(), before);
         }
-        // Machine zero is still at the switches, 4 mm from the position at power-up.
+        // The switches are 4 mm from the position at power-up, and machine zero is still at the switches.
         let reported = mill.machine_position();
         let place = mill.fittings().driven_mm();
         let home = [2.0 + 2.0; AXES];
@@ -425,8 +426,8 @@ fn home_is_true_and_parking_comes_back() {
     }
 }
 
-/// On a CoreXY machine, a belt that takes up its backlash during Y's homing cycle also moves X: the reported X must be
-/// the position at which X is after that cycle.
+/// On a CoreXY machine, a belt that takes up its backlash during Y's homing cycle also moves X. So after that cycle,
+/// the reported X must include this movement.
 #[test]
 fn home_is_true_with_belts_that_have_backlash() {
     const AT: [f64; AXES] = [4.0, 5.0, 3.0];

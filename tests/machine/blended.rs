@@ -1,6 +1,6 @@
 //! G64 P: rounded corners and merged moves. The distance between the tool and the programmed path is measured on the
-//! steps, geometrically and both ways: every step position is near the path, and every point of the path is near a step
-//! position. Nothing here is taken from the planner.
+//! steps, both ways: every step position must be near the path, and every point of the path near a step position.
+//! Nothing here is taken from the planner.
 
 use super::axis_speeds::{Course, greatest_change};
 use super::estimator::Limits;
@@ -14,17 +14,17 @@ use std::collections::HashMap;
 
 type Point = [f64; AXES];
 
-/// Maximum distance of step positions from the driven path, in steps of each motor: half a step, and a fourteenth for
-/// the rounding of the path's ends (docs/motion.md). If the run without a tolerance is farther off the path, its
-/// distance is allowed instead.
+/// Maximum distance of step positions from the driven path, in steps of each motor. It is half a step, and 1/14 of a
+/// step for the rounding of the path's ends (docs/motion.md). If the run without a tolerance is farther off the path,
+/// its distance is allowed instead.
 const STEP: f64 = 0.5 + 1.0 / 14.0;
-/// A job with a tolerance counts as slower if it takes longer than without one by this factor and also by more than
-/// [`NOTICEABLE_S`].
+/// Factor by which a job with a tolerance may take longer than without. A longer job is a fault only if the
+/// difference also exceeds [`NOTICEABLE_S`].
 const SLOWER: f64 = 1.005;
-/// Smaller differences of duration, s, are ignored: they occur anyway between runs of short jobs.
+/// Difference of duration, s, that is ignored: it also occurs between runs of short jobs without a tolerance.
 const NOTICEABLE_S: f64 = 0.012;
-/// Allowed ratio of the change of speed read by [`super::axis_speeds`] to the change allowed on the programmed path. It
-/// is above 1 because the corner that the tool drives lies beside the programmed one.
+/// Maximum ratio of a change of speed read by [`super::axis_speeds`] to the change that is allowed on the programmed
+/// path. The ratio is above 1 because the tool drives a rounded corner, which lies beside the programmed one.
 const CHANGE: f64 = 1.1;
 /// Spacing of the path points that the tool must come near, mm.
 const SPACING: f64 = 0.02;
@@ -94,13 +94,13 @@ fn along(path: &[Point]) -> Vec<Point> {
     points
 }
 
-/// Result of running a job with a tolerance, compared with the exact path.
+/// Result of a job with a tolerance, compared with the programmed path and with a run without a tolerance.
 #[derive(Debug)]
 struct Outcome {
-    /// Maximum distance of the steps from the path, and of the path from the steps, mm.
+    /// Maximum distance of the steps from the programmed path, and of the programmed path from the steps, mm.
     steps: f64,
     path: f64,
-    /// Duration, s, and its ratio to the duration on the exact path.
+    /// Duration, s, and its ratio to the duration without a tolerance.
     seconds: f64,
     share: f64,
     /// Largest change of an axis' speed, as a ratio to the allowed one.
@@ -166,7 +166,7 @@ impl Job<'_> {
     }
 }
 
-/// Runs a job with several tolerances and returns the faults.
+/// Runs a job on three machines, with two tolerances on each, and returns the faults.
 fn check(name: &str, points: &[Point], style: Style) -> Vec<String> {
     let mut faults = Vec::new();
     for (steps_per_mm, feed, jerk) in [(80.0, 100.0, 0.0), (250.0, 33.0, 0.0), (250.0, 100.0, 20_000.0)] {
@@ -328,8 +328,8 @@ fn holds_overrides_and_backlash_leave_the_path_as_it_is() {
     assert_eq!(run(&backlash, &blended).place, run(&backlash, &text).place);
 }
 
-/// After a reset during a job with G64 P the machine is where its steps have moved it, and the next job starts there:
-/// the moves that the controller was holding back to merge them or to round their corners are dropped.
+/// After a reset during a job with G64 P the reported position agrees with the steps made, and the next job starts
+/// there. Moves that the controller has held back, to merge them or to round their corners, are dropped.
 #[test]
 fn after_a_reset_nothing_is_left_of_what_was_held_back() {
     let points = walk(&mut Random(5));
@@ -353,16 +353,16 @@ fn after_a_reset_nothing_is_left_of_what_was_held_back() {
     assert_eq!(rig.place[0] - place[0], 250);
 }
 
-/// Pieces of a long path, indexed by the cubes of space that they pass, so that the cost of a lookup does not depend on
-/// the path's length.
+/// Pieces of a long path. An index lists, for each cube of space, the pieces that pass through it. So the cost of a
+/// lookup does not depend on the path's length.
 struct Space {
     pieces: Vec<[Point; 2]>,
     cubes: HashMap<[i32; AXES], Vec<u32>>,
 }
 
 impl Space {
-    /// Edge of the cubes into which [`Space`] divides space, mm. Also the maximum distance that it can measure, because
-    /// it searches only a point's own cube and the adjacent ones.
+    /// Edge of the cubes into which [`Space`] divides space, mm. It is also the maximum distance that can be
+    /// measured, because only a point's own cube and the adjacent ones are searched.
     const CUBE: f64 = 0.15;
 
     fn of(path: &[Point]) -> Space {
@@ -384,7 +384,7 @@ impl Space {
         point.map(|mm| (mm / Self::CUBE).floor() as i32)
     }
 
-    /// Returns the maximum distance of the points from the path, limited to one cube's edge, mm.
+    /// Returns the maximum distance of the points from the path, mm, but at most [`Space::CUBE`].
     fn farthest(&self, points: &[Point]) -> f64 {
         let mut most = 0.0_f64;
         for point in points {
@@ -459,8 +459,8 @@ fn run_late(settings: &str, text: &str, line_s: f64) -> Rig {
     rig
 }
 
-/// Window in which mean speeds are compared if the tool does not pass the vertices, so that [`greatest_change`] cannot
-/// be used, s.
+/// Length of the windows whose mean speeds `greatest_jump` compares, s. This comparison replaces [`greatest_change`]
+/// if the tool does not pass the vertices.
 const WINDOW: f64 = 0.02;
 
 /// Returns the largest change of an axis' mean speed from one window to the next, mm/s.
@@ -494,15 +494,15 @@ fn greatest_jump(trace: &[Pulse], steps_per_mm: f64) -> f64 {
     most
 }
 
-/// Returns the ratio of the largest changes of an axis' mean speed: with a tolerance (`rig`) and on the exact path. Two
-/// steps per window are added to the latter, because a step can fall into either of two windows.
+/// Returns the largest change of an axis' mean speed with a tolerance (`rig`), divided by the largest change without
+/// (`exact`). Two steps per window are added to the divisor, because a step can fall into either of two windows.
 fn against(rig: &Rig, exact: &Rig, steps_per_mm: f64) -> f64 {
     greatest_jump(&rig.trace, steps_per_mm) / (greatest_jump(&exact.trace, steps_per_mm) + 2.0 / steps_per_mm / WINDOW)
 }
 
-/// The machine brakes for a bend even if the bend's lines arrive late. On the exact path no axis changes its speed by
-/// more than allowed. With a tolerance the tool misses the vertices that `greatest_change` needs, so the change of
-/// speed is compared with the one on the exact path over the same link.
+/// The machine brakes for a bend even if the bend's lines arrive late. Without a tolerance no axis changes its speed
+/// by more than allowed. With a tolerance the tool misses the vertices that `greatest_change` needs. So its change of
+/// speed is compared with the one without a tolerance, over the same link.
 #[test]
 fn over_a_late_link_no_axis_changes_its_speed_faster() {
     let cases = std::env::var("OXMILL_BLENDED").ok().and_then(|cases| cases.parse().ok()).unwrap_or(25);

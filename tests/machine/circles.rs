@@ -6,9 +6,10 @@ use proptest::prelude::*;
 use std::fmt::Write;
 use std::io::Cursor;
 
-/// A circle: radius in hundredths of a millimetre, whether clockwise, and feed in mm/min. The radius has no more than
-/// two decimals: the controller derives the precision of a line from the decimals of its axis words, at most 0.01 mm.
-/// With more decimals, the line from the centre would count as more precise than G12, whose line has no axis word.
+/// A circle: radius in 0.01 mm, `true` for clockwise, and feed in mm/min. The radius has no more than two decimals,
+/// because the controller derives the precision of a line from the decimals of its axis words. The precision is 0.01
+/// mm for up to two decimals, and for G12, which has no axis word. With more decimals, the written-out line from the
+/// centre would count as more precise than G12.
 type Circle = (u32, bool, u32);
 
 /// Writes a program of circles, each at another place, with G12 and G13 or with the same moves written out.
@@ -57,8 +58,8 @@ proptest! {
         turned in prop_oneof![Just(0), -180i32..180],
         mirrored in any::<bool>(),
     ) {
-        // With a rotation, the points of the written lines are rounded to 0.1 nm one after the other, so the circles
-        // after the first one would begin elsewhere.
+        // With a rotation, the points of the written-out lines are rounded to 0.1 nm one after the other. So the
+        // circles after the first one would begin elsewhere, and only one circle is compared.
         let circles = if turned == 0 { &circles[..] } else { &circles[..1] };
         let [short, long] = [false, true].map(|written_out| run(&program(circles, turned, mirrored, written_out)));
         prop_assert_eq!(short, long, "{}", program(circles, turned, mirrored, false));

@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 /// Virtual seconds to wait for an answer before the test fails.
 const PATIENCE: f64 = 600.0;
 
-/// A conversation in progress.
+/// A conversation in progress: the machine, and the part of its output that no step of the file has read.
 struct Talk {
     rig: Rig,
     unread: String,

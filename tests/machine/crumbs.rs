@@ -3,7 +3,7 @@
 use super::oracle::AXES;
 use super::rig::{HZ, Rig};
 
-/// Intervals between the steps of an axis, in seconds.
+/// Returns the intervals between the steps of an axis, s.
 fn intervals(rig: &Rig, axis: usize) -> Vec<f64> {
     let times: Vec<u64> = rig.trace.iter().filter(|p| p.steps >> axis & 1 != 0).map(|p| p.at).collect();
     times.windows(2).map(|w| (w[1] - w[0]) as f64 / HZ as f64).collect()
@@ -27,7 +27,7 @@ fn a_hairs_breadth_is_no_faster_than_its_axis() {
     assert!(least > 0.99 * 0.5 / 80.0 / 100.0, "{least} s");
 }
 
-/// If lines move X by less than a step and Y by more, Y must not exceed its maximum rate.
+/// Y must not exceed its maximum rate in lines that move Y by steps and X by less than a step.
 #[test]
 fn beside_a_hairs_breadth_axes_keep_their_rates() {
     let mut rig = Rig::with("$0=1\n$11=0.01\n$100=80\n$101=400\n$110=6000\n$111=600\n$120=500\n$121=100\n");
@@ -39,7 +39,8 @@ fn beside_a_hairs_breadth_axes_keep_their_rates() {
     assert!(1.0 / 400.0 / least < 10.5, "{} mm/s", 1.0 / 400.0 / least);
 }
 
-/// A straight line in short chords runs without corners, even if one axis has coarse steps and the other has fine ones.
+/// A straight line in short chords is not slowed by corners, even if one axis has coarse steps and the other has fine
+/// ones.
 #[test]
 fn coarse_steps_make_no_corners() {
     let mut rig = Rig::with("$0=1\n$11=0.01\n$100=250\n$101=8.889\n$110=6000\n$111=6000\n$120=500\n$121=500\n");
@@ -60,8 +61,8 @@ fn inverse_time_of_a_hairs_breadth() {
     assert!(seconds > 2.0 && seconds < 3.5, "{seconds} s");
 }
 
-/// Between two long moves of X, Y moves back and forth by less than a step. Meanwhile X cannot move on. So X must brake
-/// to the speed allowed at a corner, and accelerate from that speed afterwards.
+/// Between two long moves of X, Y moves back and forth by less than a step. Meanwhile X stands still. So X must brake
+/// to the speed allowed at a corner before these moves, and accelerate from that speed after them.
 #[test]
 fn a_wait_for_crumbs_is_a_corner() {
     let mut rig = machine(80.0, 100.0, 500.0);
@@ -72,8 +73,8 @@ fn a_wait_for_crumbs_is_a_corner() {
     // junction deviation, s = cos(45°)). One step (0.0125 mm) later the acceleration has raised this to 5.4 mm/s.
     let slowest = speeds[200..3000].iter().copied().fold(f64::MAX, f64::min);
     assert!(slowest < 6.0, "{slowest} mm/s");
-    // Compare mean speeds over 32 steps (0.4 mm), because the smoothing of steps makes single intervals uneven. The
-    // squares of two successive means may differ by 1.2 times what the acceleration allows over 0.4 mm, plus 40 (mm/s)²
+    // Compare mean speeds over 32 steps (0.4 mm), because the smoothing of steps makes single intervals uneven. Over
+    // 0.4 mm the acceleration a changes v² by 2 a × 0.4 mm. The test allows 1.2 times this change, plus 40 (mm/s)²
     // for the speed jump at the corner.
     let means: Vec<f64> = speeds.chunks(32).map(|w| w.len() as f64 / w.iter().map(|v| 1.0 / v).sum::<f64>()).collect();
     for pair in means.windows(2) {
@@ -82,8 +83,8 @@ fn a_wait_for_crumbs_is_a_corner() {
     }
 }
 
-/// At a corner between moves shorter than the usual resolution of programs (0.001 mm), the machine slows down, even if
-/// its steps are shorter still.
+/// The machine slows down at a corner between moves of 0.0005 mm. These are shorter than the usual resolution of
+/// programs (0.001 mm), but still longer than its steps (0.0001 mm).
 #[test]
 fn corners_between_moves_shorter_than_a_digit() {
     let mut rig = machine(10_000.0, 10.0, 100.0);
@@ -102,8 +103,8 @@ fn corners_between_moves_shorter_than_a_digit() {
     assert!(speed < 3.0, "{speed} mm/s into the turn");
 }
 
-/// A reversed move of X, during which the motor also takes up backlash, is carried out even though X has 0.1 and Z
-/// 40,000 steps/mm.
+/// A reversal of X, in which the motor also takes up backlash, is carried out even with the extreme resolutions of
+/// 0.1 steps/mm on X and 40,000 steps/mm on Z.
 #[test]
 fn backlash_on_the_longest_moves() {
     let settings = "$0=1\n$11=0\n$100=0.1\n$160=70\n$102=40000\n$110=60000\n$112=100\n$120=1000\n$122=100\n";

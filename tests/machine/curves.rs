@@ -1,6 +1,5 @@
-//! Smooth curves taken at changing speed: each motor has to supply the acceleration across the path and the ramp along
-//! it at the same time, and the sum must stay within the limit of its axis. Also compares the durations with the
-//! shortest possible time ([`super::optimum`]): `cargo test --test machine curves -- --nocapture` prints the table.
+//! Smooth curves at changing speed. Each motor supplies the acceleration across the path and the acceleration along
+//! it at the same time. The sum must stay within the limit of its axis.
 
 use super::axis_speeds::{Change, Course, Unsure, granted, greatest_change};
 use super::estimator::Limits;
@@ -11,8 +10,8 @@ use super::turns::{Style, program, run, seconds, settings};
 use oxmill_controller::messages::Realtime;
 use std::f64::consts::{PI, TAU};
 
-/// Window in which speeds are compared, s: long enough that steps and digits contribute 1 % of the change due to
-/// acceleration.
+/// Length of the windows whose mean speeds are compared, s. In so long a window, steps and digits contribute only 1 %
+/// of the change due to acceleration.
 const WINDOW: f64 = 0.020;
 /// Length of the chords of the programs, mm.
 const CHORD: f64 = 0.1;
@@ -24,7 +23,7 @@ const LIMITS: Limits =
 
 type Curve = Box<dyn Fn(f64) -> [f64; AXES]>;
 
-/// A smooth part of a shape, for parameters from 0 to 1, and its feed in mm/s.
+/// A smooth part of a shape. `curve`: position in mm for a parameter from 0 to 1. `feed`: mm/s.
 struct Part {
     curve: Curve,
     feed: f64,
@@ -38,7 +37,7 @@ fn line(feed: f64, from: [f64; 2], to: [f64; 2]) -> Part {
     part(feed, move |u| [from[0] + (to[0] - from[0]) * u, from[1] + (to[1] - from[1]) * u, 0.0])
 }
 
-/// An arc around a centre, from one angle to the other.
+/// Returns an arc around a centre, from one angle (rad) to the other.
 fn arc(feed: f64, centre: [f64; 2], radius: f64, angles: [f64; 2]) -> Part {
     part(feed, move |u| {
         let angle = angles[0] + (angles[1] - angles[0]) * u;
@@ -151,7 +150,8 @@ fn pieces(shape: &[Part]) -> Vec<Piece> {
         let mut entry2 = f64::INFINITY;
         if let Some(before) = pieces.last() {
             let turn = minus(tangents[0], before.tangent);
-            // Where two parts join smoothly, the tangents differ by no more than the path turns within one piece.
+            // Where two parts join smoothly, the tangents differ by no more than the path turns within one piece. A
+            // larger difference is a corner.
             if norm(turn) > 0.02 {
                 let jump = granted(before.tangent, tangents[0], Unsure::default(), &LIMITS, f64::INFINITY);
                 entry2 = (norm(jump) / norm(turn)).powi(2);
@@ -173,8 +173,8 @@ fn pieces(shape: &[Part]) -> Vec<Piece> {
     pieces
 }
 
-/// Returns a program that drives a shape in chords, starting at the origin, and the course (the intended points) with
-/// which its steps are compared.
+/// Returns a program that drives a shape in chords, starting at the origin. Also returns the course (the intended
+/// points), with which the steps are compared.
 fn in_chords(shape: &[Part]) -> (String, Course) {
     let start = (shape[0].curve)(0.0);
     let (mut points, mut feeds) = (Vec::new(), Vec::new());
@@ -202,7 +202,7 @@ fn measure(shape: &[Part], jerk: f64) -> (f64, Change) {
     (seconds(&rig) + unseen, greatest_change(&rig.trace, HZ as f64, &course, &LIMITS, WINDOW).unwrap())
 }
 
-/// Returns the shortest time of a shape, s.
+/// Returns the shortest time, s, in which a machine with [`LIMITS`] can drive a shape.
 fn shortest(shape: &[Part], bound: Bound) -> f64 {
     let pieces = pieces(shape);
     duration(&pieces, &optimum(&pieces, &LIMITS, bound))
@@ -273,9 +273,8 @@ fn ramps_on_curves_stay_within_the_acceleration_of_each_axis() {
 /// Percent by which a shape may take longer than the shortest time.
 const MOST_MORE: f64 = 15.0;
 
-/// Drives a circle at the speed at which its bend uses all of the acceleration, and brakes by `commands` after `after`
-/// seconds. Returns the largest change of speed, and the time from the commands until the path speed is below 15 mm/s,
-/// s.
+/// Drives a circle so fast that the bend uses all of the acceleration. After `after` seconds, brakes by `commands`.
+/// Returns the largest change of speed, and the time from the commands until the path speed is below 15 mm/s, s.
 fn braked_on_a_circle(jerk: f64, after: f64, commands: &[Realtime]) -> (Change, f64) {
     let (text, course) = in_chords(&[arc(100.0, [0.0, 0.0], 20.0, [0.0, 2.0 * TAU])]);
     let mut rig = Rig::with(&settings(&LIMITS, jerk));
@@ -300,9 +299,9 @@ fn braked_on_a_circle(jerk: f64, after: f64, commands: &[Realtime]) -> (Change, 
     (greatest_change(&rig.trace, HZ as f64, &course, &LIMITS, WINDOW).unwrap(), took)
 }
 
-/// A lower override and a hold in a bend brake with the part of the acceleration that the bend does not use. On a
-/// circle of radius R, passed at v² = a·R (a: acceleration), braking to rest takes 1.31 · v/a, where 1.31 is the
-/// integral of 1/√(1 - x⁴) from 0 to 1. With a jerk limit J, braking takes a/J longer.
+/// In a bend, a lower override and a hold brake with the part of the acceleration that the bend does not use. On a
+/// circle of radius R, passed at v² = a·R (a: acceleration), braking to rest takes 1.31 · v/a. Here 1.31 is the
+/// integral of 1/√(1 - x⁴) from 0 to 1. A jerk limit J adds a/J.
 #[test]
 fn braking_in_a_bend_stays_within_the_acceleration() {
     let lower = [Realtime::FeedDown10; 9];

@@ -1,39 +1,41 @@
 //! Measures speed and acceleration on a step trace, and compares them with the machine's limits.
 //!
 //! How limits are measured, with every allowance:
-//! - Path speed comes from the intervals between steps of a block's dominant axis, once they are shorter than 1 ms. A
-//!   step time is rounded to a tick of the step clock, so a speed can be off by one tick of its interval. In addition a
-//!   limit may be exceeded by 1 % ([`TOLERANCE`]).
-//! - Below 8000 steps/s the generator works on a finer grid, and a step comes up to 7/16 of a step earlier in the path
-//!   than at higher rates; where the grid changes, an interval is longer or shorter by up to this share. Below this
-//!   rate a speed is measured over 16 steps, with an allowance of 7/16 of a step.
-//! - Acceleration is the change of that speed between two intervals, divided by the time between their middles. While
-//!   the acceleration is constant, the mean speed of an interval is the speed at its middle; otherwise the quotient is
-//!   a mean of accelerations that must all be allowed. Each interval is compared with the intervals 1, 2, 4, 8, ...
-//!   later, so that neither a jump nor a small lasting excess is missed.
-//! - A change of acceleration shows only at the next whole step of the dominant axis, which then contains the whole
-//!   effect. So an acceleration can seem to have acted for one step longer than the time between two intervals.
+//! - Path speed comes from the intervals between steps of a block's dominant axis (the axis with the most steps).
+//!   Only intervals shorter than 1 ms count. A step time is rounded to a tick of the step clock, so a speed can be
+//!   off by one tick of its interval. In addition a limit may be exceeded by 1 % ([`TOLERANCE`]).
+//! - Below 8000 steps/s the generator works on a finer grid. There a step comes up to 7/16 of a step earlier in the
+//!   path than at higher rates. Where the grid changes, an interval is longer or shorter by up to this share. So
+//!   below this rate a speed is measured over 16 steps, with an allowance of 7/16 of a step.
+//! - Acceleration is the change of speed between two intervals, divided by the time between their middles. Under
+//!   constant acceleration, the mean speed of an interval is the speed at its middle. Otherwise the quotient is a
+//!   mean of accelerations, all of which must be allowed. Each interval is compared with the intervals 1, 2, 4, 8,
+//!   ... later. So both a jump and a small lasting excess are found.
+//! - A change of acceleration shows only at the next whole step of the dominant axis, and then in full. So an
+//!   acceleration can seem to have acted for one step longer than the time between two intervals.
 //! - The ends of a move are rounded to steps, so its length, and with it its speeds, can be off by half a step.
-//! - Below one step per millisecond a single interval says little. A start from rest is checked instead: within a time
-//!   t after its first step, the machine moves by at most one step more than `v t + a t² / 2`. Here v is the speed that
-//!   the acceleration a reaches within one step: `v² = 2 a` × the length of a step.
-//! - At a corner the junction rule bounds the path speed: the machine may cut the corner on a circle that passes within
-//!   the junction deviation of it, at the acceleration that the axes allow across the path. The two intervals next to
-//!   the corner are allowed to be faster by what the block's acceleration adds in the time between them, which is
-//!   longer than the time from either of them to the corner.
-//! - On a chain of moves without a sharp corner v² is at most a·R: R is the radius of the bend, and a the acceleration
-//!   that the axes allow towards its centre. R comes from three points: the ends of neighbouring moves, or points about
-//!   one of [`REACHES`] away on both sides. The latter are used where the path turns by less than [`GENTLE`] between
-//!   them. The junction deviation also grants a jump for the whole turn.
-//!   Every point can be half a digit off; the part of the bend that this can explain is subtracted. A planner that uses
-//!   other points can see a bend start half a reach later and still brake within it, so v² may be larger by a·reach.
-//! - Short lines that continue each other can have been joined ([`Joins`]): then the trace follows the straight line
-//!   from the start of the first to the end of the last, and every point between is within half a step of this line.
-//!   The trace does not show which lines were joined: the machine can have driven the last few lines as a separate
-//!   move, half a step longer or shorter than the lines are. So the speed of joined lines is also measured over 16
-//!   steps, with an allowance of half a step.
-//! - Programs carry half a digit of noise: if the directions of two moves differ by no more than one digit over the
-//!   length of the shorter move, the path counts as straight there.
+//! - Below one step per millisecond a single interval says little. There only a start from rest is checked. Within a
+//!   time t after its first step, the machine moves by at most one step more than `v t + a t² / 2`. Here v is the
+//!   speed that the acceleration a reaches within one step: `v² = 2 a` × the length of a step.
+//! - At a corner the junction rule bounds the path speed. It allows the speed of a circle that cuts the corner and
+//!   passes within the junction deviation of it, at the acceleration that the axes allow across the path. The two
+//!   intervals next to the corner may be faster by what the block's acceleration adds in the time between them. That
+//!   time is longer than the time from either of them to the corner.
+//! - On a chain of moves without a sharp corner v² is at most a·R: R is the radius of the bend, and a the
+//!   acceleration that the axes allow towards its centre. R comes from three points: the corner and one point on each
+//!   side. These two are the ends of the neighbouring moves, or points about one of [`REACHES`] away. Points that far
+//!   away are used only if the path turns by less than [`GENTLE`] between them. The junction deviation also grants a
+//!   jump for the whole turn.
+//! - Every point of a bend can be half a digit off. The part of the bend that this can explain is subtracted. A
+//!   planner that uses other points can see a bend start half a reach later and still brake within the bend. So v²
+//!   may be larger by a·reach.
+//! - Short lines that continue each other can have been joined to one move ([`Joins`]). Then the trace follows the
+//!   straight line from the start of the first to the end of the last. Every point between is within half a step of
+//!   this line. The trace does not show which lines were joined. The last few lines can have been a separate move,
+//!   half a step longer or shorter than the lines are. So the speed of joined lines is also measured over 16 steps,
+//!   with an allowance of half a step.
+//! - Coordinates of programs are off by up to half a digit. So the path counts as straight if the directions of two
+//!   moves differ by no more than one digit over the length of the shorter move.
 
 use super::oracle::{AXES, Place, Pulse, dominant, follow_line};
 use std::collections::BTreeSet;
@@ -43,15 +45,16 @@ pub const TOLERANCE: f64 = 0.01;
 /// Resolution of the coordinates of the programs in these tests, mm.
 pub const DIGIT: f64 = 0.001;
 
-/// Distances along the path from a corner, mm, at which a point on each side is chosen to measure how tight the bend
-/// is.
+/// Distances along the path from a corner, mm. A point about this far away on each side is used to measure how tight
+/// the bend is.
 const REACHES: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
-/// Maximum turn of the path between these points, rad.
+/// Maximum turn of the path, rad, between the two points that are about one of [`REACHES`] away from the corner. If
+/// the path turns more, they are not used.
 const GENTLE: f64 = 0.35;
 /// Maximum turn at a single point that still counts as a bend, rad.
 const SHARP: f64 = 0.6;
-/// Minimum ratio of the straight distance to the distance along the path, between a corner and a point that is used to
-/// measure the bend.
+/// Minimum ratio of two distances from a corner to a point: straight, and along the path. With a lower ratio, the
+/// point is not used to measure the bend.
 const STRAIGHTNESS: f64 = 0.95;
 
 /// Maximum distance of a point from its intended position, mm: half a digit in two axes at once, rounded up.
@@ -61,8 +64,8 @@ const NOISE: f64 = 0.0008;
 const SMOOTHED: f64 = 8000.0;
 /// Maximum shift of a step by the finer grid, in steps.
 const SHIFT: f64 = 7.0 / 16.0;
-/// Maximum error of the length of a part of a joined move, in steps: the machine can have driven this part as a
-/// separate move, whose ends are rounded to steps.
+/// Maximum error of the length of a part of a joined move, in steps. The machine can have driven this part as a
+/// separate move, and the ends of a move are rounded to steps.
 const JOINED_SHIFT: f64 = 0.5;
 /// Number of steps over which a speed is measured on the finer grid and in joined moves.
 const WINDOW: usize = 16;
@@ -98,9 +101,9 @@ struct Move {
     acceleration: f64,
     /// mm of path for each step of the dominant axis.
     pitch: f64,
-    /// Share of the length that rounding its ends to steps can add or remove.
+    /// Half a step as a share of the length: rounding of the ends to steps can change the length by this share.
     slack: f64,
-    /// Whether several lines can have been joined to this move.
+    /// `true` if several lines of the program can have been joined to this move.
     is_joined: bool,
     /// Times of the steps of the dominant axis, ticks.
     times: Vec<u64>,
@@ -122,10 +125,10 @@ struct Reading {
 }
 
 impl Reading {
-    /// Returns the time, s, for which an acceleration can act between two readings: the acceleration × this time is the
-    /// largest difference between their mean speeds. The time is the sum of the distance between the middles of the
-    /// intervals, a quarter of the difference of their lengths, and one step, because a change of acceleration can show
-    /// one step late.
+    /// Returns the time, s, for which an acceleration can act between two readings. This time × the acceleration is
+    /// the largest difference between the two mean speeds. The time is a sum of three parts: the distance between the
+    /// middles of the intervals; a quarter of the difference of their lengths; and one step, because a change of
+    /// acceleration can show one step late.
     fn apart(&self, other: &Reading) -> f64 {
         (self.at - other.at).abs() + (self.span - other.span).abs() / 4.0 + self.step.max(other.step)
     }
@@ -138,8 +141,8 @@ impl Limits {
         (0..AXES).filter(|&a| unit[a] != 0.0).map(|a| values[a] / unit[a].abs()).fold(f64::INFINITY, f64::min)
     }
 
-    /// Returns the position in steps nearest to `mm`, rounding a half away from zero. Steps are first rounded to 1e-6,
-    /// because decimals such as 2.03 are slightly less in binary.
+    /// Returns the position in steps nearest to `mm`; a half is rounded away from zero. Steps are first rounded to
+    /// 1e-6, because the binary value of a decimal such as 2.03 can be slightly too small.
     pub fn place(&self, mm: [f64; AXES]) -> Place {
         std::array::from_fn(|a| ((mm[a] * self.steps_per_mm[a] * 1e6).round() / 1e6).round() as i64)
     }
@@ -197,8 +200,8 @@ impl Joins<'_> {
         dominant(self.limits.place(line.from), self.limits.place(line.to)).1 > 0
     }
 
-    /// Returns the indexes of lines with which a move can end that starts with line `first`, the shortest move first.
-    /// If it ends with `first`, no lines have been joined.
+    /// Returns the possible last lines of a move that starts with line `first`, as indexes, the shortest move first.
+    /// If the last line is `first` itself, no lines have been joined.
     fn ends(&self, first: usize) -> Vec<usize> {
         let (start, mut ends) = (&self.lines[first], vec![first]);
         let is_short = |line: &Line| (0..AXES).map(|a| (line.to[a] - line.from[a]).abs()).sum::<f64>() <= MOST_PIECE;
@@ -219,8 +222,8 @@ impl Joins<'_> {
         ends
     }
 
-    /// Finds the moves that the trace follows from start to end: for each its first and last line and the times of its
-    /// dominant steps. Tries the longest moves first, and backtracks.
+    /// Finds the moves that the trace follows from start to end. Returns for each its first line, its last line, and
+    /// the times of its dominant steps. Tries the longest moves first, and backtracks.
     fn follow(&self, trace: &[Pulse]) -> Result<Vec<(usize, usize, Vec<u64>)>, String> {
         let mut found: Vec<(usize, usize, Vec<u64>)> = Vec::new();
         let mut open: Vec<(usize, &[Pulse], Vec<usize>)> = Vec::new();
@@ -300,8 +303,8 @@ fn moves(trace: &[Pulse], lines: &[Line], limits: &Limits) -> Result<Vec<Move>, 
     Ok(moves)
 }
 
-/// Compares a trace of straight moves only, which starts and ends at rest, with the moves and the limits: the path step
-/// for step, speeds and accelerations as described at the head of this file.
+/// Compares a trace of straight moves with the program and the limits. The path is compared step for step, speeds and
+/// accelerations as described at the head of this file. The trace must start and end at rest.
 ///
 /// # Errors
 /// The first fault.
@@ -328,8 +331,8 @@ pub fn check(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits) -> Resul
 }
 
 /// Returns the mean speed in each interval between two steps of the dominant axis; `None` for intervals longer than a
-/// millisecond. In a joined move and at low step rates, the mean also covers the intervals that follow: up to
-/// [`WINDOW`] in all, and only those before the next interval longer than a millisecond.
+/// millisecond. In a joined move and at low step rates, the mean covers up to [`WINDOW`] intervals: this one and
+/// those that follow, but none from the next interval longer than a millisecond on.
 fn readings(m: &Move, hz: f64) -> Vec<Option<Reading>> {
     (1..m.times.len())
         .map(|i| {
@@ -416,9 +419,9 @@ fn check_corner(before: &Move, after: &Move, hz: f64, limits: &Limits) -> Result
     Ok(())
 }
 
-/// Returns the maximum speed² at a bend that is given by three points: on the circle through them, plus what the
-/// junction deviation allows. The part of the turn that noise can explain is subtracted first. Returns infinity if
-/// nothing of the turn is left, or if the turn is not less than `greatest_turn`.
+/// Returns the maximum speed², (mm/s)², at a bend that is given by three points: a·R on the circle through them, plus
+/// what the junction deviation allows. The part of the turn that noise can explain is subtracted first. Returns
+/// infinity if nothing of the turn is left, or if the turn is not less than `greatest_turn`.
 fn bend(points: [[f64; AXES]; 3], greatest_turn: f64, limits: &Limits) -> f64 {
     let [a, b, c] = points;
     let first: [f64; AXES] = std::array::from_fn(|i| b[i] - a[i]);
@@ -442,8 +445,8 @@ fn check_bend(moves: &[Move], corner: usize, hz: f64, limits: &Limits) -> Result
     let here = after.from;
     let mut allowed2 = bend([before.from, here, after.to], SHARP, limits);
     for reach in REACHES {
-        // Finds the nearest end of a move that lies at least `reach` away from the corner along the path. Returns it
-        // with that distance.
+        // Finds the nearest end of a move that is at least `reach` away from the corner, along the path. Returns this
+        // end and its distance along the path.
         let reached = |mut corners: Box<dyn Iterator<Item = usize> + '_>, far: fn(&Move) -> [f64; AXES]| {
             let mut path = 0.0;
             corners.find_map(|i| {
@@ -478,20 +481,20 @@ const CORNER: f64 = 0.05;
 /// Uncertainty of a position on the path between two steps, in steps.
 const UNCERTAIN: f64 = 0.5;
 
-/// Compares the jerk along the path with the limits of the axes (mm/s³, infinite for none), except while a corner of
-/// more than [`CORNER`] is passed.
+/// Compares the jerk along the path with the limits of the axes (mm/s³, infinite for none). Times at which a corner
+/// of more than [`CORNER`] is passed are exempt.
 ///
-/// The position on the path is read at four times, `h` apart. Its third difference is the weighted mean jerk times h³.
-/// A position between two steps is uncertain by half a step, so the third difference is uncertain by
-/// (1 + 3 + 3 + 1) / 2 = 4 steps; h is so long that this is a quarter of the limit times h³. Where directions change,
-/// the highest limit of the moves passed counts.
+/// The position on the path is read at four times, `h` seconds apart. Its third difference is the weighted mean jerk
+/// times h³. A position between two steps is uncertain by half a step. The weights of the third difference, 1, 3, 3
+/// and 1, add up to 8, so it is uncertain by 4 steps. The time h is so long that 4 steps are a quarter of the limit
+/// times h³. Where directions change, the highest limit of the moves passed applies.
 ///
 /// # Errors
 /// The first excess.
 pub fn check_jerk(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits, jerk: [f64; AXES]) -> Result<(), String> {
     let moves = moves(trace, lines, limits)?;
-    // For each dominant step: time, s, position on the path, mm, and index of the move. The machine is at rest before
-    // the first and after the last.
+    // For each dominant step: time (s), position on the path (mm), and index of the move. Outside these times the
+    // machine is at rest.
     let mut places: Vec<(f64, f64, usize)> = Vec::new();
     let mut corners = Vec::new();
     let mut way = 0.0;
@@ -541,8 +544,8 @@ pub fn check_jerk(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits, jer
     Ok(())
 }
 
-/// Checks a start from rest, with an allowance of one step. `times`: seconds from the first step to each step. For a
-/// stop, they are counted back from the last step.
+/// Checks a start from rest, with an allowance of one step. `times`: seconds from the first step to each step. To
+/// check a stop, the caller counts `times` back from the last step.
 fn check_rest(m: &Move, times: impl Iterator<Item = f64>) -> Result<(), String> {
     let acceleration = m.acceleration * (1.0 + TOLERANCE);
     let first = (2.0 * acceleration * m.pitch).sqrt();
@@ -628,9 +631,9 @@ mod tests {
         assert!(run(50.0, a * 1.03).unwrap_err().contains("mm/s²"));
     }
 
-    /// Thirty lines of 14 um that the machine can join. They are driven as one move, which passes; as one move that is
-    /// too fast; and as one move in the middle of which a few lines are a separate move, which rounding makes longer
-    /// than these lines are.
+    /// Thirty lines of 14 um that the machine can join. Driven as one move, they pass. Driven as one move that is too
+    /// fast, they fail. Driven as one move in which a few lines in the middle are a separate move, which rounding has
+    /// made longer, they pass.
     #[test]
     fn joined_lines_are_measured_over_several_steps() {
         let limits = Limits { steps_per_mm: [250.0; 3], acceleration: [9000.0; 3], ..limits() };
@@ -657,7 +660,7 @@ mod tests {
     fn a_jump_of_speed_is_seen() {
         let limits = limits();
         let smooth = trapezoid(LENGTH, 50.0, 400.0);
-        // From half of the path on, all steps come 9 us later, so one interval of 22 us is too long.
+        // From half of the path on, all steps come 9 us later. So one interval of 22 us becomes too long.
         let t = trace(&STRAIGHT, &limits, 0.0, |s| smooth(s) + if s > 0.5 { 9e-6 } else { 0.0 });
         assert!(check(&t, HZ, &[STRAIGHT], &limits).is_err());
         // Full speed from the first step on.

@@ -21,7 +21,7 @@ pub fn program(name: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// Returns the position after each pulse, in mm.
+/// Returns the position after each pulse, in mm. `from`: position before the first pulse, in mm.
 pub fn places(trace: &[Pulse], from: [f64; AXES], steps_per_mm: [f64; AXES]) -> Vec<[f64; AXES]> {
     let mut steps = [0; AXES];
     trace
@@ -75,8 +75,8 @@ fn five_circles() {
     }
 }
 
-/// The drilling program of chapter 4.5 of the document on which this controller is based drills its holes in order, in
-/// the dialect that has drilling cycles.
+/// The drilling program of chapter 4.5 of S. Tajima's document drills its holes in order. It runs in the dialect
+/// `$900=2`, which has drilling cycles.
 #[test]
 fn drilling() {
     const INCH: f64 = 25.4;
@@ -87,7 +87,7 @@ fn drilling() {
     assert_near(rig.place_mm(CARVER_STEPS), end, HALF_STEP);
     assert_near(rig.reported("MPos"), end, HALF_STEP + 0.0005);
     let all = places(&rig.trace, [0.0; AXES], [CARVER_STEPS; AXES]);
-    // The bottom of each hole, in drilling order; one hole is drilled twice.
+    // Positions at the bottom of each hole, in drilling order. One hole is drilled twice.
     let bottom = (-0.75 * INCH * CARVER_STEPS).round() / CARVER_STEPS;
     let mut holes: Vec<f64> = Vec::new();
     for cut in all.split(|p| p[2] != bottom).filter(|cut| !cut.is_empty()) {

@@ -1,9 +1,10 @@
-//! A whole session with `$900=3`, read as gSender and ioSender read a grblHAL: each line must fit one of the patterns
-//! that these senders know, and what they learn from the lines must be complete and correct.
+//! A whole session in the dialect of grblHAL (`$900=3`), read as the senders gSender and ioSender read it. Each line
+//! of the machine must fit one of the patterns that these senders know. What they learn from the lines must be
+//! complete and correct.
 //!
-//! The patterns are facts from their published source (2026). gSender tries its patterns in a fixed order, and shows a
-//! line that fits none of them as text of a terminal. ioSender splits lines at `:` and `|` and does not expect anything
-//! else.
+//! The patterns are taken from the published source of the senders (2026). gSender tries its patterns in a fixed
+//! order, and shows a line that fits none of them as text of a terminal. ioSender splits lines at `:` and `|`, and
+//! can read only lines of this form.
 
 use super::rig::Rig;
 use std::collections::{BTreeMap, BTreeSet};
@@ -16,7 +17,7 @@ const PATIENCE: f64 = 60.0;
 /// What a sender knows about the machine.
 #[derive(Default)]
 struct Known {
-    /// The name in the greeting, in `[FIRMWARE:..]` and in a full report.
+    /// The name of the firmware: in the greeting, in `[FIRMWARE:..]`, and in a full status report.
     greeted: String,
     firmware: String,
     reported: String,
@@ -25,7 +26,8 @@ struct Known {
     /// Fields of `[OPT:..]`.
     options: Vec<String>,
     words: Vec<String>,
-    /// Values that `$$` lists, rows that `$ES` lists, and the numbers of the settings for which `$ESH` has a row.
+    /// `values`: the settings that `$$` lists. `rows`: the rows that `$ES` lists. `details`: numbers of the settings
+    /// for which `$ESH` has a row.
     values: BTreeMap<u16, f64>,
     rows: BTreeMap<u16, Vec<String>>,
     details: BTreeSet<u16>,
@@ -76,7 +78,7 @@ impl Known {
             return self.hear_dollar(setting);
         }
         if let Some((number, row)) = line.split_once('\t') {
-            // A row of `$ESH`: name, unit, type, format, text, least, most.
+            // A row of `$ESH`. After the number it has name, unit, type, format, text, minimum and maximum.
             self.details.insert(number.parse().map_err(|_| "no number")?);
             return if row.split('\t').count() == 7 { Ok(()) } else { Err("not 8 columns".into()) };
         }
@@ -184,8 +186,8 @@ impl Known {
         Ok(())
     }
 
-    /// Checks that `$ES` and `$ESH` have a row for each setting, and that each value fits the type, labels and bounds
-    /// in its row, by which senders show it.
+    /// Checks that `$ES` and `$ESH` have a row for each setting. Senders show a setting by its row. So each value
+    /// must fit the type, labels and bounds in the row.
     fn check_settings(&self) {
         let of = |map: &BTreeMap<u16, _>| map.keys().copied().collect::<BTreeSet<u16>>();
         let numbers: BTreeSet<u16> = self.rows.keys().copied().collect();
@@ -275,8 +277,8 @@ impl Session {
         self.known.states[before].clone()
     }
 
-    /// Streams a program with at most [`IN_FLIGHT`] unanswered characters, as gSender does. `look` is called after each
-    /// line sent.
+    /// Streams a program with at most [`IN_FLIGHT`] unanswered characters, as gSender does. Calls `look` after each
+    /// line sent, with the number of lines sent so far.
     fn stream(&mut self, program: &[String], mut look: impl FnMut(&mut Session, usize)) {
         let (first, mut sent) = (self.known.oks, 0);
         for line in program {
@@ -297,7 +299,7 @@ impl Session {
     }
 }
 
-/// gSender: starts up, writes a machine profile, streams a job with a hold and a tool change.
+/// Acts as gSender: starts up, writes a machine profile, and streams a job with a hold and a tool change.
 #[test]
 fn gsender_drives_a_machine_of_dialect_grblhal() {
     let mut session = Session::new(&[(22, 1.0)]);
@@ -350,7 +352,8 @@ fn gsender_drives_a_machine_of_dialect_grblhal() {
     assert!(session.state(0x87).starts_with("Alarm"));
 }
 
-/// ioSender: starts up by 0x87 and `$I+`, reads what its pages show, and drives by the bytes from 0x80 on.
+/// Acts as ioSender: starts up by 0x87 and `$I+`, reads what its pages show, and drives the machine by realtime
+/// commands from 0x80 on.
 #[test]
 fn iosender_drives_a_machine_of_dialect_grblhal() {
     let mut session = Session::new(&[]);

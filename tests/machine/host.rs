@@ -18,8 +18,8 @@ impl Rig {
         let mut rig = Rig::new();
         assert_eq!(rig.read_lines(), ["", "Grbl 1.1h ['$' for help]"]);
         for line in settings.lines() {
-            // Only the first line is compared, because a message follows the `ok` while the set of settings is still
-            // unusable.
+            // Only the first line is compared. While the settings so far are still unusable together, a message
+            // follows the `ok`.
             assert_eq!(rig.ask(line).first().map(String::as_str), Some("ok"), "{line}");
         }
         rig
@@ -91,7 +91,7 @@ impl Rig {
         report.clone()
     }
 
-    /// Returns a position of the status report, `MPos` or `WPos`.
+    /// Requests a status report and returns one of its positions, mm. `name`: `MPos` or `WPos`.
     pub fn reported(&mut self, name: &str) -> [f64; AXES] {
         let report = self.status();
         numbers(&report, name).unwrap_or_else(|| panic!("no {name} in {report}"))

@@ -1,5 +1,5 @@
-//! Jerk-limited motion: the jerk is bounded at all times, splitting a path into blocks costs no time, and durations are
-//! near the shortest possible.
+//! Jerk-limited motion: the jerk is bounded at all times. Splitting a path into blocks costs no time, and durations
+//! are near the shortest possible.
 
 use super::estimator::{Limits, Line, check, check_jerk};
 use super::oracle::AXES;
@@ -22,7 +22,7 @@ fn settings(limits: &Limits, jerk: [f64; AXES]) -> String {
     text
 }
 
-/// A program in the plane with its expected end position and lines.
+/// A program of straight moves, with its expected end position (um) and its lines.
 #[derive(Clone, Debug)]
 struct Job {
     text: String,
@@ -74,7 +74,7 @@ impl Job {
     }
 }
 
-/// Returns the shortest time of a change of speed, s, and the distance covered in it, mm.
+/// Returns the shortest time of a change of speed, s, and the distance covered in it, mm. `from`, `to`: mm/s.
 fn ramp(from: f64, to: f64, acceleration: f64, jerk: f64) -> (f64, f64) {
     let change = (to - from).abs();
     let time = if change * jerk >= acceleration * acceleration {
@@ -85,9 +85,9 @@ fn ramp(from: f64, to: f64, acceleration: f64, jerk: f64) -> (f64, f64) {
     (time, 0.5 * (from + to) * time)
 }
 
-/// Returns the shortest time for a distance. `from`, `to`: speeds at its ends, where the acceleration is zero; `most`:
-/// maximum speed. The motion reaches the highest speed from which it can still slow down to the end speed, found by
-/// bisection.
+/// Returns the shortest time for a distance, s. `from`, `to`: speeds at its ends, where the acceleration is zero;
+/// `most`: maximum speed. Bisection finds the highest speed from which the motion can still slow down to the end
+/// speed.
 fn least_time(length: f64, from: f64, to: f64, most: f64, acceleration: f64, jerk: f64) -> f64 {
     let needs = |top: f64| ramp(from, top, acceleration, jerk).1 + ramp(top, to, acceleration, jerk).1;
     let (mut low, mut high) = (from.max(to), most);
@@ -105,8 +105,8 @@ fn least_time(length: f64, from: f64, to: f64, most: f64, acceleration: f64, jer
 
 const JERK: f64 = 5000.0;
 
-/// Returns the time, s, that the trace of a job does not cover: the motor moves by half a step before its first step
-/// and by half a step after its last one, which takes a few milliseconds each.
+/// Returns the time, s, that the trace of a job does not cover. The motor moves by half a step before its first step
+/// and by half a step after its last one. Each half step takes a few milliseconds.
 fn of_steps() -> f64 {
     2.0 * (6.0 * 0.5 / MACHINE.steps_per_mm[0] / JERK).cbrt()
 }
@@ -177,7 +177,8 @@ fn borders_of_blocks_cost_no_time() {
     assert!((seconds / ideal - 1.0).abs() < 0.01, "{seconds} of {ideal} s");
 }
 
-/// With a jerk limit, corners are passed no faster than the junction rule allows without one, and the job takes longer.
+/// With a jerk limit, corners are passed no faster than the junction rule allows without one. So the job takes
+/// longer.
 #[test]
 fn corners_are_passed_no_faster() {
     for turn in [10.0_f64, 35.0, 90.0, 150.0] {
@@ -194,8 +195,8 @@ fn corners_are_passed_no_faster() {
     }
 }
 
-/// After the corner Z moves, too, which has lower limits of jerk and acceleration. The machine must keep them, even if
-/// a hold or a lower feed override acts shortly before the corner.
+/// Before the corner only X moves. After it Z moves, too, and Z has lower limits of jerk and acceleration. These must
+/// be kept even if a hold or a lower feed override acts shortly before the corner.
 #[test]
 fn a_corner_is_minded_by_what_brakes_before_it() {
     let limits = Limits { acceleration: [500.0, 400.0, 60.0], ..MACHINE };
@@ -225,8 +226,8 @@ fn a_corner_is_minded_by_what_brakes_before_it() {
     }
 }
 
-/// If a ramp starts slightly late, because the previous feed was still being reached, it still ends at the right
-/// position.
+/// A ramp to a lower feed can start slightly late, because the machine is still reaching the previous feed. It must
+/// still end at the right position.
 #[test]
 fn a_late_ramp_lands_at_the_end() {
     for fast in 51..70 {
@@ -240,7 +241,7 @@ fn a_late_ramp_lands_at_the_end() {
     }
 }
 
-/// The steps are so coarse that a ramp has only a few of them. Still, the machine must pass the corner after the ramp
+/// The steps of X are so coarse that a ramp has only a few of them. Still, the corner after the ramp must be passed
 /// no faster than planned.
 #[test]
 fn corners_behind_coarse_steps_are_minded() {
@@ -267,8 +268,8 @@ fn corners_behind_coarse_steps_are_minded() {
     }
 }
 
-/// The jerk limit is kept if a cycle start comes at any time around the end of a hold, because a hold always completes
-/// the ramp that it has started.
+/// The jerk limit is kept if a cycle start comes around the end of a hold, at any time. A hold always completes the
+/// ramp that it has started.
 #[test]
 fn a_start_right_behind_a_hold_keeps_the_limit() {
     for (feed, jerk) in [(8.0, 8000.0), (5.6, 8000.0), (8.0, 1500.0), (2.0, 1500.0), (40.0, 5000.0)] {
@@ -293,7 +294,7 @@ fn a_start_right_behind_a_hold_keeps_the_limit() {
     }
 }
 
-/// Checks the measurement itself: it sees that a trapezoid exceeds these jerk limits.
+/// Checks the measurement itself: `check_jerk` must report a motion whose speed ramps have no jerk limit.
 #[test]
 fn a_trapezoid_is_seen() {
     let job = Job::line(60.0, 1, 100.0);
@@ -341,7 +342,7 @@ fn cases() -> u32 {
     std::env::var("OXMILL_JERK").map_or(120, |cases| cases.parse().expect("a number"))
 }
 
-/// Returns the seed: fixed for the default number of cases.
+/// Returns the seed of the random jobs: 1 for the default number of jobs, otherwise the number of jobs itself.
 fn seed() -> u64 {
     if cases() == 120 { 1 } else { u64::from(cases()) }
 }

@@ -1,11 +1,13 @@
-//! The jerk limit wherever the machine moves other than along a program's lines: arcs, homing, jogs and their cancel,
-//! parking, backlash compensation, belts, and holds.
+//! The jerk limit in motion other than a program's straight lines: arcs, homing, jogs and their cancel, parking,
+//! backlash compensation, belts, and holds.
 //!
-//! Each test reads one quantity over time from the steps: the distance along an arc or the position of an axis. Between
-//! two steps it is interpolated, so it is up to a step off ([`UNCERTAIN`]; this includes the finer grid of slow moves).
-//! Its differences of first, second and third order over a time h are the mean speed times h, the mean acceleration
-//! times h², and the mean jerk times h³. They may exceed the limits, times h, h² and h³, by 1 % per order plus 2, 4 and
-//! 8 times the uncertainty of one position.
+//! Each test reads one quantity over time from the steps: the distance along an arc, or the position of an axis.
+//! Between two steps it is interpolated, so it is up to a step off ([`UNCERTAIN`]; this includes the finer grid of
+//! slow moves).
+//!
+//! Differences over a time h show the motion: the first is the mean speed × h, the second the mean acceleration × h²,
+//! the third the mean jerk × h³. Each is compared with its limit × h, h² or h³. The allowances are 1, 2 and 3 % of
+//! the limit, plus 2, 4 and 8 times the uncertainty of one position.
 
 use super::estimator::TOLERANCE;
 use super::oracle::AXES;
@@ -22,7 +24,7 @@ const RATE: f64 = 100.0;
 const ACCELERATION: f64 = 500.0;
 const JERK: f64 = 5000.0;
 const PITCH: f64 = 1.0 / STEPS;
-/// Uncertainty of a position, in steps.
+/// Uncertainty of a position that is interpolated between two steps, in steps.
 const UNCERTAIN: f64 = 1.0;
 
 fn mill(description: &str, more: &str) -> Simulator {
@@ -48,12 +50,12 @@ fn run(mill: &mut Simulator, text: &str) {
     assert!(!said.contains("error") && !said.contains("ALARM"), "{text}: {said}");
 }
 
-/// Returns the time in seconds and the positions of all axes in mm, starting at rest.
+/// Returns for each step event its time, s, and the positions of all axes, mm.
 fn places(mill: &Simulator) -> Vec<(f64, [f64; AXES])> {
     mill.trace().kept().iter().map(|r| (r.at as f64 / HZ, r.position.map(|steps| f64::from(steps) / STEPS))).collect()
 }
 
-/// Returns the interpolated position at a time.
+/// Returns the position at a time, interpolated in `course` (pairs of time and position).
 fn at(course: &[(f64, f64)], time: f64) -> f64 {
     let next = course.partition_point(|p| p.0 <= time);
     match (next.checked_sub(1).and_then(|k| course.get(k)), course.get(next)) {
@@ -63,7 +65,8 @@ fn at(course: &[(f64, f64)], time: f64) -> f64 {
     }
 }
 
-/// Compares speed, acceleration and jerk with bounds, except where one of the compared positions is exempt.
+/// Compares speed, acceleration and jerk with bounds. `course`: pairs of time (s) and position. `bounds` returns the
+/// three limits at a position. Where `exempt` returns `true` for one of the compared positions, nothing is checked.
 fn check(course: &[(f64, f64)], bounds: impl Fn(f64) -> [f64; 3], exempt: impl Fn(f64) -> bool) -> Result<(), String> {
     let (Some(first), Some(last)) = (course.first(), course.last()) else { return Err("nothing moves".into()) };
     let mut compared = 0;
@@ -172,8 +175,8 @@ proptest! {
         }
         course.remove(0);
         prop_assert!((whole - angle).abs() < 2.0 * PITCH / radius, "{} of {} rad", whole, angle);
-        // Only the acceleration along the path is checked, not the centripetal one. The axis with the largest share in
-        // the path limits it.
+        // Only the acceleration along the path is checked, not the centripetal one. It is limited by the axis with
+        // the largest share in the path.
         let most = |place: f64| {
             let angle = place / path;
             let share = angle.cos().abs().max(angle.sin().abs()) * plane;
@@ -300,7 +303,7 @@ fn jerk_is_bounded_while_backlash_is_taken_up() {
     check_axes(&free, |_, _| false);
 }
 
-/// Belts that move two axes: the limits are those of the axes.
+/// On CoreXY belts each motor moves two axes. The limits apply to the axes, not to the motors.
 #[test]
 fn jerk_is_bounded_on_belts() {
     let mut mill = mill("kinematics = \"corexy\"", "$904=1\n");
@@ -312,8 +315,9 @@ fn jerk_is_bounded_on_belts() {
     check_axes(&axes, |_, _| false);
 }
 
-/// The start of a hold is computed back from its end: the shortest ramp down with bounded jerk J takes v / A + A / J,
-/// or 2 √(v / J) if the ramp does not reach the full deceleration A. A hold must start within 25 ms of the command.
+/// A hold must start within 25 ms of the command. Its start is computed back from its end. The shortest ramp down
+/// from the speed v with the jerk J takes v / A + A / J. If the ramp does not reach the full deceleration A, it takes
+/// 2 √(v / J).
 #[test]
 fn a_hold_with_jerk_limit_begins_within_25_ms() {
     for (feed, milliseconds) in [(6000, 500), (6000, 611), (3000, 333), (3000, 402), (1500, 700)] {

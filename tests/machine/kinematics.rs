@@ -23,7 +23,7 @@ fn run(mill: &mut Simulator, text: &str) -> String {
     mill.take_output()
 }
 
-/// A zigzag, a circle and a spiral of short chords.
+/// Returns a program with a zigzag, a circle and a spiral of short chords.
 fn job() -> String {
     let mut text = String::from("G21 G90 G17\nG1 X20 Y3 F3000\nX-4 Y7 Z-1\nG0 X10 Y0\nG2 X10 Y0 I-10 J0 F2400\n");
     for k in 0..200 {
@@ -46,8 +46,8 @@ fn belts_draw_the_same_picture() {
     let [x, y, z] = cartesian.machine().position();
     let [a, b, belt_z] = belts.machine().position();
     assert_eq!((a, b, belt_z), (x + y, x - y, z));
-    // Every position of the machine with belts lies on the path of the Cartesian one, within a step and the rounding of
-    // both.
+    // Every position of the machine with belts must lie on the path of the Cartesian one. The allowance of 1.5 steps
+    // covers a step and the rounding on both machines.
     let path: Vec<[f64; 2]> =
         cartesian.trace().kept().iter().map(|r| [0, 1].map(|i| f64::from(r.position[i]))).collect();
     let mut near = 0_usize;
@@ -93,8 +93,8 @@ fn belts_find_home_one_axis_or_two_at_a_time() {
         assert!(run(&mut mill, "$H").ends_with("ok\r\n"));
         assert_eq!(mill.machine_position(), [-2.0; 3]);
         let [a, b, z] = mill.machine().position();
-        // Each axis rests 2 mm from its switch, less the distance covered until the switch is seen: the delay of the
-        // filter times the locate speed.
+        // After homing, each axis rests 2 mm from its switch. The rest position is off by the distance that the axis
+        // covers until the filter reports the switch: the filter's delay times the locate speed.
         assert!((a + b - 2 * 80).abs() <= 2 && (a - b - 2 * 400).abs() <= 2 && (z + 40).abs() <= 1, "{a} {b} {z}");
         run(&mut mill, "G53 G0 X-10 Y-20");
         let [a2, b2, _] = mill.machine().position();
@@ -175,8 +175,8 @@ fn a_second_switch_is_a_limit_of_its_axis() {
     assert!(mill.take_output().contains("|Pn:X"));
 }
 
-/// The maximum coordinate of 50 m applies to each motor (with belts, one moves by X + Y and the other by X - Y), and to
-/// every point of an arc, not only to its end.
+/// A coordinate of 50 m is the maximum. It applies to every point of an arc, not only to its end. It also applies to
+/// each motor: with belts, one motor moves by X + Y and the other by X - Y.
 #[test]
 fn what_leads_out_of_range_is_refused() {
     let settings = "$100=1\n$101=1\n$110=1000000\n$111=1000000\n$120=10000\n$121=10000\nG1 F6000000\n";

@@ -1,7 +1,7 @@
-//! Twelve jobs whose end positions and steps are recorded. The steps are recorded as two digests: one covers their
-//! times, one only their order. `cargo test-target` holds the firmware on QEMU to the same digests, so simulator and
-//! firmware agree on them. After an intended change of motion, rewrite them:
-//! `OXMILL_WRITE_DIGESTS=1 cargo test --test machine known_jobs`.
+//! Twelve jobs whose end positions and steps are recorded in `tests/jobs/digests.txt`. The steps are recorded as two
+//! digests: one covers their times, one only their order. `cargo test-target` compares the firmware on QEMU with the
+//! same digests, so simulator and firmware make the same steps. After an intended change of motion, rewrite the
+//! digests: `OXMILL_WRITE_DIGESTS=1 cargo test --test machine known_jobs`.
 
 use oxmill_simulator::{JobText, Options, Simulator, boards};
 use std::fmt::Write;

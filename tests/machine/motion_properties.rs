@@ -1,4 +1,5 @@
-//! Properties of any job: limits are kept, the end is exact, the speed does not jump, the path stays within its bounds.
+//! Properties of any job: limits are kept, the end is exact, the speed does not jump, and the path stays within its
+//! bounds.
 
 use super::estimator::{Limits, Line, check};
 use super::examples::places;
@@ -9,7 +10,8 @@ use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use std::fmt::Write;
 
-/// Coordinates of the generated programs are whole thousandths of a millimetre.
+/// A position or an offset in micrometres. Coordinates of the generated programs are whole thousandths of a
+/// millimetre.
 type Microns = [i64; AXES];
 
 const DEFAULT_FEED: f64 = 600.0;
@@ -40,7 +42,7 @@ fn machines() -> impl Strategy<Value = Limits> {
 }
 
 fn settings(limits: &Limits) -> String {
-    // The shortest pulse: some step rates here are too high for Grbl's 10 us.
+    // `$0=1` sets a pulse of 1 us, because some step rates here are too high for Grbl's 10 us.
     let mut text = format!("$0=1\n$11={}\n", limits.junction_deviation);
     for axis in 0..AXES {
         writeln!(text, "$10{axis}={}", limits.steps_per_mm[axis]).unwrap();
@@ -168,7 +170,7 @@ impl Job {
     }
 }
 
-/// If a move shorter than 0.001 mm lies in a corner, the machine still brakes for the corner.
+/// If there is a move shorter than 0.001 mm at a corner, the machine still brakes for the corner.
 #[test]
 fn a_remnant_hides_no_corner() {
     for job in ["X10.002 F500\nX10.0016\nX0", "X10.0018 F500\nX10.0022 Y0.0005\nY10"] {
@@ -188,7 +190,8 @@ proptest! {
         cases: 200, max_shrink_iters: 300, failure_persistence: None, rng_seed: RngSeed::Fixed(1), ..ProptestConfig::default()
     })]
 
-    /// Jobs of straight moves keep path and limits, checked step for step and interval for interval.
+    /// Jobs of straight moves follow their path and keep the limits. Every step and every interval between steps is
+    /// checked.
     #[test]
     fn straight_moves_keep_path_and_limits(limits in machines(), pieces in pieces()) {
         let mut job = Job::new();
@@ -203,7 +206,7 @@ proptest! {
         }
     }
 
-    /// Overrides and holds at any time change neither the path of the same jobs nor its end, and the limits are kept.
+    /// Overrides and holds at any time change neither the path nor the end of such jobs, and the limits are kept.
     #[test]
     fn overrides_and_holds_keep_path_and_limits(
         limits in machines(),
@@ -248,8 +251,8 @@ proptest! {
         }
     }
 
-    /// Arcs in three planes, plain and helical, partial and full: on the circle, in the right direction, to the exact
-    /// end, and no faster than programmed.
+    /// Arcs in three planes, plain and helical, partial and full. They stay on the circle, go in the right direction,
+    /// reach the exact end, and are no faster than programmed.
     #[test]
     fn arcs_stay_on_their_circle(
         limits in machines(),
@@ -298,9 +301,10 @@ proptest! {
         };
         let step = limits.steps_per_mm.iter().map(|s| 1.0 / s).fold(0.0, f64::max);
         let places = places(&rig.trace, [0.0; AXES], limits.steps_per_mm);
-        // Radial allowance: the arc tolerance, the resolution of start and end, and the steps. Each axis is within half
-        // a step of its position on the chord; the chord's ends are rounded to sevenths of a step; half a step (3.5
-        // sevenths) becomes 3. So an axis is off by 1/2 + 1/14 of a step, and both axes can be at their worst at once.
+        // The radial allowance has three parts: the arc tolerance (0.002 mm), the steps, and the resolution of start
+        // and end (0.001 mm). An axis is within half a step of its position on the chord. The ends of the chord are
+        // rounded to 1/7 of a step, which adds 1/14. That makes 4/7 of a step, times √2 because both axes can be at
+        // their worst at once.
         let radial = 0.002 + std::f64::consts::SQRT_2 * 4.0 / 7.0 * step + 0.001;
         if let Err(fault) = circle.follows(&places, radial, 2.0 * step + 0.002) {
             return Err(TestCaseError::fail(format!("{fault}\n{text}")));
@@ -313,7 +317,8 @@ proptest! {
         }
     }
 
-    /// A single move takes the time of the ideal trapezoid.
+    /// A single move takes no longer than the ideal trapezoid (ramp up, constant speed, ramp down), with 1 % and 2 ms
+    /// in addition.
     #[test]
     fn a_single_move_takes_no_longer_than_it_must(
         limits in machines(),
@@ -346,7 +351,7 @@ proptest! {
     /// Incremental moves add up without drift, whatever their digits.
     #[test]
     fn increments_add_up_exactly(step in [-9_999_i64..9_999, -9_999_i64..9_999, -99_i64..99], count in 1_i64..400) {
-        // Units of 0.0001 mm.
+        // `step` is in units of 0.0001 mm.
         let [x, y, z] = step.map(|v| v as f64 / 10_000.0);
         let mut text = String::from("G21 G91\nF60000\n");
         for _ in 0..count {
@@ -370,8 +375,8 @@ proptest! {
     }
 }
 
-/// 20,000 steps at constant speed take exactly their time, to the tick of the step clock, even if the time of one step
-/// is no whole number of ticks.
+/// 20,000 steps at constant speed take exactly their time, to the tick of the step clock. This holds even if the time
+/// of one step is no whole number of ticks.
 #[test]
 fn fractions_of_a_tick_add_up() {
     for feed in [3210.7, 5999.3, 7411.0] {
@@ -385,8 +390,8 @@ fn fractions_of_a_tick_add_up() {
     }
 }
 
-/// A circle of R = 5 mm in chords of 0.1 mm at F12000. A planner that knows only corners runs it at 200 mm/s, but
-/// v² = a·R allows 50 mm/s. It must not be slower than that, either.
+/// A circle of R = 5 mm in chords of 0.1 mm at F12000. A planner that sees only corners runs the circle at 200 mm/s,
+/// but v² = a·R allows 50 mm/s. The machine must not be slower than 50 mm/s, either.
 #[test]
 fn a_circle_of_short_chords_is_a_circle() {
     let limits = Limits {
@@ -410,8 +415,8 @@ fn a_circle_of_short_chords_is_a_circle() {
     rig.run_clean(&job.text);
     check(&rig.trace, HZ as f64, &job.lines, &limits).unwrap();
     let seconds = (rig.trace[rig.trace.len() - 1].at - rig.trace[0].at) as f64 / HZ as f64;
-    // The ideal time: ramps up and down on the way out; a ramp up, then down to 50 mm/s, on the way back; two turns of
-    // the circle; and half of a ramp for the final stop.
+    // The ideal time is the sum of four parts. Out: a ramp up and a ramp down. Back: a ramp up, then down to 50 mm/s.
+    // Then two turns of the circle, and half of a ramp for the final stop.
     let (a, v, way) = (500.0_f64, 50.0_f64, 40.0_f64);
     let peak = (a * way + v * v / 2.0).sqrt();
     let ideal = 2.0 * (way / a).sqrt() + (2.0 * peak - v) / a + 62.8 / v + v / a / 2.0;

@@ -1,13 +1,15 @@
-//! Computes, in `f64`, the shortest time for a path that is known as a whole: the time of a controller with an endless
-//! queue and without rounding. Serves as a reference for times, and as a source of motion that is known to keep the
-//! limits.
+//! Computes, in `f64`, the shortest time for a path that is known as a whole. This is the time of a controller with
+//! an endless queue and without rounding. It serves as a reference for times, and as a source of motion that keeps
+//! the limits.
 //!
-//! The path is given as pieces with their tangent x' and curvature x'' (the first and second derivative of the position
-//! by the length of the path). With speed v and acceleration u along the path, each axis has the acceleration
-//! `x'' v² + x' u`, which must stay within the limit of the axis. A backward pass from the end finds for each knot (the
-//! border of two pieces) the maximum v² from which the rest of the path can still be driven. A forward pass then takes
-//! at each knot the maximum u that does not exceed this v². The set of (v², u) is convex and contains (0, 0), so the
-//! result is the optimum, except for the finite length of the pieces.
+//! The path is given as pieces with their tangent x' and curvature x'' (the first and second derivative of the
+//! position by the length of the path). With speed v and acceleration u along the path, each axis has the
+//! acceleration `x'' v² + x' u`, which must stay within the limit of the axis.
+//!
+//! A backward pass finds for each knot (the border of two pieces) the maximum v² from which the rest of the path can
+//! still be driven. A forward pass then takes at each knot the maximum u that does not exceed this v². The allowed
+//! pairs (v², u) form a convex set that contains (0, 0). So the result is the optimum, except for the finite length
+//! of the pieces.
 
 use super::axis_speeds::{Course, Unsure, granted};
 use super::estimator::Limits;
@@ -18,9 +20,9 @@ use std::f64::consts::PI;
 #[derive(Clone, Copy, Debug)]
 pub struct Piece {
     pub tangent: [f64; AXES],
-    /// 1/mm.
+    /// Change of the tangent per length of path, 1/mm.
     pub curvature: [f64; AXES],
-    /// mm.
+    /// Length along the path, mm.
     pub length: f64,
     /// Maximum speed² at the start of the piece, (mm/s)².
     pub entry2: f64,
@@ -31,18 +33,18 @@ pub struct Piece {
 /// Rule that bounds the acceleration across and along the path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Bound {
-    /// Each axis has its own bound.
+    /// Each axis keeps its own acceleration limit.
     EachAxis,
-    /// The resultant is bounded: in any direction by the acceleration of the weakest axis. On a circle the speed is
-    /// constant.
+    /// The acceleration of all axes together is bounded, in any direction by the limit of the weakest axis. On a
+    /// circle this gives a constant speed.
     Resultant,
 }
 
-/// Returns the minimum and the maximum acceleration along the path that the axes allow on a piece that is entered at
-/// speed² `v2`.
+/// Returns the minimum and the maximum acceleration along the path that the axes allow on a piece, mm/s². `v2`:
+/// speed² at the start of the piece. If this speed is too high for the bend, returns an empty range, (1, 0).
 fn range(piece: &Piece, v2: f64, limits: &Limits, bound: Bound) -> (f64, f64) {
     let twice = 2.0 * piece.length;
-    // Brake at most to a stop at the end of the piece.
+    // The lowest value brakes to a stop at the end of the piece.
     let (mut low, mut high) = (-v2 / twice, f64::INFINITY);
     if bound == Bound::Resultant {
         let most = limits.acceleration.iter().copied().fold(f64::INFINITY, f64::min);
@@ -101,13 +103,13 @@ pub fn optimum(pieces: &[Piece], limits: &Limits, bound: Bound) -> Vec<f64> {
     speeds2
 }
 
-/// Returns the duration of a motion, s.
+/// Returns the duration of a motion, s. `speeds2`: speed² at each knot, (mm/s)², as [`optimum`] returns it.
 pub fn duration(pieces: &[Piece], speeds2: &[f64]) -> f64 {
     pieces.iter().zip(speeds2.windows(2)).map(|(piece, v2)| 2.0 * piece.length / (v2[0].sqrt() + v2[1].sqrt())).sum()
 }
 
-/// Returns the steps of a motion along points, with one piece between each two neighbours. Each axis steps at the exact
-/// time at which it is half way to the next step.
+/// Returns the steps of a motion along points. `pieces` has one piece between each two neighbouring points. Each axis
+/// steps at the exact time at which it is half way to the next step.
 fn steps(points: &[[f64; AXES]], pieces: &[Piece], speeds2: &[f64], limits: &Limits, hz: f64) -> Vec<Pulse> {
     let mut pulses = Vec::new();
     let mut begun = 0.0;
@@ -149,9 +151,9 @@ fn angle(a: [f64; AXES], b: [f64; AXES]) -> f64 {
     (0..AXES).map(|i| a[i] * b[i]).sum::<f64>().clamp(-1.0, 1.0).acos()
 }
 
-/// Returns the maximum v² at each vertex by the rule for turns (symbols: [`super::axis_speeds`]). For every span of
-/// vertices that is L long and turns by φ, the maximum is `a (L / φ + d s / (1 - s))`. Spans range from one vertex to
-/// half a circle.
+/// Returns the maximum v² at each vertex by the rule for turns. The rule covers every part of the path, from a single
+/// vertex to half a circle. For a part that is L long and turns by φ, the maximum is `a (L / φ + d s / (1 - s))`.
+/// Here a is the acceleration across the path, d the junction deviation and s = cos(φ / 2).
 fn speeds2_of_turns(chords: &[[f64; AXES]], lengths: &[f64], limits: &Limits, feed: f64) -> Vec<f64> {
     let mut most = vec![feed * feed; chords.len() + 1];
     for first in 1..chords.len() {
@@ -189,8 +191,9 @@ fn parts(length: f64) -> u32 {
     (length / 0.05).ceil().clamp(2.0, 100.0) as u32
 }
 
-/// Returns the steps of a machine that follows a course at the maximum speed that the rule for turns allows (see
-/// `speeds2_of_turns`). `excess`: factor on the v² that the rule allows.
+/// Returns the steps of a machine that follows a course at the maximum speed of the rule for turns (see
+/// `speeds2_of_turns`). `excess`: factor on the v² that the rule allows. With more than 1 the machine breaks the
+/// rule.
 pub fn by_the_rule(course: &Course, limits: &Limits, excess: f64, hz: f64) -> Vec<Pulse> {
     let (chords, lengths) = chords(course);
     let most = speeds2_of_turns(&chords, &lengths, limits, course.feed);
@@ -206,7 +209,8 @@ pub fn by_the_rule(course: &Course, limits: &Limits, excess: f64, hz: f64) -> Ve
         for part in 0..count {
             let mut curvature = [0.0; AXES];
             if count == 2 {
-                // In a bend taken at its maximum speed no acceleration is left for a ramp.
+                // A chord cut into only two parts is short: it can belong to a bend. In a bend taken at its maximum
+                // speed no acceleration is left for a ramp.
                 let used = bend(k + part as usize);
                 let across = (0..AXES).map(|i| used[i].abs() / limits.acceleration[i]).fold(0.0, f64::max);
                 curvature = used.map(|x| x / excess / (across * most[k].max(most[k + 1])).max(1.0));

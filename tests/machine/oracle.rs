@@ -19,7 +19,7 @@ pub struct Pulse {
 }
 
 impl Pulse {
-    /// Returns the position of a machine after this event.
+    /// Returns the position after this event. `place`: the position before it.
     pub fn moved(&self, mut place: Place) -> Place {
         for (axis, value) in place.iter_mut().enumerate() {
             if self.steps >> axis & 1 == 1 {
@@ -44,9 +44,10 @@ pub fn dominant(from: Place, to: Place) -> (usize, u64) {
 
 /// Returns the positions of a straight move after each step of its dominant axis.
 ///
-/// Bresenham: the error of a minor axis grows by 2 × its steps per dominant step and falls by 2 × the dominant steps
-/// with each of its own steps. It starts at minus half a step; at exactly half a step the axis waits for the next
-/// dominant step.
+/// Each axis follows Bresenham's algorithm: it has an error term, in which 2 × the dominant steps stand for one step.
+/// With each dominant step the error grows by 2 × the steps of the axis. When the error is above zero, the axis
+/// steps, and the error falls by 2 × the dominant steps. The error starts at minus half a step, so an axis steps half
+/// way between two positions. At exactly half a step it waits for the next dominant step.
 pub fn line(from: Place, to: Place) -> Vec<Place> {
     let (_, count) = dominant(from, to);
     let count = count as i64;
@@ -66,13 +67,15 @@ pub fn line(from: Place, to: Place) -> Vec<Place> {
     places
 }
 
-/// Grid positions per step of the dominant axis, at which a smoothing generator can step the axes.
+/// Number of grid positions per step of the dominant axis. At low step rates the step generator smooths motion: it
+/// steps the axes at these positions. So a slow axis can step between two dominant steps.
 pub const FINE: i64 = 16;
 
-/// Takes the pulses of one straight move off a trace and compares them with Bresenham's positions on a grid [`FINE`]
-/// times as fine as the dominant steps (a slow axis steps between the steps of the dominant one). After each event the
-/// machine must be at one of these positions, beyond the previous one, and in the end at the last. So each axis is
-/// always within half a step of one point of the straight line. Returns the times of the dominant steps.
+/// Takes the pulses of one straight move off a trace and compares them with Bresenham's positions on a grid. The grid
+/// is [`FINE`] times as fine as the dominant steps, because a slow axis can step between the steps of the dominant
+/// one. After each event the machine must be at one of these positions, beyond the previous one. The last event must
+/// reach the end. So each axis is always within half a step of the straight line. Returns the times of the dominant
+/// steps.
 ///
 /// # Errors
 /// The first difference.
@@ -115,8 +118,8 @@ pub fn follow_line(trace: &mut &[Pulse], from: Place, to: Place) -> Result<Vec<u
 /// An arc in the plane of the first two of `axes`, while the third moves evenly.
 #[derive(Clone, Debug)]
 pub struct Circle {
-    /// The two axes of the plane, in the order in which the angle grows from the first to the second, then the axis
-    /// perpendicular to the plane.
+    /// Indexes of three axes. The first two span the plane: the angle grows from the first towards the second. The
+    /// third is perpendicular to the plane.
     pub axes: [usize; 3],
     /// Centre in the plane, mm.
     pub centre: [f64; 2],
@@ -124,7 +127,7 @@ pub struct Circle {
     pub from: [f64; AXES],
     /// End, all axes, mm.
     pub to: [f64; AXES],
-    /// Whether the angle decreases.
+    /// `true` if the angle decreases during the arc.
     pub clockwise: bool,
 }
 
@@ -135,14 +138,14 @@ impl Circle {
         (u.hypot(v), v.atan2(u))
     }
 
-    /// Returns the angle from the start, in the direction of travel, 0 to 2π.
+    /// Returns the angle of a position, rad, from the start in the direction of travel: 0 to 2π.
     fn progress(&self, place: [f64; AXES]) -> f64 {
         let turn = std::f64::consts::TAU;
         let difference = self.seen(place).1 - self.seen(self.from).1;
         (if self.clockwise { -difference } else { difference }).rem_euclid(turn)
     }
 
-    /// Returns the angle of the whole arc; a full turn if start and end coincide.
+    /// Returns the angle of the whole arc, rad; a full turn if start and end coincide.
     pub fn angle(&self) -> f64 {
         let angle = self.progress(self.to);
         let turn = std::f64::consts::TAU;
@@ -151,8 +154,8 @@ impl Circle {
 
     /// Compares the positions of a trace (mm) with the arc.
     ///
-    /// `radial`: maximum distance from the circle, mm. `lag`: maximum distance, in mm along the circle or the third
-    /// axis, from the expected position; steps are whole, so this is a step or two.
+    /// `radial`: maximum distance from the circle, mm. `lag`: maximum distance from the expected position, mm, along
+    /// the circle or the third axis. One or two steps are usual for `lag`, because the machine moves in whole steps.
     ///
     /// # Errors
     /// The first difference.

@@ -1,13 +1,13 @@
-//! Plays `tests/programs/`: programs as CAM systems and hobby authors write them, with the positions that they reach
-//! and the errors of unsupported words. The README there explains the format.
+//! Plays `tests/programs/`: programs as CAM systems and hobby authors write them. Checks the positions that they
+//! reach and the errors of unsupported words. `tests/programs/README.md` explains the format.
 
 use super::rig::Rig;
 use std::path::Path;
 
 /// Virtual seconds to wait for an answer or the end of motion before the test fails.
 const PATIENCE: f64 = 600.0;
-/// Maximum number of lines with axis words between two checks of the position (`? ` lines). Lines within a block of O
-/// words, such as a loop, do not count.
+/// Maximum number of lines with axis words between two checks of the position (lines that begin with `? `). Lines
+/// within a block of O words, such as a loop, do not count.
 const MOST_UNCHECKED: usize = 3;
 /// Maximum position error, mm: a step plus the resolution of the report.
 const TOLERANCE: f64 = 0.0011;
@@ -28,7 +28,7 @@ const SETTINGS: [&str; 12] = [
     "$394=0",
 ];
 
-/// A machine that plays a program.
+/// A machine with [`SETTINGS`], and the part of its output that has not been compared yet.
 struct Player {
     rig: Rig,
     unread: String,
@@ -83,7 +83,7 @@ fn near(a: &[f64], b: &[f64]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < TOLERANCE)
 }
 
-/// Returns a line without its comments.
+/// Returns a line without its comments, in upper case.
 fn bare(line: &str) -> String {
     let mut depth = 0;
     let shown = |c: &char| {
@@ -93,7 +93,8 @@ fn bare(line: &str) -> String {
     line.split(';').next().unwrap_or_default().chars().filter(shown).collect::<String>().to_ascii_uppercase()
 }
 
-/// Returns whether a line has X, Y or Z words that cause motion: those of G10, G51, G52, G68 and G92 do not.
+/// Returns whether a line has X, Y or Z words that cause motion. The axis words of G10, G51, G52, G68 and G92 cause
+/// none.
 fn moves(line: &str) -> bool {
     !line.starts_with('#')
         && line.contains(['X', 'Y', 'Z'])

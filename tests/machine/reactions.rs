@@ -17,7 +17,8 @@ const PARKED_Z: f64 = -5.0;
 const LATE: f64 = 0.1;
 /// Host timeout, ms.
 const SILENCE: u64 = 500;
-/// Distance, mm, that the machine moves before a hold acts: the segments that are already queued for the step task.
+/// Distance, mm, that the machine still moves at full feed before a hold acts. It is covered by the segments that are
+/// already queued for the step task, which last 20 ms.
 const QUEUED: f64 = 0.02 * FEED;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -164,7 +165,7 @@ impl State {
         mill.run_for(Duration::from_millis(300));
         for command in then.chars() {
             match command {
-                // Allow time for the next phase.
+                // A space is no command: it waits for the next phase.
                 ' ' => mill.run_for(Duration::from_secs(1)),
                 command => mill.send([command as u32 as u8]),
             }
@@ -218,7 +219,7 @@ impl State {
         )
     }
 
-    /// Returns whether the condition counts as a fault in this state.
+    /// Returns whether the controller treats the cause of this fault as a fault in this state.
     fn heeds(self, fault: Fault) -> bool {
         match fault {
             Fault::Limit => !matches!(self, State::Home | State::Alarm),
@@ -475,8 +476,8 @@ fn each_fault_in_each_state_has_the_reaction_that_is_set() {
     assert_eq!(cases, 19 * (3 + 6) + 17 * 6 + with_job * (6 + 6 + 6) + 2 * 6, "states, reactions and faults");
 }
 
-/// While no job runs, a slow spindle or a missing host is no fault, nor is a limit switch during an alarm: the machine
-/// goes on as if nothing had happened.
+/// Some causes are no fault in some states: a slow spindle or a missing host while no job runs, or a limit switch
+/// during an alarm. Then the machine goes on as if nothing had happened.
 #[test]
 fn what_is_no_fault_in_a_state_changes_nothing() {
     let homed = homed();
@@ -552,7 +553,7 @@ fn a_host_that_goes_or_is_silent_on_the_way_back_stops_the_job_there() {
     }
 }
 
-/// Returns mode and position of a report.
+/// Returns the first two fields of a status report: the state and the position.
 fn place_and_mode(report: &str) -> Vec<&str> {
     let report = report.lines().find(|line| line.starts_with('<')).expect("a report");
     report.split('|').take(2).collect()
@@ -560,7 +561,7 @@ fn place_and_mode(report: &str) -> Vec<&str> {
 
 #[test]
 fn a_host_that_goes_while_a_spindle_comes_up_again_leaves_the_job_held() {
-    // An operator at the machine can still resume the job.
+    // `by_button`: the operator presses the start button, which can resume the job without a host.
     for by_button in [false, true] {
         let mut mill = milling("$916=10\n");
         for command in [b'!', 0x9e] {
@@ -776,8 +777,8 @@ fn a_reset_on_the_way_back_from_a_door_forgets_that_the_host_has_gone() {
     assert!(status(&mut mill).contains("<Idle|"), "{}", mill.take_output());
 }
 
-/// A tool that is parked while the machine is idle needs the drivers. When it has returned, they are switched off after
-/// the idle delay (`$1`).
+/// The drivers must be on while a door parks the tool of an idle machine. When the tool has returned, they are
+/// switched off after the idle delay (`$1`).
 #[test]
 fn the_drivers_go_off_behind_a_door_that_parked_the_tool() {
     let mut mill = homed();

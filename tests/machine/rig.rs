@@ -88,7 +88,7 @@ impl Rig {
         self.mill.trace_mut().restart();
     }
 
-    /// Lets virtual time pass.
+    /// Runs the machine for `seconds` of virtual time, and counts the pulses.
     pub fn run_for(&mut self, seconds: f64) {
         self.mill.run_for(Duration::from_secs_f64(seconds));
         self.count();

@@ -1,5 +1,6 @@
-//! A rotary fourth axis, checked on the steps of the machine: it moves evenly with X, Y and Z, ends at its exact
-//! position, and F has the meaning that RS274NGC specifies (2.1.2.5 and 2.1.2.6).
+//! A rotary fourth axis (A), checked on the steps of the machine. A moves evenly with X, Y and Z and ends at its
+//! exact position. F has the meaning that RS274NGC specifies (2.1.2.5 and 2.1.2.6): along X, Y and Z if they move,
+//! otherwise degrees per minute.
 
 use oxmill_simulator::{Options, Simulator, boards};
 use proptest::prelude::*;
@@ -45,7 +46,7 @@ fn seconds(mill: &Simulator) -> f64 {
     course.last().expect("it moves").0 - course[0].0
 }
 
-/// Returns the seconds that a line takes.
+/// Runs a line on a new machine and returns the seconds from its first to its last step.
 fn time_of(line: &str) -> f64 {
     let mut mill = mill();
     run(&mut mill, &format!("{line}\n"));
@@ -70,8 +71,8 @@ fn f_is_along_x_y_and_z_or_degrees_per_minute() {
     near(time_of("$J=A90 F600"), 9.0);
 }
 
-/// If A turns during an arc or helix, the arc still takes the time that F gives along X, Y and Z: here a quarter of a
-/// circle of radius 20 mm at 600 mm/min, and a helix of three turns, 5 mm each, in any plane.
+/// If A turns during an arc or helix, the arc still takes the time that F gives along X, Y and Z. Tested are a
+/// quarter of a circle of radius 20 mm, and a helix of three turns, 5 mm each, in two planes. F is 600 mm/min.
 #[test]
 fn an_arc_takes_it_along_and_keeps_its_feed() {
     let quarter = 20.0 * core::f64::consts::FRAC_PI_2 / 10.0;
@@ -112,7 +113,7 @@ fn it_turns_evenly_along_an_arc() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, rng_seed: RngSeed::Fixed(930), ..ProptestConfig::default() })]
 
-    /// On a line each axis is within a step of its share of the distance, at every step. Each line ends within half a
+    /// At every step of a line, each axis is within a step of its position on the line. Each line ends within half a
     /// step of its exact position, however many lines precede it.
     #[test]
     fn it_interpolates_with_the_others(
@@ -134,8 +135,8 @@ proptest! {
             let whole: [f64; 4] = std::array::from_fn(|axis| motors[axis] - from[axis]);
             let dominant = (0..4).max_by(|a, b| whole[*a].abs().total_cmp(&whole[*b].abs())).unwrap_or(0);
             for (_, steps) in course(&mill) {
-                // `part`, the share of the line that has been covered, is read from the dominant axis, which is itself
-                // up to half a step ahead or behind. So each axis may be off by a whole step.
+                // `part` is the share of the line that has been covered. It is read from the dominant axis, which is
+                // itself up to half a step ahead or behind. So each axis may be off by a whole step.
                 let part = (steps[dominant] - from[dominant]) / whole[dominant];
                 for axis in 0..4 {
                     let meant = from[axis] + whole[axis] * part;
@@ -149,7 +150,7 @@ proptest! {
     }
 }
 
-/// With three axes in use the machine makes the same steps at the same times, whether or not a fourth axis was
+/// With three axes in use, the machine makes the same steps at the same times, whether or not a fourth axis was
 /// configured before.
 #[test]
 fn three_axes_are_as_without_it() {
@@ -197,7 +198,7 @@ fn a_path_tolerance_leaves_moves_with_it_exact() {
 /// A move of a chain: distances in 0.1 um and 0.1 millidegree, and F in mm/min, or in moves per second with G93.
 type Link = ([i32; 4], u32);
 
-/// Returns a program of 1500 moves, made by repeating `links`, and the time that its F words give it, s.
+/// Returns a program of 1500 moves, made by repeating `links`, and the time that its F words prescribe, s.
 fn chain(links: &[Link], inverse_time: bool) -> (String, f64) {
     let (mut text, mut seconds) = (String::from(if inverse_time { "G93\n" } else { "G94\n" }), 0.0);
     for (way, feed) in links.iter().cycle().take(1500) {
@@ -218,9 +219,9 @@ fn links(feed: core::ops::Range<u32>, most_y: i32) -> impl Strategy<Value = Vec<
     prop::collection::vec((way, feed), 2..7)
 }
 
-/// Returns the ratio of a chain's duration to the time that its F words give it, and the length of one step of X as a
-/// share of the chain's length along X. This share is the tolerance: durations are measured from the first to the last
-/// step, so the time before and after them is missing.
+/// Returns two ratios for a chain of moves. The first is its duration divided by the time that its F words prescribe.
+/// The second is a tolerance for the first: one step of X divided by the chain's length along X. Durations are
+/// measured from the first to the last step, so the time before and after them is missing.
 fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> (f64, f64) {
     let (text, meant) = chain(links, inverse_time);
     let mut mill = mill();
@@ -232,9 +233,9 @@ fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> (f64, f64) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, rng_seed: RngSeed::Fixed(931), ..ProptestConfig::default() })]
 
-    /// Moves too short for a step, together with the next move that makes a step, take the time that F gives them,
-    /// whatever A does, and with equal or different feeds. Y does not move, because the controller would join lines
-    /// that go back and forth in Y to one straight line, which is shorter than they are.
+    /// Some moves are too short for a step. Together with the next move that makes a step, they take the time that F
+    /// gives them. This holds whatever A does, and with equal or different feeds. Y does not move, because the
+    /// controller would join lines that go back and forth in Y to one straight line, which is shorter.
     #[test]
     fn chains_of_moves_shorter_than_a_step_take_their_time(even in links(30..31, 0), odd in links(30..120, 0)) {
         for links in [even, odd] {

@@ -1,5 +1,5 @@
-//! The worked examples of the document that this controller started from (S. Tajima's analysis of Grbl, 2020): checks
-//! the positions that the machine passes through, by counted pulses. Where the text omits a feed, one is added.
+//! The worked examples of S. Tajima's analysis of Grbl (2020), the document that this controller started from. Checks
+//! by counted pulses which positions the machine passes through. Where the text omits a feed, one is added.
 
 use super::host::{CARVER, CARVER_STEPS, assert_near};
 use super::oracle::{AXES, Circle};
@@ -204,8 +204,7 @@ fn chapter_2_7_work_is_machine_less_system_less_g92() {
     walk(&mut rig, &[("G0 X0 Y0", Some([3.5, 17.2, 0.0]))]);
     rig.carry_out("G10 L2 P1 X0 Y0 Z0");
     assert_near(work(&mut rig), [3.5, 17.2, 0.0], 0.0);
-    // Offset of the system = machine - value - G92: at machine 3.5 with a G92 of 2, the value 1.5 gives an offset of
-    // zero.
+    // Offset of the system = machine position - value of G10 L20 - offset of G92. Here 3.5 - 1.5 - 2 = 0.
     rig.carry_out("G92 X1.5");
     rig.carry_out("G10 L20 P1 X1.5");
     assert!(rig.ask("$#").contains(&"[G54:0.000,0.000,0.000]".to_string()));
@@ -228,7 +227,8 @@ fn chapter_2_3_14_after_g92_the_place_reads_its_values() {
     assert_eq!(rig.ask("G92 G0 X0 Y0 Z0"), [told, "error:24"]);
 }
 
-/// The listing of 2.10.1 as printed, with its comments in Japanese; the feed is raised from 1 mm/min.
+/// First lines of the listing in 2.10.1, as printed, with comments in Japanese. `ONE_CIRCLE` has the lines for a
+/// circle; the feed there is raised from 1 mm/min.
 const FIVE_CIRCLES: &str = "G10 L2 P1 X0 Y0 Z0 (座標 G54 の原点をマシン原点に設定)
 G10 L2 P2 X10 (G55 を X=10mm オフセット)
 G10 L2 P3 X-10 (G56 を X= -10mm オフセット)
@@ -244,8 +244,8 @@ G0 Z0 (Z 軸を Z=0 に移動)
 /// Centres of the five circles: each has a radius of 1 mm and starts at X-2 of its coordinate system.
 pub const CENTRES: [[f64; 2]; 5] = [[-1.0, 0.0], [9.0, 0.0], [-11.0, 0.0], [-1.0, 10.0], [-1.0, -10.0]];
 
-/// The document's listings are files, so their comments are not sent over a serial line, where bytes beyond ASCII could
-/// be realtime commands: these bytes are removed, as a file reader does.
+/// Removes all bytes beyond ASCII, as a file reader does. The document's listings are files, and their comments have
+/// such bytes. On a serial line these bytes could be realtime commands.
 fn as_file(text: &str) -> String {
     text.chars().filter(char::is_ascii).collect()
 }
@@ -292,7 +292,8 @@ fn chapter_2_10_1_five_circles_as_printed_are_refused_by_the_other_dialects() {
     }
 }
 
-/// 2.3.4 (2): the arc ends where the line from its centre to the given point crosses it.
+/// Section 2.3.4 (2): the given end point is off the circle. In the dialect `$900=2` the arc ends where the line from
+/// its centre to the given point crosses the circle. The default dialect rejects the line.
 #[test]
 fn chapter_2_3_4_an_arc_to_a_point_off_the_circle() {
     let line = "G02 X-30 Y-40 I-10 J-15 F500";
@@ -313,8 +314,8 @@ fn chapter_2_3_4_an_arc_to_a_point_off_the_circle() {
 }
 
 /// Figure 6.2 and the example of 7.1, on the step outputs of a machine with one step per millimetre. The controller
-/// smooths the steps of an axis this slow. So when a step of Y is due, Y waits for the next sixteenth of a step of X,
-/// which lies within the tick (step of X) that the figure shows.
+/// smooths the steps of so slow an axis: a step of Y comes at the next sixteenth of a step of X. This is within the
+/// tick (step of X) that the figure shows.
 #[test]
 fn chapters_6_and_7_the_steps_of_the_minor_axis() {
     // Step m of Y is due when X has made (m - 1/2) × X / Y steps, where X and Y are the lengths of the line in steps.

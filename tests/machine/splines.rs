@@ -1,5 +1,5 @@
-//! Splines from G-code words to pulses, compared with the exact curves that are computed here from the words; with
-//! scaling, rotation and offsets.
+//! Tests splines (G5, G5.1, G5.2) from G-code words to step pulses. The tests compute the exact curve from the same
+//! words and check that the steps lie on this curve, also with scaling (G51), rotation (G68) and offsets.
 
 use super::examples::places;
 use super::host::{CARVER, CARVER_STEPS, assert_near};
@@ -12,12 +12,14 @@ use std::fmt::Write;
 
 type Point = [f64; 2];
 
-/// Maximum distance of the steps from the curve, mm: the arc tolerance `$12` of a new machine, the rounding to steps
-/// (1/2 + 1/14 of a step on each axis), and the error of the polygon by which the test approximates the curve.
+/// Maximum distance of the steps from the curve, mm. It is the sum of three parts: the default arc tolerance `$12`,
+/// the rounding to steps (1/2 + 1/14 = 4/7 of a step on each axis, see `motion_properties.rs`), and the error of the
+/// polygon by which the test approximates the curve.
 const MOST_OFF: f64 = 0.002 + std::f64::consts::SQRT_2 * 4.0 / 7.0 / CARVER_STEPS + 5e-4;
 
-/// A curve by its words, in thousandths of a millimetre. `leaving` (I and J) is `None` if the curve continues the
-/// previous one smoothly.
+/// The G-code words of one curve, in thousandths of a millimetre: `target` is X and Y, `leaving` is I and J,
+/// `arriving` is P and Q. `leaving` is `None` if the curve shall continue the previous curve smoothly, without I and
+/// J. `quadratic`: G5.1, otherwise G5.
 #[derive(Clone, Debug)]
 struct Words {
     target: [i32; 2],
@@ -26,7 +28,8 @@ struct Words {
     quadratic: bool,
 }
 
-/// Transformations of a program's coordinates.
+/// Transformations of a program's coordinates: G91 (`incremental`), the origin of G54 in thousandths of a millimetre,
+/// the factors and the centre of G51, and the angle of G68 in degrees.
 #[derive(Clone, Debug)]
 struct Frame {
     incremental: bool,
@@ -70,7 +73,8 @@ impl Frame {
     }
 }
 
-/// Returns a program with these curves, and the control points that each of them must have.
+/// Returns a program with these curves, and for each curve the four control points that it must have in machine
+/// coordinates.
 fn meant(frame: &Frame, curves: &[Words]) -> (String, Vec<[Point; 4]>) {
     let mut text = frame.setup();
     let mut chain: Vec<[Point; 4]> = Vec::new();
@@ -118,7 +122,7 @@ fn from_piece(point: Point, a: Point, b: Point) -> f64 {
     (point[0] - a[0] - way[0] * share).hypot(point[1] - a[1] - way[1] * share)
 }
 
-/// Checks that each position of a trace is near the curve, in the order of the curve.
+/// Checks that each position of a trace is near the curve, and that the positions advance along the curve.
 fn follows(places: &[[f64; AXES]], chain: &[[Point; 4]]) -> Result<(), String> {
     const PIECES: u32 = 600;
     let at = |k: u32, curve| exact(curve, f64::from(k) / f64::from(PIECES));
@@ -155,7 +159,8 @@ fn frame() -> impl Strategy<Value = Frame> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, rng_seed: RngSeed::Fixed(24), ..ProptestConfig::default() })]
 
-    /// Even with a hold and an override on the way, the steps lie on the exact curves and end at their end.
+    /// The steps lie on the exact curves and stop at the end of the last curve, even if a feed hold and a feed
+    /// override occur on the way.
     #[test]
     fn the_steps_of_splines_follow_the_exact_curves(
         frame in frame(), curves in prop::collection::vec(words(), 1..5), hold in 0.1_f64..2.0,
@@ -177,8 +182,8 @@ proptest! {
         let end = chain.last().map(|curve| curve[3]).unwrap();
         assert_near(rig.place_mm(CARVER_STEPS), [end[0], end[1], 0.0], 0.5 / CARVER_STEPS + 1e-6);
         let steps = places(&rig.trace, start, [CARVER_STEPS; AXES]);
-        // The steps are counted from `start`, a whole step, which is at most half a step away from the start of the
-        // curve.
+        // `places` adds the steps to `start`. `start` is a whole number of steps, so it can be half a step away from
+        // the exact start of the curve.
         if let Err(why) = follows(&steps, &chain) {
             prop_assert!(false, "{why}\n{text}");
         }
@@ -192,7 +197,8 @@ fn seconds(program: &str) -> f64 {
     (rig.trace[rig.trace.len() - 1].at - rig.trace[0].at) as f64 / HZ as f64
 }
 
-/// A circle of four curves takes the time of the arc, both where the feed limits it and where the curvature does.
+/// A circle of four splines takes the time of an arc. With some radii and feeds the feed limits the speed, with
+/// others the curvature.
 #[test]
 fn a_circle_of_splines_takes_the_time_of_an_arc() {
     for (radius, feed) in [(10.0, 1200), (10.0, 6000), (3.0, 6000), (30.0, 6000)] {
@@ -216,8 +222,8 @@ fn inverse_time() {
     assert!((9.99..10.1).contains(&found), "{found} s");
 }
 
-/// Four quarters of a circle by control points, each with the root of 1/2 as the weight of its corner. The steps lie on
-/// the circle, end at its end, and take the time of the arc, even with a hold and an override on the way.
+/// A circle of four NURBS quarters (G5.2). The corner point of each quarter has the weight √(1/2). The steps lie on
+/// the circle, end at its end, and take the time of an arc.
 #[test]
 fn a_circle_of_control_points_is_the_circle() {
     for (radius, feed) in [(10.0, 1200), (3.0, 6000), (30.0, 6000)] {
@@ -240,8 +246,8 @@ fn a_circle_of_control_points_is_the_circle() {
             assert!((x.hypot(y) - r).abs() < MOST_OFF, "{x} {y} on a circle of {r}");
         }
         let arc = seconds(&format!("F{feed}\nG3 I-{r}\n"));
-        // The controller halves a curve until its chords are close enough to it. So the chords are less even than those
-        // of an arc, and a small circle has few of them: up to 6 % more time is allowed.
+        // The controller halves a curve until the chords are close enough to the curve. So the chords are less even
+        // than the chords of an arc, and a small circle has few chords. Up to 6 % more time is allowed.
         assert!((0.99..1.06).contains(&(found / arc)), "{found} s, the arc {arc} s, radius {r} at F{feed}");
     }
 }

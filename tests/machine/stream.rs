@@ -137,7 +137,7 @@ fn line(random: &mut Random) -> String {
 /// sent after them.
 const ON_THE_WAY: usize = 240;
 
-/// The host's record of one stream.
+/// A machine that receives a stream of lines, and what the host has counted in its answers.
 struct Stream {
     rig: Rig,
     /// Lengths of the lines sent and not yet answered.
@@ -160,7 +160,8 @@ impl Stream {
                 self.answered += 1;
                 self.errors += usize::from(line != "ok");
             } else if line.starts_with("Grbl ") {
-                // A greeting: after a reset, the end of $C, or $RST. The lines that were unanswered are dropped.
+                // The controller sends a greeting after a reset, at the end of `$C` and after `$RST`. It has dropped
+                // the unanswered lines.
                 self.dropped += self.open.len();
                 self.open.clear();
             } else if line.starts_with("ALARM:") {
@@ -214,7 +215,7 @@ impl Stream {
         assert!(self.open.is_empty());
     }
 
-    /// Checks that the reported position is the one that the pulses make, whatever happened.
+    /// Checks that the reported position equals the position that the step pulses make.
     fn account(&mut self) {
         let report = {
             self.rig.send(b"?");
@@ -224,7 +225,7 @@ impl Stream {
         };
         self.read();
         let place = numbers::<3>(&report, "MPos").expect("a machine position");
-        // While the machine moves, the report can be ahead by up to the segment being executed.
+        // During a move the report can be ahead of the pulses, by at most the segment in progress.
         if !report.starts_with("<Run") && !report.starts_with("<Jog") && !report.starts_with("<Hold:1") {
             for (axis, mm) in place.iter().enumerate() {
                 let steps = mm * CARVER_STEPS;
@@ -234,8 +235,8 @@ impl Stream {
     }
 }
 
-/// 100,000 lines, valid and invalid, with realtime bytes between and within them: no panic, no hang, one answer to each
-/// line that no reset has dropped.
+/// 100,000 lines, valid and invalid, with realtime bytes between and within them. The controller must not panic or
+/// hang, and must answer each line once, unless a reset has dropped the line.
 #[test]
 fn any_stream_is_answered_line_by_line() {
     const LINES: usize = 100_000;
@@ -248,7 +249,7 @@ fn any_stream_is_answered_line_by_line() {
     for number in 0..LINES {
         let mut bytes = line(&mut random).into_bytes();
         bytes.push(b'\n');
-        // A realtime byte at any position of the line, even after its end.
+        // Insert a realtime byte at any position of the line, at the latest directly before the line end.
         if bytes.len() < ON_THE_WAY && random.below(8) == 0 {
             let command = match random.below(16) {
                 0..=3 => b'?',

@@ -1,5 +1,6 @@
-//! If a program approximates a turn by short chords, the machine must take it as fast as the same turn in one vertex or
-//! as an arc, neither faster nor slower. [`super::axis_speeds`] explains how axis speeds are read and what is allowed.
+//! Tests turns that a program approximates by short chords. The machine must take such a turn as fast as the same
+//! turn in one vertex or as an arc, neither faster nor slower. [`super::axis_speeds`] explains how axis speeds are
+//! read and what is allowed.
 
 use super::axis_speeds::{Change, Course, greatest_change};
 use super::estimator::Limits;
@@ -13,7 +14,7 @@ use std::f64::consts::PI;
 use std::fmt::Write;
 use std::ops::Range;
 
-/// Windows in which speeds are compared, s.
+/// Lengths of the time windows over which changes of an axis' speed are measured, s.
 const WINDOWS: [f64; 3] = [0.002, 0.005, 0.020];
 
 /// Returns limits of 100 mm/s and 500 mm/s², with the default `$11`.
@@ -61,8 +62,8 @@ impl Style {
     }
 }
 
-/// Returns a program of straight moves from the origin through the points `meant`, and its course: these points as
-/// intended and as written. Feed in mm/s.
+/// Returns a program of straight moves from the origin through the points `meant` (mm), and its [`Course`]. The
+/// course has these points twice: as intended, and as rounded in the program. `feed`: mm/s.
 pub fn program(meant: &[[f64; AXES]], style: Style, feed: f64) -> (String, Course) {
     let mut text =
         format!("G{} G90 G94 G17\nG1 F{:.5}\n", if style.inches { 20 } else { 21 }, feed * 60.0 / style.unit());
@@ -85,7 +86,8 @@ pub fn program(meant: &[[f64; AXES]], style: Style, feed: f64) -> (String, Cours
     (text, course)
 }
 
-/// Runs a program to its end.
+/// Starts a machine with these settings, runs a program to its end, and returns the machine with the trace of its
+/// pulses.
 pub fn run(settings: &str, program: &str) -> Rig {
     let mut rig = Rig::with(settings);
     rig.run_clean(program);
@@ -102,7 +104,7 @@ fn seconds_of(points: &[[f64; AXES]], style: Style) -> f64 {
     seconds(&run(&settings(&limits(250.0), 0.0), &program(points, style, 100.0).0))
 }
 
-/// Returns the largest change of an axis' speed over any of the windows.
+/// Returns the change of an axis' speed with the largest ratio to the allowed change, over all [`WINDOWS`].
 fn worst(trace: &[Pulse], course: &Course, limits: &Limits) -> Result<Change, String> {
     let mut worst: Option<Change> = None;
     for window in WINDOWS {
@@ -205,7 +207,8 @@ fn a_circle_in_coarse_digits_keeps_its_time() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// A part of a path in the plane, from the end of the previous part and in its direction.
+/// A part of a path in the plane. It begins at the end of the previous part, in the direction in which that part
+/// ended.
 #[derive(Clone, Copy, Debug)]
 enum Part {
     /// A straight line of a length (mm), in a number of pieces.
@@ -247,23 +250,26 @@ fn points(parts: &[Part]) -> Vec<[f64; AXES]> {
     points
 }
 
-/// Maximum number of chords of one arc.
+/// Maximum number of chords of one arc. An arc that would need more gets longer chords than [`Part::Arc`] asks for.
 const MOST_CHORDS: f64 = 300.0;
 
-/// Shape of a path. Lengths of lines are shares of the distance in which a machine reaches its feed.
+/// Shape of a path. A line of length 1 is about as long as the distance in which the machine reaches its feed (see
+/// `reach`).
 #[derive(Clone, Debug)]
 enum Shape {
     /// Lines joined by bends: for each bend its angle and the length of the line after it.
     Fillets(Vec<(f64, f64)>),
-    /// Parallel lines of these lengths, joined by half circles that turn left and right in turn.
+    /// Parallel lines of these lengths, joined by half circles that turn left and right alternately.
     Rows(Vec<f64>),
-    /// A star: each tip consists of two turns, and all tips are equal.
+    /// A star of equal tips. Each tip has two bends: one by the angle `sharp` (rad), and one back in the other
+    /// direction.
     Star { tips: u32, side: f64, sharp: f64 },
     /// Half circles, each larger than the one before by this factor.
     Spiral { halves: u32, growth: f64 },
-    /// Strokes with sharp or round corners.
+    /// Strokes as of engraved text: for each its angle to the next stroke (rad), its length, and `true` if the corner
+    /// is round.
     Text(Vec<(f64, f64, bool)>),
-    /// The contour around a polygon, with round joins.
+    /// A contour with round joins that runs `turns` times around a polygon.
     Contour { corners: u32, side: f64, turns: u32 },
 }
 
@@ -273,9 +279,9 @@ struct Job {
     shape: Shape,
     radius: f64,
     chord: f64,
-    /// Number of pieces of each line.
+    /// Number of equal moves into which each line is divided.
     pieces: u32,
-    /// Rotations of the plane: within itself, about X and about Z.
+    /// Rotations of the plane, rad: within itself, about X and about Z.
     tilt: [f64; 3],
     /// Rise perpendicular to the plane before it is tilted, mm per mm of path.
     rise: f64,
@@ -405,7 +411,6 @@ fn reach(limits: &Limits, feed: f64) -> f64 {
     (feed * feed / limits.acceleration[0] / 2.0).clamp(0.5, 12.0)
 }
 
-/// Returns a number from the environment.
 fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
 }
@@ -418,7 +423,7 @@ fn drawn<S: Strategy>(strategy: &S, case: u64) -> S::Value {
     strategy.new_tree(&mut runner).expect("no filters").current()
 }
 
-/// A random job: the machine, its jerk, settings, program and course.
+/// A random job: the machine, its jerk, settings, program and course, and `told`, a description for error messages.
 struct Drawn {
     limits: Limits,
     jerk: f64,
@@ -437,13 +442,15 @@ impl Drawn {
     }
 }
 
-/// Returns the case numbers of a run: `OXMILL_FUZZ=N` cases instead of a few, from `OXMILL_FUZZ_SEED` on.
+/// Returns the case numbers of a run. `OXMILL_FUZZ=N` sets their number instead of `default`; `OXMILL_FUZZ_SEED` sets
+/// the first, otherwise 1.
 fn cases(default: u64) -> Range<u64> {
     let (cases, first) = (number("OXMILL_FUZZ", default), number("OXMILL_FUZZ_SEED", 1));
     first..first + cases
 }
 
-/// Fails if there are faults: prints their number and the worst, and writes the program of the worst to a file.
+/// Fails if there are faults: prints their number and the 12 worst, and writes the program of the worst one to a
+/// file. A fault is a tuple of its ratio, its description and the program.
 fn tell(name: &str, mut faults: Vec<(f64, String, String)>) {
     faults.sort_by(|a, b| b.0.total_cmp(&a.0));
     if let Some((_, _, job)) = faults.first() {
@@ -454,8 +461,8 @@ fn tell(name: &str, mut faults: Vec<(f64, String, String)>) {
     }
 }
 
-/// Random shapes on random machines: no axis changes its speed by more than acceleration, the junction rule for the
-/// whole turn and the rounding to digits allow.
+/// Random shapes on random machines: the speed of each axis changes no more than allowed. Three terms add up to the
+/// allowed change: the acceleration, the junction rule for the whole turn, and the rounding to digits.
 #[test]
 fn no_axis_changes_its_speed_by_more_than_a_whole_turn_is_granted() {
     let mut faults = Vec::new();
@@ -472,7 +479,7 @@ fn no_axis_changes_its_speed_by_more_than_a_whole_turn_is_granted() {
 }
 
 /// Maximum number of vertices of jobs that are compared with the rule for turns. The reference applies the rule to
-/// every span of vertices, which takes long if there are many.
+/// every run of consecutive vertices, which takes long if there are many vertices.
 const MOST_VERTICES: usize = 300;
 
 /// A job takes no longer in its turns than the rule for turns requires ([`by_the_rule`]): rounding noise costs no time.
@@ -495,15 +502,16 @@ fn no_turn_takes_longer_than_the_rule_needs() {
     tell("slow_turn", faults);
 }
 
-/// Allowed ratio of a job's duration to that of [`by_the_rule`]. The controller looks ahead over a limited number of
-/// moves, applies the rule to a choice of spans only, and sees points that are rounded to digits.
+/// Allowed ratio of a job's duration to the duration that [`by_the_rule`] computes. The controller looks ahead over a
+/// limited number of moves, applies the rule to some runs of vertices only, and sees points that are rounded to
+/// digits.
 const SLOWER: f64 = 1.15;
 /// Allowance for the first and the last step, s.
 const UNSEEN: f64 = 0.01;
 
-/// Checks the measurement itself with motion computed by [`by_the_rule`]: it must accept the maximum speed that the
-/// rule for turns allows, in any shape. It must detect motion at 1.5 times this speed on some jobs (those with fine
-/// steps and digits), and at 2 times on most.
+/// Tests the measurement itself (`worst`) with motion computed by [`by_the_rule`]. The measurement must accept motion
+/// at the maximum speed that the rule for turns allows, in any shape. It must reject motion at 1.5 times this speed
+/// on some jobs (those with fine steps and digits), and at 2 times on most.
 #[test]
 fn the_measure_accepts_the_rule_and_sees_a_broken_one() {
     let (mut compared, mut seen) = (0, [0, 0]);

@@ -2,7 +2,7 @@
 
 use proptest::prelude::*;
 
-/// A line of a host. The variants are those that the protocol answers differently.
+/// A line of a host. There is one variant for each kind of line that the protocol answers differently.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Line {
     Empty,
@@ -20,7 +20,7 @@ pub enum Line {
     ProgramEnd,
     Spindle(bool),
     Flood(bool),
-    /// Selects a tool.
+    /// T alone: selects a tool for the next M6.
     Select(u8),
     /// Loads the selected tool into the spindle.
     Change,
@@ -185,10 +185,10 @@ impl Action {
     }
 }
 
-/// The settings in which conversations differ.
+/// Settings of a machine. Conversations differ in these settings only.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setup {
-    /// `$900=0`.
+    /// `$900=0`, Grbl's dialect.
     pub grbl: bool,
     /// `$21`.
     pub hard_limits: bool,
@@ -202,17 +202,16 @@ pub struct Setup {
     pub watch: bool,
     /// `$915`: the spindle has an at-speed signal.
     pub at_speed: bool,
-    /// `$924` to `$928`; `None`: the defaults.
+    /// The reaction to each fault (`$924` to `$928`), 0 to 5; `None`: the defaults.
     pub reactions: Option<u8>,
 }
 
-/// Alarm for a silent or disconnected host, in states in which that is a fault.
+/// Number of the alarm for a silent or disconnected host. In some states neither is a fault.
 pub const HOST: u8 = 3;
 /// Alarm for a spindle that has lost its speed.
 pub const SLOW: u8 = 14;
 
 impl Setup {
-    /// Returns the settings lines of this setup.
     pub fn settings(self) -> Vec<String> {
         let mut lines: Vec<String> = Vec::new();
         for axis in 0..3 {
@@ -260,8 +259,8 @@ impl Setup {
     }
 }
 
-/// Host timeout during a job, s. It is not a sum of the times that actions, dwells or delays take, so it never expires
-/// together with one of them.
+/// Host timeout during a job, s. No sum of the times of actions, dwells and delays has this value. So the timeout
+/// never expires together with one of them.
 pub const JOB_SILENCE: f64 = 1.13;
 /// Host timeout during a jog, s. Like [`JOB_SILENCE`], it never expires together with an action, dwell or delay.
 pub const JOG_SILENCE: f64 = 0.31;
@@ -346,7 +345,8 @@ fn one() -> impl Strategy<Value = Action> {
 /// exactly at a report.
 const PASSES: [f64; 6] = [0.0023, 0.0317, 0.2129, 0.6151, 2.0377, 7.1213];
 
-/// Returns a homing cycle by hand: each switch is touched twice, first Z, then X and Y.
+/// Returns a homing cycle in which the test operates the switches. Each switch is touched twice: first Z, then X and
+/// Y together.
 fn homed_by_hand() -> Vec<Action> {
     let mut actions = vec![Action::Line(Line::Home), Action::Pass(0.2011)];
     for limits in [[2].as_slice(), &[2], &[0, 1], &[0, 1]] {
@@ -358,14 +358,15 @@ fn homed_by_hand() -> Vec<Action> {
     actions
 }
 
-/// Generates the actions in this order; rarely, one of them is omitted.
+/// Generates these actions in this order. Each action is left out with a probability of 1.5 %.
 fn sequence(actions: Vec<Action>) -> impl Strategy<Value = Vec<Action>> {
     prop::collection::vec(prop::bool::weighted(0.985), actions.len()).prop_map(move |kept| {
         actions.iter().zip(kept).filter(|(_, kept)| *kept).map(|(action, _)| action.clone()).collect()
     })
 }
 
-/// Generates a jog or an activity that delays jogs, then an action that ends jogs, and another jog.
+/// Generates a first line (a jog, a move or a dwell) and then a command that ends jogs. Another jog may be sent
+/// before the command, after it, or both.
 fn ended_jog() -> impl Strategy<Value = Vec<Action>> {
     let first = prop::sample::select(vec![Line::JogOutside, Line::Jog(1, -3), Line::Dwell, Line::Move(2, -15, true)]);
     let ends = prop::sample::select(vec![HOLD, JOG_CANCEL, JOG_CANCEL, DOOR, STOP, RESET]);
@@ -403,8 +404,8 @@ fn resumed_job() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
-/// Generates a job with an input fault and events while the machine brakes. The operator can have stopped the spindle
-/// before.
+/// Generates a job, a fault while it runs, and another event while the machine brakes. Before the fault the job may
+/// be in a hold, at a door or stopped, or the operator may have stopped the spindle.
 fn job_with_a_fault() -> impl Strategy<Value = Vec<Action>> {
     let before = prop::sample::select(vec![
         vec![],
@@ -441,8 +442,8 @@ fn job_with_a_fault() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
-/// Generates a job whose spindle loses its speed repeatedly, and events after which the controller may allow the
-/// spindle time to reach its speed.
+/// Generates a job whose spindle loses its speed twice. Before each loss comes an event or a pause, after which the
+/// controller may give the spindle time to reach its speed.
 fn job_with_a_slow_spindle() -> impl Strategy<Value = Vec<Action>> {
     let slow =
         || prop::sample::select(vec![0.0317, 0.1601, 0.1799, 0.2601, 0.2901, 2.0377]).prop_map(Action::SlowSpindle);
@@ -484,7 +485,6 @@ fn some() -> impl Strategy<Value = Vec<Action>> {
         40 => one().prop_map(|action| vec![action]),
         2 => sequence(vec![Action::Byte(RESET), Action::Line(Line::Unlock)]),
         1 => sequence(homed_by_hand()),
-        // A jog or another line, perhaps with a jog waiting after it, and then an action that ends jogs.
         3 => ended_jog().prop_flat_map(sequence),
         1 => resumed_job().prop_flat_map(sequence),
         1 => job_with_a_fault().prop_flat_map(sequence),

@@ -1,6 +1,6 @@
-//! Compares the protocol's state machine with a plain reference model, in random conversations: the answers and error
-//! numbers, which lines wait, the status report, and that no step occurs when none may. A disagreement is shrunk to the
-//! shortest conversation and printed in the format of `tests/conversations`.
+//! Compares the protocol's state machine with a plain reference model, in random conversations. Compared are the
+//! answers and error numbers, which lines wait, and the status report; and no step may occur where the model forbids
+//! motion. A disagreement is shrunk to the shortest conversation and printed in the format of `tests/conversations`.
 //!
 //! `OXMILL_MODEL=N` plays N conversations instead of the default number; `OXMILL_MODEL_SEED` sets the first seed.
 
@@ -22,9 +22,9 @@ fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |text| text.parse().unwrap_or_else(|_| panic!("{name} is a number")))
 }
 
-/// Plays conversations with a machine and with a reference model. `told` returns the setup of the model; some tests let
-/// it differ from the machine's, so that the two disagree. Returns the states that were reported, or the shortest
-/// conversation in which the two disagree.
+/// Plays conversations with a machine and with a reference model. `told` turns the setup of the machine into the
+/// setup of the model. Some tests make the two setups differ on purpose. Returns how often each state was reported,
+/// or the shortest conversation in which machine and model disagree.
 fn search(count: u64, seed: u64, told: impl Fn(Setup) -> Setup) -> Result<States, String> {
     let config = Config {
         cases: u32::try_from(count).expect("a number of 32 bits"),

@@ -15,7 +15,8 @@ be tried without a board: `oxmill serve --tcp 2399 --board nucleo_f446re`.
 
  * `edges`: moves X back and forth at HZ steps a second with pulses of PULSE us, under a flood of `?`, until Ctrl-C. For
    the oscilloscope.
- * `jogs`: repeats the jog of step 4 back and forth, under a flood of `?`, and compares `MPos` after each jog.
+ * `jogs`: repeats the jog of step 4 of docs/bench.md back and forth, under a flood of `?`, and compares `MPos` after
+   each jog.
  * `stops`: stops a jog N times (0x85, `!`, 0x18) at random moments, and compares the edges at step X with `MPos`. The
    edges come from a logic analyser with sigrok's driver fx2lafw at 12 MS/s, read by sigrok-cli: D0 at step X, D1 at
    direction X, ground at ground. With `--no-analyser` it stops in the same way, but compares nothing.
@@ -57,7 +58,7 @@ TAKE = "sigrok-cli -d fx2lafw -c samplerate=12m -C D0,D1 --continuous -O binary"
 
 
 def opened(name):
-    """Opens a port."""
+    """Opens a serial port or an address; exits with a message if that fails."""
     try:
         import serial
     except ImportError:
@@ -69,7 +70,7 @@ def opened(name):
 
 
 class Board:
-    """A board at a port."""
+    """A board at a port, with the lines that it has sent and that nobody has read yet."""
 
     def __init__(self, name):
         self.name = name
@@ -103,7 +104,7 @@ class Board:
         self.lines.clear()
 
     def wait(self, pattern, seconds=10):
-        """Waits for a line; returns the match. Lines before it are dropped."""
+        """Drops lines until one matches the pattern; returns the match. Exits after `seconds` without such a line."""
         end, dropped = time.monotonic() + seconds, collections.deque(maxlen=5)
         while True:
             while self.lines:
@@ -116,14 +117,14 @@ class Board:
             self.read()
 
     def send(self, line):
-        """Sends a line and waits for `ok`."""
+        """Sends a line and waits for its answer; exits if the answer is not `ok`."""
         self.port.write(line.encode() + b"\n")
         answer = self.wait(r"ok$|error:\d+").group()
         if answer != "ok":
             sys.exit(" ".join([f"{line}: {answer}", *self.messages]))
 
     def status(self):
-        """Returns the state and the machine position of X."""
+        """Returns the state and the machine position of X, mm."""
         self.port.write(b"?")
         found = self.wait(r"<(\w+).*?MPos:(-?[\d.]+)")
         return found[1], float(found[2])
@@ -255,7 +256,7 @@ def stops(board, number, hz, pulse, compares):
         rate = hz if k % 2 == 0 else random.uniform(min(SLOWEST_HZ, hz), hz)
         way = random.choice((-1, 1)) if abs(begin) < FARTHEST else -1 if begin > 0 else 1
         stop = random.choice((CANCEL, HOLD, RESET))
-        # The distance covered in one second.
+        # The jog is as long as the distance covered in one second at its rate.
         board.send(f"$J=G91 G21 X{way * rate / STEPS:.3f} F{60 * rate / STEPS:.3f}")
         time.sleep(random.uniform(0, 0.9))
         if stop == RESET:
@@ -352,7 +353,7 @@ def settings(board, number, is_disturbed):
             if answer not in ("ok", None) or time.monotonic() > begin + 5:
                 if not is_disturbed:
                     sys.exit(f"change {k + 1}, $100={value}: {answer or 'no answer within 5 s'}")
-                # End what is left of a line.
+                # End the line that may have arrived in part, so that the next change starts a new line.
                 board.port.write(b"\n")
                 board.hear(0.3)
                 refused += 1

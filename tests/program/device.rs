@@ -72,8 +72,8 @@ fn a_device_on_standard_input_greets_and_answers() {
     assert!(said.contains("[VER:1.1h.") && said.ends_with("ok\r\nok\r\n"), "{said}");
 }
 
-/// A wrong byte in the store: `run` reports it and does not start; a device reports it and stays locked until the user
-/// has checked.
+/// A wrong byte in the store: `run` reports it and does not start. A device reports it and stays locked until the
+/// user has listed the settings (`$$`) and unlocked it (`$X`).
 #[test]
 fn a_damaged_store_is_told_and_locks() {
     let job = file("stored.nc", "G21 G90\nG0 X10\n");

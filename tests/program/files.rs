@@ -74,8 +74,8 @@ fn drawings_and_traces_are_what_their_names_say() {
     assert_eq!(net, serde_json::json!(last.iter().map(|n| n.parse::<i64>().expect("steps")).collect::<Vec<_>>()));
 }
 
-/// An output that would overwrite another file of the run, by the file's own name or by others, is rejected, and no
-/// file is changed.
+/// An output path that leads to another file of the same run is rejected, also if it is a hard link or another
+/// spelling of the path. No file is changed then.
 #[test]
 fn no_file_is_written_over_another() {
     let program = "G1 X1 F300\n";
@@ -178,8 +178,8 @@ fn nothing_that_cannot_be_said_is_a_crash() {
     assert_eq!(mute.status.code(), Some(2));
 }
 
-/// Endless files are not read to the end, and a file that is too long for its purpose is rejected, with its name in the
-/// message.
+/// Endless files are not read to the end. A file that is too long for its purpose is rejected, and the message names
+/// the file.
 #[cfg(unix)]
 #[test]
 fn files_are_read_with_a_bound() {

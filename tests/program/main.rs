@@ -177,8 +177,8 @@ fn an_alarm_has_the_line_that_raised_it() {
     }
 }
 
-/// A block of O words that is never closed is one error, of the line that opened it: the lines in the block are
-/// accepted, but none of them is carried out.
+/// A block of O words without an end is one error, reported for the line that opened the block. The lines in the
+/// block are accepted, but the machine does not carry them out.
 #[test]
 fn a_block_without_an_end_is_an_error_of_the_line_that_began_it() {
     for (name, program, line) in [
@@ -239,7 +239,8 @@ fn nothing_falls_into_a_subprogram_behind_the_end() {
     }
 }
 
-/// If a program does not fit into the memory for held lines, the advice says how many bytes the board lacks.
+/// A program that calls a subprogram must fit into the board's memory. If it does not, the advice says how many bytes
+/// the board lacks.
 #[test]
 fn a_held_program_that_is_too_long_is_measured() {
     let program = format!("G21 G0 X1\nM98 P1\n{}M30\nO1\nX3\nM99\n", "X2.25 Y-1\n".repeat(700));
@@ -314,8 +315,8 @@ fn a_job_of_errors_has_a_summary_of_bounded_size() {
     assert!(words.contains("30000") && words.contains("and 29980 more"), "{words}");
 }
 
-/// `resume` writes a program for the remaining part of a job, to standard output or to a file, and this program is
-/// accepted. If `resume` reports an error, it writes no file.
+/// `resume` writes a program for the remaining part of a job, to standard output or to a file, and `run` accepts this
+/// program. If `resume` reports an error, it writes no file.
 #[test]
 fn the_rest_of_a_job_is_written() {
     let pocket = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/pocket_mm.nc");

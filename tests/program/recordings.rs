@@ -1,4 +1,4 @@
-//! Recordings by `run --record` and `serve --record`, and boards' recordings, played by `replay`.
+//! Tests `replay` with recordings made by `run --record`, by `serve --record` and by boards.
 
 use super::{file, json, oxmill, run, text};
 use serde_json::Value;

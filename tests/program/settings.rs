@@ -20,8 +20,8 @@ fn settings_may_come_from_any_editor() {
     assert!(said.contains("line 3 of ") && said.contains("is not of the form $n=v"), "{said}");
 }
 
-/// The dialect determines which values are accepted, even if `--dialect` follows them on the command line. For a
-/// rejected value the controller's answer is shown.
+/// The dialect determines which values are accepted, even if `--dialect` comes after the settings on the command
+/// line. For a rejected value the controller's answer is shown.
 #[test]
 fn settings_are_those_of_the_dialect() {
     let job = file("dialect_of_settings.nc", "G21\n");

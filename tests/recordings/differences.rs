@@ -1,6 +1,7 @@
 //! All recorded exchanges that this controller answers differently, with the reasons.
 
-/// A record to which this controller gives another answer than the recorded one.
+/// A record to which this controller gives another answer than the recorded one. `group`: name of the recording's
+/// file without its extension. `n`: number of the record in the file.
 pub struct Difference {
     pub group: &'static str,
     pub n: u64,

@@ -1,8 +1,8 @@
 //! Repeats conversations recorded from Grbl 1.1h with the simulator in Grbl's dialect.
 //!
-//! Each group starts with a fresh machine. Every answer must be equal byte for byte, or be listed in
-//! [`differences::DIFFERENCES`] with the reason, or be equal by one of the rules of [`rules`] for answers that depend
-//! on the wall time of the recording. The test prints the number of each.
+//! Each group (a file of recordings) starts with a fresh machine. An answer must be equal byte for byte, with two
+//! exceptions. Either [`differences::DIFFERENCES`] lists the answer with a reason. Or the answer depends on the wall
+//! time of the recording, and a rule of [`rules`] accepts it. The test prints the number of answers of each kind.
 
 mod differences;
 mod record;
@@ -67,7 +67,7 @@ fn play_record(mill: &mut Simulator, record: &Record) -> String {
                     }
                     listen(mill, &mut said, LOOK);
                 }
-                // Output right after an answer belongs to it: the welcome message after `$RST`.
+                // Output right after an answer is part of the answer, such as the welcome message after `$RST`.
                 listen(mill, &mut said, LOOK);
             } else {
                 listen(mill, &mut said, SILENCE);

@@ -5,7 +5,8 @@ use super::{differences, rules};
 use serde_json::Value;
 use std::fmt;
 
-/// One line of a recording.
+/// One record, a line of JSON in the file. `kind`: `boot`, `line`, `raw`, `rt`, `pin`, `wait` or `idle`. `send`: the
+/// bytes sent, or the pin and its level. `acked`: `true` if `ok` or `error` came. `wait`: a pause, s.
 pub struct Record {
     pub n: u64,
     pub kind: String,
@@ -15,7 +16,7 @@ pub struct Record {
     pub wait: f64,
 }
 
-/// Returns all records of a file.
+/// Reads all records from the text of a recording (JSON lines).
 pub fn read(text: &str) -> Vec<Record> {
     text.lines()
         .map(|line| {
@@ -88,7 +89,7 @@ impl Tally {
         }
     }
 
-    /// Returns listed differences that have not occurred.
+    /// Returns the listed differences that have not occurred, each as its group and number.
     #[allow(dead_code, reason = "the firmware in QEMU is asked for a part only")]
     pub fn unused(&self) -> Vec<String> {
         let unused = differences::DIFFERENCES.iter().zip(&self.used).filter(|(_, used)| !**used);

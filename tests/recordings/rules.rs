@@ -2,7 +2,7 @@
 //! known to the millisecond.
 
 /// Returns whether two answers are equal apart from timing. Each rule is for one kind of line and as narrow as
-/// possible. `stopped`: the position depends on the moment at which the recording host stopped a move.
+/// possible. `stopped`: `true` if the position depends on the moment at which the recording host stopped a move.
 pub fn equal(stopped: bool, recorded: &[String], answered: &[String]) -> bool {
     if recorded.len() != answered.len() {
         return false;
@@ -30,10 +30,12 @@ fn touch(recorded: &str, answered: &str) -> bool {
     }
 }
 
-/// Status reports: state and pins must be equal; buffer sizes differ between the controllers. During motion, or after a
-/// stop by the host, positions may differ by a millimetre, and the feed may be anything up to the 500 mm/min of the
-/// recorded machine. In Run, the spindle speed is not compared. Fields that appear only in every few reports are
-/// compared if both reports have them: when they appear depends on how often the host has polled.
+/// Status reports: state and pins must be equal; buffer sizes differ between the controllers. Other fields:
+/// * During motion, or after a stop by the host, positions may differ by a millimetre, and the feed may be anything
+///   up to the 500 mm/min of the recorded machine.
+/// * In Run, the spindle speed is not compared.
+/// * Offset and overrides are compared only if both reports have them. They appear in every few reports, depending on
+///   how often the host has polled.
 fn report(stopped: bool, recorded: &str, answered: &str) -> bool {
     let (Some(a), Some(b)) = (Report::read(recorded), Report::read(answered)) else { return false };
     let moving = stopped || matches!(a.state.as_str(), "Run" | "Jog" | "Home" | "Hold:1" | "Door:2" | "Door:3");

@@ -1,6 +1,7 @@
-//! Random sessions of everything a person can type, press and move: lines of every kind and garbage, settings, realtime
-//! bytes at any position, pins, pauses. The machine must not panic or hang, must answer every line once, report the
-//! position that the pulses make, and must always be able to return to Idle.
+//! Random sessions of everything a person can type, press and move: lines of every kind and garbage, settings,
+//! realtime bytes at any position, pins, pauses. The machine must not panic or hang, and must answer every line once.
+//! The reported position must be the position that the pulses make. The machine must always be able to return to
+//! Idle.
 //!
 //! `OXMILL_FUZZ=N` plays N sessions instead of the default few; `OXMILL_FUZZ_SEED` sets the first seed.
 
@@ -141,7 +142,6 @@ fn line(random: &mut Random) -> String {
     line
 }
 
-/// Plays the session with this seed.
 fn session(seed: u64) {
     let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
     let mut bench = Bench::new(MACHINE, SETTINGS);

@@ -17,7 +17,7 @@ const LOOK: f64 = 0.005;
 #[derive(Clone)]
 pub struct Bench {
     pub mill: Simulator,
-    /// Output that has not been read.
+    /// Output that [`Bench::read`] has not returned yet.
     unread: String,
 }
 
@@ -41,7 +41,8 @@ impl Bench {
         bench
     }
 
-    /// Sends a setting. If this makes the set of settings unusable, returns the setting that the lock message names.
+    /// Sends a setting. If the settings are unusable afterwards, returns the setting that the lock message names,
+    /// otherwise `None`.
     #[track_caller]
     pub fn set(&mut self, line: &str) -> Option<String> {
         let said = self.ask(line);
@@ -76,7 +77,8 @@ impl Bench {
         self.read_until(line, |said| said.iter().any(|l| l == "ok" || l.starts_with("error:")))
     }
 
-    /// Reads lines until `enough` accepts them.
+    /// Reads lines until `enough` accepts them, and returns them. `what`: name of this wait in the message of a
+    /// failure.
     #[track_caller]
     pub fn read_until(&mut self, what: &str, enough: impl Fn(&[String]) -> bool) -> Vec<String> {
         let end = self.seconds() + PATIENCE;
@@ -119,7 +121,7 @@ impl Bench {
         line.to_string()
     }
 
-    /// Returns the first field of the status report.
+    /// Returns the state from a status report, such as `Idle` or `Hold:0`.
     pub fn state(&mut self) -> String {
         let status = self.status();
         status.trim_start_matches('<').split(['|', '>']).next().expect("a state").to_string()

@@ -1,7 +1,8 @@
 //! Machines of every kind (belts, backlash, two motors on an axis, a rotary axis, jerk limits, laser, parking) home,
-//! jog, probe and run programs, and are interrupted while they do. The reported position must be the tool's position,
-//! no move may leave the travel, a machine at rest must make no steps, every state must have a way out, and at the end
-//! the machine must home and move.
+//! jog, probe and run programs, and are interrupted while they do. Requirements:
+//! * The reported position is the tool's position, and no move leaves the travel.
+//! * A machine at rest makes no steps, and every state has a way out.
+//! * At the end the machine can home and move.
 //!
 //! `OXMILL_COMBINED=N` plays N sessions on each machine instead of the default few; `OXMILL_COMBINED_SEED` sets the
 //! first seed.
@@ -36,10 +37,10 @@ const BACKLASH: &str = "backlash_mm = [0.1, 0.06, 0.08, 0]\n";
 const TAKEN_UP: &str = "$160=0.1 $161=0.06 $162=0.08";
 const TURNS: &str = "$930=4 $103=250 $113=9000 $123=900 $133=0";
 const PARKS: &str = "$41=1 $56=0.3 $57=900 $58=-3 $59=2000";
-/// The second motor of X starts 0.3 mm ahead of the first, and has its own switch.
+/// [`RACKED`]: the second motor of X starts 0.3 mm ahead of the first. [`SECOND`]: this motor has its own switch.
 const RACKED: &str = "racked_mm = 0.3\n";
 const SECOND: &str = "[[switch]]\naxis = \"x\"\nat_mm = 2\nside = \"positive\"\nsecond_motor = true\n";
-/// Machines: two parts of the TOML text before [`SWITCHES`], the TOML text after it, and the settings.
+/// Machines. Each has two TOML texts before [`SWITCHES`], one TOML text after it, and three texts of settings.
 const MACHINES: [([&str; 2], &str, [&str; 3]); 10] = [
     (["", ""], "", ["", "", ""]),
     ([BACKLASH, ""], "", [TAKEN_UP, "$43=2", ""]),
@@ -62,7 +63,7 @@ struct Mill {
     turns: bool,
     belts: bool,
     has_backlash: bool,
-    /// State and number of step events at the last check, and whether nothing has been sent since.
+    /// State and number of step events at the last check; `true` if nothing has been sent since then.
     before: (String, u64, bool),
     /// Everything sent and received, for diagnosis.
     log: String,
@@ -148,9 +149,9 @@ impl Mill {
         [x - AT[0], y - AT[1], z - AT[2]]
     }
 
-    /// Compares the reported position with the actual one at rest. They can differ by backlash that was not taken up
-    /// when a motion was stopped. On machines with belts they can also differ by half a step, because a step of one
-    /// motor moves the tool by half a step along two axes.
+    /// Compares the reported position with the actual position of a machine at rest. The two can differ for two
+    /// reasons. Backlash may not have been taken up when a motion was stopped. With belts, a step of one motor moves
+    /// the tool by half a step along two axes.
     fn assert_place(&mut self) {
         let ((reported, status), tool) = (self.reported(), self.tool());
         let off = if self.has_backlash { 0.1701 } else { [0.0021, 0.0101][usize::from(self.belts)] };

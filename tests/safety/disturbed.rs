@@ -1,6 +1,7 @@
-//! Random programs of all kinds of words, each run twice: line by line, and streamed while it is held, overridden,
-//! stopped by the door and run in single blocks. Both runs must end with the same answers, position, state and offsets,
-//! and on the same path. Machines with backlash have it in the simulated drives and in the settings.
+//! Random programs of all kinds of words. Each program is run line by line, and then twice as a stream with
+//! disturbances: holds, overrides, open doors, single blocks. All runs must end with the same answers, position,
+//! state and offsets, and take the same path. Machines with backlash have it in the simulated drives and in the
+//! settings.
 //!
 //! `OXMILL_DISTURBED=N` plays N programs on each machine instead of the default few; `OXMILL_DISTURBED_SEED` sets the
 //! first seed.
@@ -24,8 +25,8 @@ const BELTS: &str = "$904=1";
 const TURNS: &str = "$930=4";
 /// Backlash of a drive (`$160` to `$162`), with the same distance in the simulated machine, mm: 5, 8 and 10 steps.
 const BACKLASH: [(&str, f64); AXES] = [("$160=0.02", 0.02), ("$161=0.032", 0.032), ("$162=0.04", 0.04)];
-/// Settings of each machine, and whether it parks its tool: the moves to and from the parking position are not on the
-/// path.
+/// Settings of each machine, and `true` if it parks its tool. Parking moves leave the path, so the path of such a
+/// machine is not compared.
 const MACHINES: [(&str, bool); 11] = [
     ("", false),
     ("$220=9000 $221=8000 $222=7000", false),
@@ -44,9 +45,9 @@ const BEGIN: [&str; 4] = ["G10 L2 P1 X-30 Y-30 Z-20", "G10 L2 P2 X-28 Y-31 Z-21"
 const LINES: usize = 40;
 /// Maximum duration of a line, s.
 const LONGEST: f64 = 30.0;
-/// Edge of the cells by which paths are compared, steps: each position of one path must lie in a cell that the other
-/// path passes, or in a neighbouring cell. The edge is long enough for the braking distance of a probe, which depends
-/// on its speed.
+/// Edge of the cells by which paths are compared, steps. Each position of a disturbed run must lie in a cell that the
+/// undisturbed run passes, or in a neighbouring cell. The edge is long enough for the braking distance of a probe,
+/// which depends on its speed.
 const CELL: i32 = 10;
 /// Edge of the cells for paths with rounded corners (G64 P), which differ by up to 0.1 mm.
 const ROUNDED_CELL: i32 = 30;
@@ -178,7 +179,7 @@ struct Mill {
     answers: Vec<String>,
     sent: usize,
     alarm: bool,
-    /// State and number of step events at the last check, and whether nothing has been sent since.
+    /// State and number of step events at the last check; `true` if nothing has been sent since then.
     before: (String, u64, bool),
     /// Everything sent, for diagnosis.
     log: String,
@@ -314,7 +315,7 @@ impl Mill {
         self.byte(b'~');
     }
 
-    /// Returns state and offsets after the program.
+    /// Returns the answers to `$G` (modal state) and `$#` (offsets) after the program.
     fn left(&mut self) -> Vec<String> {
         [self.bench.ask("$G"), self.bench.ask("$#")].concat()
     }
@@ -346,8 +347,9 @@ fn program(homed: &Mill, random: &mut Random) -> (Vec<String>, Mill) {
     (program, mill)
 }
 
-/// Asserts that two machines have ended at the same position. Rounded corners can leave out a reversal that is shorter
-/// than a step; then a motor stands at the other end of its backlash, with the tool at the same position.
+/// Asserts that two machines have ended at the same position. Rounded corners can leave out a reversal that is
+/// shorter than a step. A motor then stands at the other end of its backlash, although the tool is at the same
+/// position.
 fn assert_same_place(mill: &Mill, alone: &Mill, seed: u64) {
     let (place, expected) = (tool(&mill.bench, mill.settings), tool(&alone.bench, alone.settings));
     let (motors, motors_alone) = (mill.bench.place(), alone.bench.place());

@@ -11,8 +11,8 @@ const TRAVEL: f64 = 12.0;
 
 const SETTINGS: &str = "$22=1 $24=60 $25=480 $26=20 $27=1.5 $120=100 $121=100 $122=100 $130=12 $131=12 $132=12";
 
-/// Returns a machine with switches at [`AT`]. For the axes of the mask `to_negative`, which home in negative direction,
-/// the switch is at the mirrored (negative) position.
+/// Returns the description of a machine with switches at [`AT`]. `to_negative`: mask of the axes that home in
+/// negative direction. Their switches are at the mirrored (negative) positions.
 fn machine(to_negative: u8, bounce_us: u32) -> String {
     let mut text = format!("steps_per_mm = [{STEPS}, {STEPS}, {STEPS}]\n");
     for (axis, letter) in ["x", "y", "z"].into_iter().enumerate() {
@@ -103,7 +103,7 @@ fn assert_failed(bench: &mut Bench, said: &[String], alarm: u8, what: &str) {
     let reported = bench.reported();
     bench.wait(1.0);
     assert_eq!(bench.place(), place, "{what}: it goes on after the alarm");
-    // The position of an axis is counted from its switch if its homing cycle was complete, otherwise from the power-up
+    // If the homing cycle of an axis was complete, its position counts from its switch, otherwise from the power-up
     // position.
     let place = std::array::from_fn(|axis| {
         let homed = place[axis] - AT[axis];

@@ -26,7 +26,6 @@ const ARCS: Job = Job {
             M3 S300\nM5\n",
 };
 
-/// A queue of jogs.
 const JOGS: Job = Job {
     settings: "$110=6000 $111=5000 $112=3000 $120=1500 $121=1200 $122=900",
     lines: "$J=G91 X1 Y0.5 F3000\n$J=G91 X0.5 Z-0.4 F3000\n$J=G90 X0 Y1 F4000\n$J=G91 Y-0.5 F1200\n",
@@ -157,7 +156,8 @@ fn assert_braked(run: &Run, what: &str) {
     assert!(square.sqrt() <= allowed, "{what}: {} mm in the last {SPAN} s", square.sqrt());
 }
 
-/// At every time of the reference, interrupts a new run of the job by `act` (bytes or a pin) and runs the check.
+/// At every time of the reference, interrupts a new run of the job by `act` (bytes or a pin) and then calls `check`.
+/// Its third argument is `true` if the machine was moving when `act` was called.
 fn at_every_moment(job: &Job, what: &str, act: fn(&mut Bench), check: impl Fn(&mut Run, &Reference, bool, &str)) {
     let reference = reference(job);
     for moment in &reference.moments {

@@ -9,8 +9,8 @@ use std::cell::RefCell;
 use std::io::{self, Write};
 use std::rc::Rc;
 
-/// What the machine does when the jogs arrive: a name, the lines that make it do so, and X in steps after them, if
-/// known.
+/// What the machine does when the jogs arrive: a name, the bytes that make it do so, and the X position at the end in
+/// steps (`None` if unknown).
 const BEFORE: [(&str, &str, Option<i32>); 5] = [
     ("idle", "", Some(0)),
     ("dwell", "G4 P0.3\n", Some(0)),

@@ -51,7 +51,8 @@ fn length(from: &[i32; AXES], to: &[i32; AXES]) -> f64 {
     square.sqrt()
 }
 
-/// Sends a probe line. Returns the answers and the position where the plate's contact changed to `closed`.
+/// Sends a probe line. Returns the answers, and the position where the plate's contact changed to `closed`, if it
+/// did.
 fn probe(bench: &mut Bench, case: &Case, line: &str, closed: bool) -> (Vec<String>, Option<[i32; AXES]>) {
     bench.mill.trace_mut().restart();
     let said = bench.ask(line);
@@ -84,8 +85,8 @@ fn the_step_of_contact_is_latched() {
                 }
                 let (said, contact) = probe(&mut bench, case, &format!("G38.2 {} F{feed}", words(case.way)), true);
                 let contact = assert_latched(&mut bench, &said, contact, &what);
-                // Maximum braking distance: the deceleration that the axes allow along the path is at least
-                // `acceleration`.
+                // The maximum braking distance from speed v is v²/2a, plus a step: the axes can brake with at least
+                // `acceleration` (a) along the path.
                 let way = length(&contact, &bench.place());
                 let step = 1.0 / STEPS * f64::from(AXES as u32).sqrt();
                 let allowed = f64::powi(feed / 60.0, 2) / (2.0 * acceleration) + step;

@@ -3,8 +3,9 @@
 use super::bench::Bench;
 
 const SETTINGS: &str = "$110=3000 $111=3000 $112=3000 $120=200 $121=200 $122=200";
-/// Maximum delay of an output that changes with a motion, s: the controller's interval between two checks, plus the
-/// time that the simulator takes for a check.
+/// Maximum time from the start of a motion to the output change that belongs to the motion, s. The controller changes
+/// outputs only at its checks. So the delay is at most the interval between two checks, plus the simulator's time for a
+/// check.
 const LATE: f64 = 0.0015;
 
 fn outputs(bench: &Bench) -> u8 {
@@ -15,7 +16,7 @@ fn bench() -> Bench {
     Bench::new("", SETTINGS)
 }
 
-/// Waits until the outputs have this value.
+/// Waits until the outputs have the value `wanted` (bit 0: P0), at most 60 s.
 fn wait_for(bench: &mut Bench, wanted: u8) {
     let begin = bench.seconds();
     while outputs(bench) != wanted {
@@ -83,8 +84,8 @@ fn held_motion_holds_an_output_off() {
 
 #[test]
 fn a_change_rides_with_its_motion() {
-    // M62 must switch the output exactly where the next move starts. This holds at a corner, and on a straight line
-    // whose moves the controller would otherwise join.
+    // M62 must switch the output exactly where the next move starts, at a corner and on a straight line. Without the
+    // M62 the controller would join the moves of the straight line.
     for (name, lines, at) in [
         ("corner", vec!["G1 X10 F600", "M62 P0", "G1 Y10"], [2500, 0]),
         ("straight", vec!["G1 X10 F600", "M62 P0", "G1 X20"], [2500, 0]),
@@ -165,7 +166,7 @@ fn they_are_off_where_the_machine_is_locked() {
         end.iter().for_each(|bytes| bench.send(bytes));
         bench.wait(3.0);
         assert_eq!(outputs(&bench), 0, "{what}: {}", bench.status());
-        // Changes that were waiting for a motion have been discarded.
+        // The M62 that waited for a motion must have been dropped: the next motion must not switch P1 on.
         bench.pin("estop 0");
         bench.send("\x18");
         bench.wait(0.1);

@@ -1,14 +1,14 @@
-//! Comments in any language, streamed: while the machine moves, lines with UTF-8 characters arrive in one piece or byte
-//! by byte, some with a stop byte. No character holds the machine, opens the door or changes an override, every line is
-//! answered, and no stop byte is lost. A `!` in a comment acts as a feed hold if the rest of the line does not follow
-//! at once.
+//! Tests G-code comments with UTF-8 characters while the machine moves. Lines arrive in one piece or byte by byte, some
+//! with a stop byte. No byte of a character may act as a feed hold, door or override command. Every line must be
+//! answered, and no stop byte may be lost. A `!` in a comment acts as a feed hold only if no byte follows within 20 ms.
 //!
-//! `OXMILL_REMARKS=N` plays N conversations instead of the default few; `OXMILL_REMARKS_SEED` sets the first seed.
+//! `OXMILL_REMARKS=N` plays N conversations (each 1 to 5 lines) instead of 200; `OXMILL_REMARKS_SEED` sets the first
+//! seed.
 
 use super::bench::{Bench, STEPS};
 use oxmill_test_support::Random;
 
-/// Characters whose bytes have the values of realtime commands, and others of two to four bytes.
+/// Characters of one to four bytes. Some contain a byte with the value of a realtime command.
 const TEXT: [&str; 22] = [
     "Ä", "Ö", "Ü", "ä", "ö", "ß", "à", "á", "é", "ñ", "Å", "Ł", "Ж", "切", "削", "原", "点", "、", "😀", "𐀄", "e", " ",
 ];
@@ -19,16 +19,16 @@ const NESTED: &str = "[MSG:Nested parentheses: the comment ends at the matching 
 /// another byte follows within 20 ms.
 const STOPS: [u8; 5] = [0x84, b'!', 0x18, 0x19, b'~'];
 
-/// The bytes of a conversation, the number of its lines, and its stop byte.
+/// Lines that a host sends while the machine moves, with at most one stop byte (one of [`STOPS`]) among them.
 struct Conversation {
     bytes: Vec<u8>,
     lines: usize,
     stop: Option<u8>,
-    /// Position of the stop byte.
+    /// Index of the stop byte in `bytes`; unused without a stop byte.
     at: usize,
-    /// Whether that position is in a comment.
+    /// `true` if `at` is in a comment.
     is_in_comment: bool,
-    /// Whether the stop byte splits a character. If so, the remaining bytes of the character may act as commands.
+    /// `true` if the stop byte splits a character. Then the remaining bytes of the character may act as commands.
     breaks: bool,
 }
 
@@ -54,8 +54,9 @@ impl Conversation {
         }
         let stop = (random.below(2) == 0).then(|| STOPS[random.below(STOPS.len() as u64) as usize]);
         let mut at = random.below(text.len() as u64) as usize;
-        // A stop byte beyond ASCII that splits a character could form another character with that character's bytes. So
-        // move the stop byte to the start of the character.
+        // A stop byte of 0x80 or more inside a character could form another character with the character's bytes. A `~`
+        // would cut the character, and the rest of the character could act as a command. So move such a stop byte to
+        // the start of the character.
         while stop.is_some_and(|stop| !stop.is_ascii() || stop == b'~') && !text.is_char_boundary(at) {
             at -= 1;
         }
@@ -70,7 +71,7 @@ impl Conversation {
         Self { bytes, lines, stop, at, is_in_comment, breaks }
     }
 
-    /// Plays the conversation on a machine that is in the middle of a long move.
+    /// Sends the conversation to a machine in a long move, and checks the machine's state and answers.
     fn play(&self, mut bench: Bench, sending: Sending, what: &str) {
         let what = format!("{what}, {sending:?}: {:?}", self.bytes.escape_ascii().to_string());
         let (first, rest) = self.bytes.split_at(if sending == Sending::Stops { self.at + 1 } else { self.bytes.len() });
@@ -89,12 +90,12 @@ impl Conversation {
         match self.stop {
             Some(0x84) => is("<Door:"),
             Some(0x19) => {
-                // Without the stop the move would take another 10 s; the moves of the lines after it are short.
+                // Without the stop the long move would take another 10 s. The lines after the stop move only a little.
                 bench.wait(15.0);
                 assert!(f64::from(bench.place()[0]) < 10.0 * STEPS, "{what}: {status}");
             }
             Some(b'!') if self.is_in_comment && sending != Sending::Stops => {
-                // The rest of a character split by the stop byte may be a command.
+                // If the stop byte splits a character, the rest of the character may act as a command.
                 if !self.breaks {
                     is("<Run");
                     assert_eq!(said, vec!["ok"; self.lines], "{what}");
@@ -107,14 +108,14 @@ impl Conversation {
         }
         if self.stop.is_none_or(|stop| stop == b'~') {
             assert_eq!(said, vec!["ok"; self.lines], "{what}");
-            // The report shows overrides if they have changed.
+            // A report without the field `Ov:` means that the overrides have not changed.
             let overrides = status.split_once("|Ov:").is_none_or(|(_, told)| told.starts_with("100,100,100"));
             assert!(overrides && status.contains("FS:600,0") && !status.contains("A:"), "{what}: {status}");
         }
     }
 }
 
-/// How a conversation is sent.
+/// How a conversation is sent: in one piece, byte by byte, or with a pause.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Sending {
     InOne,

@@ -1,12 +1,12 @@
-//! A set of settings with which the machine cannot run locks motion, and a message names the wrong setting. A sender
-//! may restore a whole set of settings in any order.
+//! Tests that a sender may restore a whole set of settings in any order. If the machine cannot run with the settings,
+//! motion is locked, and a message names a wrong setting.
 
 use super::bench::{Bench, locking};
 use oxmill_controller::settings::{Kind, PER_AXIS, SCALARS};
 use oxmill_test_support::Random;
 use std::collections::BTreeMap;
 
-/// Values of all settings that `$$` lists, in thousandths.
+/// Maps the number of each setting that `$$` lists to its value in thousandths.
 type Set = BTreeMap<u16, i64>;
 
 fn text(thousandths: i64) -> String {
@@ -14,7 +14,7 @@ fn text(thousandths: i64) -> String {
     format!("{sign}{}.{:03}", thousandths.abs() / 1000, thousandths.abs() % 1000)
 }
 
-/// Returns a random value that is valid for a kind of setting.
+/// Returns a random value that is valid for a kind of setting, in thousandths.
 fn any_value(random: &mut Random, kind: Kind) -> i64 {
     match kind {
         Kind::Whole(least, greatest) => {
@@ -35,8 +35,9 @@ fn any_value(random: &mut Random, kind: Kind) -> i64 {
 fn any_set(random: &mut Random, listed: &Set) -> Set {
     let mut set = listed.clone();
     for entry in SCALARS {
-        // Left unchanged: the dialect, because Grbl's dialect, like Grbl, accepts `$20=1` only after `$22=1`; `$14` and
-        // `$903`, so that no control input or door is active all the time.
+        // Keep the dialect (`$900`): Grbl's dialect accepts `$20=1` only after `$22=1`, as Grbl does. Keep `$14`
+        // (inverted inputs) and `$903` (safety door): other values could make a control input or the door active all
+        // the time.
         if ![14, 900, 903].contains(&entry.number) && set.contains_key(&entry.number) {
             set.insert(entry.number, any_value(random, entry.kind));
         }
@@ -80,8 +81,8 @@ fn read(listing: &[String]) -> Set {
         .collect()
 }
 
-/// Sends settings one by one. Lock messages must not name the same setting twice in a row, unless it is the setting
-/// that is being sent.
+/// Sends settings one by one. A lock message must not name the same setting as the lock message before, except the
+/// setting that was just sent.
 fn send_all(bench: &mut Bench, lines: &[String]) {
     let mut named = None;
     for line in lines {
@@ -156,7 +157,7 @@ fn a_set_is_restored_in_any_order() {
     assert!(invalid < 3 * valid, "{invalid} sets of {valid} cannot be run");
 }
 
-/// Each of these settings locks motion. The message names it until it is corrected, whatever else is sent.
+/// Each of these settings locks motion. The message names the setting until the setting is corrected.
 #[test]
 fn what_cannot_be_run_is_named() {
     let cases: &[(&str, &str, &str)] = &[
@@ -209,7 +210,7 @@ fn what_cannot_be_run_is_named() {
     }
 }
 
-/// Two wrong settings are named one after the other.
+/// Three settings are wrong. The message names one of them; after its correction, the message names the next.
 #[test]
 fn the_next_fault_is_named_when_the_first_is_mended() {
     let mut bench = Bench::new("", "$122=0 $100=0 $111=0");
@@ -246,7 +247,7 @@ fn a_startup_line_does_not_move_a_locked_machine() {
     assert_eq!(bench.place()[0], 0);
 }
 
-/// In Grbl's dialect soft limits require homing to be enabled first, as in Grbl; nothing else depends on the order.
+/// In Grbl's dialect `$20=1` (soft limits) is refused before `$22=1` (homing), as in Grbl.
 #[test]
 fn grbls_dialect_refuses_soft_limits_before_homing() {
     let mut bench = Bench::new("", "$900=0");

@@ -1,9 +1,9 @@
 //! Exhaustive search of the state machine: from power-up every event is tried in every state reached, and each
 //! transition must be listed in [`TRANSITIONS`]. Every state has a way back to Idle, and every event is answered.
 //!
-//! States have the names of the status report, plus `Critical` for an Alarm that only a reset ends. The search
-//! distinguishes states that have the same name but continue differently (moving or not, spindle on, a line waiting, a
-//! pin active, the position trusted; see [`Key`]). States with the same name share a column of the table.
+//! States have the names of the status report, plus `Critical` for an Alarm that only a reset ends. A state can occur
+//! in several situations, for example with and without motion; the search tells situations apart by their [`Key`]. All
+//! situations of a state share a column of the table.
 
 use super::bench::Bench;
 use oxmill_controller::messages::SpindleDirection;
@@ -75,7 +75,8 @@ $RST=#       Reset/.         .         .         .              .            .  
 
 /// Named sets of states that occur more than once in the table.
 const SETS: [(&str, &[&str]); 7] = [
-    // Outputs that a door has switched off are restored in stages; if none was on, the job continues at once.
+    // A resume at a door first restores the outputs that the door has switched off (`Door:3`). If none was on, the job
+    // continues at once.
     ("DoorGoesOn", &["Door:3", "Idle", "Run"]),
     ("DoorEnds", &[".", "Idle", "Run"]),
     ("BehindDoor", &[".", "Door:0", "Door:1", "Sleep"]),
@@ -102,7 +103,7 @@ enum Act {
 
 #[derive(Clone, Copy)]
 struct Event {
-    /// The event's row in the table.
+    /// Name of the event's row in [`TRANSITIONS`].
     row: &'static str,
     act: Act,
 }
@@ -189,7 +190,8 @@ const EVENTS: &[Event] = &[
     Event { row: "10_s", act: Act::Pass(10.0) },
 ];
 
-/// Bytes from 0x80 on that are no realtime commands.
+/// The bytes from 0x80 on that are no realtime commands. Each byte that is a command is replaced by 0x80, which only
+/// requests a status report.
 const NO_COMMANDS: &[u8] = &{
     let mut bytes = [0; 128];
     let mut n = 0;
@@ -214,12 +216,13 @@ struct Key {
     pins: [bool; 8],
     trusted: bool,
     spindle: bool,
-    /// Whether the program has switched the spindle on.
+    /// `true` if the program has switched the spindle on, even if the machine keeps the output (`spindle`) off now.
     turned_on: bool,
     flood: bool,
     waiting: bool,
     busy: bool,
-    /// Which of a stop, a sleep or a pause has been requested and has not yet taken effect.
+    /// Last request for a stop (`0x19`), a sleep (`$SLP`) or a pause (`M0`). Empty from the next time that the machine
+    /// is idle.
     mark: &'static str,
 }
 
@@ -230,7 +233,7 @@ struct Machine {
     mark: &'static str,
     /// Number of lines that must still be answered.
     lines: usize,
-    /// Whether an event that drops lines has occurred.
+    /// `true` after an event that drops lines. Then the number of answers is not checked.
     dropped: bool,
 }
 
@@ -478,8 +481,8 @@ fn search(kind: usize, table: &Table) -> Found {
                     .or_insert_with(|| names(event.row));
             }
             if is_line && !read {
-                // The line waits for the end of the current activity. The search continues with only one kind of
-                // waiting line, the move. In states that only a reset ends, the line is dropped.
+                // The machine has not taken the line yet, or has dropped it in a state that only a reset ends. To limit
+                // the search, continue only if the line waits and is a move.
                 let is_dropped = machine.bench.mill.unread() == 0;
                 assert!(!is_dropped || ["Critical", "Sleep"].contains(&to.state.as_str()), "{}", names(event.row));
                 if is_dropped || event.row != "move" {

@@ -45,7 +45,8 @@ fn words(place: [f64; AXES]) -> String {
 }
 
 impl Mill {
-    /// Returns a homed machine above the work, with all positions stored.
+    /// Returns a homed machine above the work. The tool change position (G30) and the setter's position (G59.3) are
+    /// stored.
     fn homed() -> Mill {
         let mut bench = Bench::new(&machine(), SETTINGS);
         assert_eq!(bench.ask("$H"), ["ok"]);
@@ -102,7 +103,7 @@ impl Mill {
         self.said.extend(self.bench.read());
     }
 
-    /// Runs the change to its end, resuming whatever waits for the operator.
+    /// Runs the tool change to its end. Sends `~` whenever the machine waits for the operator.
     fn go_on(&mut self) {
         let end = self.bench.seconds() + 120.0;
         while !self.said.iter().any(|line| line == "ok" || line.starts_with("error:")) {
@@ -131,7 +132,7 @@ impl Mill {
         }
     }
 
-    /// Returns the reported spindle speed.
+    /// Returns the spindle speed in the status report, for example `500`.
     fn spindle(&mut self) -> String {
         let status = self.bench.status();
         let fields = status.trim_end_matches('>').split('|');
@@ -167,7 +168,8 @@ impl Mill {
         self.bench.wait(2.0);
         self.said.extend(self.bench.read());
         let place = self.place();
-        // 0x19 leaves the spindle as it was: off, unless the tool was already back over the work.
+        // A soft stop (0x19) leaves the spindle as it was. The spindle was off, except if the tool was already back
+        // over the work.
         let is_back = what.starts_with("soft") && (place[0] - WORK[0]).abs() < EXACT && self.tool_length() > 1.0;
         assert!(is_back || self.spindle() == "0", "{what}: {}", self.bench.status());
         let trusted = self.bench.mill.controller().is_trusted();

@@ -1,5 +1,5 @@
-//! Hosts send lines without counting characters, more than the machine has room for. If the machine is in a state that
-//! only a reset ends, the reset must act however many lines precede it.
+//! A host that does not count characters can send more lines than the machine has room for. In a state that only a
+//! reset ends, the reset must act all the same, however many lines the host has sent before.
 
 use super::bench::Bench;
 use oxmill_fuzz::session::{MACHINE, SETTINGS};

@@ -5,9 +5,9 @@
     bash tests/senders/install
     target/tools/senders/python/bin/python tests/senders/bcnc.py [--program target/release/oxmill] [--dialect grbl]
 
-This runs the real bCNC from its `main`: window, buttons, the thread that counts characters, the reading of answers and reports.
-The window is on a display in memory (Xvfb). The user's actions are triggered within the program by the same events as those of
-its buttons. Any message box that the program shows is a fault. Needs Linux, Xvfb, and Python with tkinter.
+This runs the real bCNC from its `main`: window, buttons, and the thread that counts characters and reads answers and
+reports. The window is on a display in memory (Xvfb). The test triggers the same events as the buttons of bCNC. Any
+message box that bCNC shows is a fault. Needs Linux, Xvfb, and Python with tkinter.
 """
 
 import importlib.util
@@ -27,7 +27,7 @@ found = importlib.util.find_spec("bCNC")
 if found is None or found.origin is None:
     sys.exit("bCNC is missing: bash tests/senders/install")
 sys.path.append(str(Path(found.origin).parent))
-# bCNC keeps its settings in the home folder; the test uses its own.
+# bCNC keeps its settings in the home folder. A temporary home folder leaves the settings of the user unchanged.
 HOME = tempfile.mkdtemp()
 os.environ["HOME"] = HOME
 # Disable the message box about updates, and the server for phones.
@@ -35,7 +35,7 @@ os.environ["HOME"] = HOME
 
 
 def display():
-    """Starts a display in memory, which ends with its last window; returns its name."""
+    """Starts a display in memory and returns its name, such as `:1`. The display ends with its last window."""
     reading, writing = os.pipe()
     command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1280x1024x24", "-nolisten", "tcp", "-terminate"]
     subprocess.Popen(command, pass_fds=[writing], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -45,7 +45,7 @@ def display():
 
 
 class Window:
-    """bCNC's window; all actions in it run in its own thread."""
+    """bCNC's window. The scenario runs in another thread, and hands its actions to the window's thread by `do`."""
 
     def __init__(self):
         self.application = None
@@ -56,7 +56,7 @@ class Window:
         self.to_do = queue.Queue()
 
     def look(self):
-        """Called by the window's timer: runs the scenario's actions."""
+        """Runs the actions in `to_do`. The window's timer calls this method every 20 ms."""
         while not self.to_do.empty():
             action, done = self.to_do.get()
             try:
@@ -96,7 +96,8 @@ class Window:
         self.event("<<Run>>")
 
     def is_answered(self):
-        """Returns whether the greeting after the last reset has arrived: bCNC drops a job that is started before that."""
+        """Returns whether bCNC gets answers, so that the greeting of the last reset has arrived. bCNC drops a job that
+        is started before the greeting."""
         CNC.vars["G"] = []
         self.do(self.application.viewState)
         time.sleep(0.3)
@@ -110,7 +111,7 @@ class Window:
         self.event("<<Resume>>")
 
     def override(self):
-        """Moves the slider of the feed override."""
+        """Moves the slider of the feed override to 110 %."""
         state = bmain.Page.frames["State"]
 
         def slide():
@@ -126,7 +127,8 @@ class Window:
 
     def reset(self):
         self.do(self.application.softReset)
-        # bCNC considers the job running until it is stopped, which resets the machine again.
+        # After a soft reset bCNC still considers the job running. Its Stop button ends the job and resets the machine
+        # again.
         self.event("<<Stop>>")
 
     def unlock(self):
@@ -174,6 +176,6 @@ if __name__ == "__main__":
     from CNC import CNC
 
     options = machine.arguments()
-    # bCNC parses the remaining arguments itself.
+    # Remove the arguments of this test, because bCNC parses `sys.argv` itself.
     del sys.argv[1:]
     Window().show(options)

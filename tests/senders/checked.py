@@ -1,20 +1,21 @@
 #!/usr/bin/env python3
-"""Streams jobs in checked lines to the simulator over a link that damages bytes, and compares the steps with a clean run.
+"""Streams jobs in checked lines to the simulator over a link that damages bytes; compares the steps with a clean run.
 
     cargo build --release
     python3 tests/senders/checked.py [--rate N] [--plain] [--seed N] [JOB.nc ...]
 
-Between the sender (`examples/checked_sender.py`) and the machine, in both directions, one byte in N (default 1,000) is damaged: it
-has a flipped bit, is dropped, is doubled or arrives late. A job passes if
+Between the sender (`examples/checked_sender.py`) and the machine, in both directions, one byte in N (default 1,000) is
+damaged: it has a flipped bit, is dropped, is doubled or arrives late. A job passes if
 
  * according to its answers, the machine has accepted each line once and in order,
- * each motor makes the same steps as over a clean link, in the same order and directions; and at each step of a motor, every
-   other motor is where it is over the clean link, or one step off,
+ * each motor makes the same steps, in the same order and directions, as over a clean link,
+ * at each step of a motor, the step count of every other motor is that of the clean run, or one step off,
  * spindle, coolant and the outputs of the program are the same at each step (not after the last one).
 
-Steps come from a recording (`serve --record`, `replay --trace`), whose replay must make the steps of the run. Each line gets an N
-word if it has none: lines with different N words are not joined to one move, so the machine makes the same moves however long it
-waits for a line. The order of steps of two motors depends on the speed, by one step at most (`motion::dda`).
+The test reads the steps from a replay (`replay --trace`) of a recording (`serve --record`). The replay must make the
+steps of the run. Each line without an N word gets one, because the machine does not join lines with different N words
+to one move. So the moves do not depend on how long the machine waits for a line. The order in which two motors step
+depends on the speed, by one step at most (`motion::dda`).
 
 `--plain` also sends each job line by line without checks, to show the resulting errors; this part cannot fail.
 """
@@ -39,18 +40,19 @@ import machine  # noqa: E402
 
 JOBS = [f"tests/jobs/{name}.nc" for name in ["chords", "helix", "increments", "jerk", "lines", "relief"]]
 JOBS += [f"examples/{name}.nc" for name in ["pcb_isolation", "pocket_inch", "pocket_mm", "relief"]]
-# Session letters of each run.
+# Session letters of the checked lines, the same in each run.
 SESSION = "QKNP"
 # Delay of a late byte, s: long enough to have an effect, short enough not to cause a timeout.
 LATE = 0.02
 # Number of consecutive timeouts of 2 s after which a sender without checks gives up.
 GIVEN_UP = 20
-# Maximum difference, in steps, between two runs in the order in which two motors step.
+# Number of steps by which a motor may be ahead of another motor or behind it, compared with the clean run.
 ORDER = 1
 
 
 class Line:
-    """A link that damages bytes, between its own port and the machine's."""
+    """A link that damages bytes: the sender connects to the link's port, and the link connects to the machine's
+    port."""
 
     def __init__(self, address, rate, seed):
         self.rate = rate
@@ -106,7 +108,7 @@ def checked(link, lines):
 
 
 def plain(link, lines):
-    """Sends a job as a patient sender without checks does: a line, its answer, the next line. Returns a summary."""
+    """Sends a job line by line without checks, and waits up to 2 s for each answer. Returns a summary."""
     received, late = b"", 0
     errors = 0
     unanswered = 0
@@ -139,7 +141,7 @@ def taken_once(said, count):
     for line in said.decode("ascii", "replace").split("\n"):
         answer = checked_sender.answer_in(line.strip("\r"), SESSION, taken or 0)
         if answer == (0, "ok") and not taken:
-            # The answer to $LC=ON, which may have been sent again.
+            # The answer to `$LC=ON`. The sender may have repeated this command, so the answer can come twice.
             taken = 0
         elif answer and answer[1] == "ok":
             if taken is None or answer[0] != taken + 1:
@@ -157,7 +159,7 @@ def alike(one, other):
 
 
 class StepTrace:
-    """Steps and outputs from a trace."""
+    """Steps and outputs that a trace file (CSV, written by `replay --trace`) lists."""
 
     def __init__(self, file):
         names = file.readline().strip().split(",")
@@ -196,13 +198,14 @@ class StepTrace:
         return None
 
     def order(self, wanted):
-        """Returns the maximum difference, in steps, in the order of two motors from another trace with the same steps."""
+        """Returns the greatest difference of a motor's step count from that in the trace `wanted`, compared at each
+        step of each motor. Both traces must have the same steps of each motor."""
         pairs = [pair for mine, its in zip(self.others, wanted.others, strict=True) for pair in zip(mine, its, strict=True)]
         return max((max(map(abs, map(int.__sub__, mine, its)), default=0) for mine, its in pairs), default=0)
 
 
 def read_trace(program, recording):
-    """Returns the trace of a recording, whose replay must make the steps of the run."""
+    """Replays a recording and returns the trace. Fails if the replay makes other steps than the run."""
     trace = f"{recording}.csv"
     played = subprocess.run([program, "replay", recording, "--trace", trace], capture_output=True, text=True, check=False)
     # Status 1: lines of the job are rejected.
@@ -258,7 +261,8 @@ def plain_outcome(run, clean):
 
 
 def left_at_the_end(program):
-    """Returns a fault if the sender program exits before the end of the last move, which makes the machine hold; else None."""
+    """Checks that the sender program waits for the end of the last move: if it exited earlier, the machine would hold.
+    Returns the fault, or None."""
     with tempfile.TemporaryDirectory() as folder:
         job = f"{folder}/job.nc"
         Path(job).write_text("G1 X5 F1000\nX1\nX7\n")
@@ -274,8 +278,8 @@ def left_at_the_end(program):
 
 
 def dead(until):
-    """Simulates a machine that sends the answers in `until`, then nothing. Returns a fault if the sender waits too long
-    for it; else None."""
+    """Simulates a machine that sends the answers in `until`, then nothing. The sender must give up within 10 s. Returns
+    the fault, or None."""
     near, far = socket.socketpair()
     link = checked_sender.Tcp.__new__(checked_sender.Tcp)
     link.socket = near
@@ -298,7 +302,8 @@ def dead(until):
 
 
 def held(program):
-    """Returns a fault if the sender does not report that the machine holds, as after a host that left during a job; else None."""
+    """Checks that the sender reports a machine that holds because another host left during its job. Returns the fault,
+    or None."""
     told = []
     with machine.Machine(program, "--tcp", "127.0.0.1:0") as mill:
         host, _, port = mill.address.rpartition(":")

@@ -5,8 +5,9 @@
     bash tests/senders/install
     target/tools/senders/python/bin/python tests/senders/cncjs.py [--program target/release/oxmill] [--dialect grbl]
 
-This runs the server that the package installs, which opens the port with its own serial library. The test takes the place of its
-page and uses the same interface: a token by HTTP, then commands and events over socket.io. Needs Node.js 18 or later.
+This runs the server that the package installs, which opens the port with its own serial library. The test takes the
+place of the web page and uses the page's interface: a token by HTTP, then commands and events over socket.io. Needs
+Node.js 18 or later.
 """
 
 import os
@@ -30,14 +31,14 @@ def start_server():
     for line in process.stdout:
         told = re.search(r"Starting the server at .*(http://127\.0\.0\.1:\d+)", line)
         if told:
-            # If the pipe were not read, the server would block when it is full.
+            # Keep reading the pipe: the server would block when the pipe is full.
             threading.Thread(target=process.stdout.read, daemon=True).start()
             return process, told[1]
     raise machine.Failed("the server of cncjs does not start")
 
 
 class Page:
-    """Stands in for the page of cncjs: sends its commands to the server and receives its events."""
+    """Takes the place of cncjs's web page: sends commands to the server and receives the server's events."""
 
     def __init__(self):
         self.process, address = start_server()

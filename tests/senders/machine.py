@@ -1,4 +1,5 @@
-"""A simulated machine for the tests of senders, a recording wire between both, and the scenario that each sender must pass.
+"""The common parts of the sender tests: a simulated machine, a wire that records what sender and machine send, and the
+scenario that each sender must pass.
 
 A test defines a class with the actions of a sender's buttons (`open`, `start`, `hold`, ...) and calls `main`. The wire records
 everything sent in both directions; the positions of the motors are read from the simulator's pin port. Needs Linux and
@@ -39,7 +40,7 @@ class Failed(Exception):
 
 
 def wait(what, condition):
-    """Waits until a condition holds."""
+    """Waits until `condition()` is true. After PATIENCE seconds raises `Failed` with the text `what`."""
     until = time.monotonic() + PATIENCE
     while not condition():
         if time.monotonic() > until:
@@ -95,7 +96,8 @@ class Machine:
 
 
 class Wire:
-    """A serial port for a sender, connected to the machine's; records lines, answers and realtime commands."""
+    """A pseudo terminal that a sender opens as its serial port. Passes bytes to and from the machine's port, and
+    records lines, answers, realtime commands and reports."""
 
     def __init__(self, address):
         self.address = address
@@ -205,7 +207,7 @@ class Wire:
 
 
 def forecast(program, job):
-    """Returns the summary of `oxmill run` for a job."""
+    """Returns the summary of `oxmill run` for a job: among others lines, steps, pulses and end position."""
     said = subprocess.run([program, "run", job, "--json"], capture_output=True, text=True, check=False)
     summary = json.loads(said.stdout)
     if not summary["complete"] or summary["errors"]:
@@ -262,9 +264,9 @@ class Scenario:
         return place is None or all(abs(a - b) < 0.0006 for a, b in zip(place, self.expected["position_mm"], strict=True))
 
     def reset(self):
-        """Resets during a job, while reports show the machine running; returns whether it was moving. Afterwards the
-        machine must be ready for the next job. With a slow sender on a busy host the machine can be between two moves,
-        waiting for lines; a reset at that time raises no alarm."""
+        """Resets during a job, and makes the machine ready for the next job. Returns whether the machine was moving,
+        which raises ALARM:3. On a busy host the machine can also be waiting for lines between two moves; then a reset
+        raises no alarm."""
         before = self.wire.mark()
         self.sender.reset()
         self.machine.rest()
@@ -285,7 +287,8 @@ class Scenario:
         return was_moving
 
     def runs(self):
-        """Returns whether a report has shown the job running. A sender that does not poll has a method `look`."""
+        """Returns whether a report has shown the job running. Calls the sender's method `look` first, if there is one:
+        a sender that does not poll by itself requests a report there."""
         if hasattr(self.sender, "look"):
             self.sender.look()
         return any(report.startswith("<Run|") for report in self.wire.since(self.begun)[3])

@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""Prints how many short lines a second the simulator's server takes over TCP from a sender that counts characters, and whether a
-job of 50,000 lines a second takes the time of its motion.
+"""Measures how fast the simulator's server takes short lines over TCP from a sender that counts characters. Also shows
+whether a job of 50,000 lines a second takes longer than its motion.
 
     cargo build --release
     python3 tests/senders/rate.py [--program target/release/oxmill] [--lines 100000]
 
-The lines are chords of 0.02 mm on a large circle, at 1000 mm/s. `--speed max` runs without a clock and shows the server's maximum
-rate. With the clock of the host the job cannot be faster than its motion, and is slower if the server limits it. The test checks
-that each line is answered with `ok`, and that the final position is that of `oxmill run`; times are printed, not checked. This
-program shares the processors with the server. No dependencies.
+The lines are chords of 0.02 mm on a large circle, at 1000 mm/s. `--speed max` runs without a clock and shows the
+server's maximum rate. With the clock of the host the job cannot be faster than its motion, and is slower if the server
+limits it. The test checks that each line is answered with `ok`, and that the final position is that of `oxmill run`;
+times are printed, not checked. This program shares the processors with the server. No dependencies.
 """
 
 import argparse
@@ -40,7 +40,7 @@ def settings():
 
 
 def motion(program, lines):
-    """Returns duration and end position of the lines' motion, from a run in simulated time."""
+    """Runs the lines in simulated time. Returns the duration of the motion, s, and the end position, mm."""
     with tempfile.NamedTemporaryFile("w", suffix=".nc") as job:
         job.writelines(lines)
         job.flush()
@@ -82,7 +82,8 @@ def rest(port):
 
 
 def serve(program, speed, lines, window):
-    """Returns the seconds from the first line to the last answer and to rest, and the end position."""
+    """Streams the lines to a new server. Returns the time until the last answer, the time until rest (both in s, from
+    the first line on), and the end position, mm."""
     command = [program, "serve", "--tcp", "0", "--speed", speed, *settings()]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
         try:

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Streams jobs as Grbl's documents describe it, and checks where they end: by counting the characters in a receive buffer of 128
-bytes, and a line at a time.
+"""Streams jobs in the two ways that Grbl's documents describe, and checks where they end. One way counts the characters
+in a receive buffer of 128 bytes; the other sends a line at a time.
 
     cargo build --release
     python3 tests/senders/streaming.py [--program target/release/oxmill] [--dialect grbl]
@@ -72,7 +72,7 @@ class Streamer:
     def hear(self, line):
         if line == "ok" or line.startswith("error"):
             with self.lock:
-                # Raises an exception if no answer is pending: this would be one answer too many.
+                # If all lines have been answered, this raises an exception: the machine has sent one answer too many.
                 self.under_way.popleft()
                 self.answered += 1
         elif line.startswith("<"):

@@ -64,9 +64,10 @@ class Library:
         self.streamer.disconnect()
 
     def start(self):
-        # The library sends lines without a lock, both in the thread that starts a job and, from the first `ok` on, in the receiving
-        # thread. It also takes an answer to its own requests for an answer to the job. So the job is started in the receiving
-        # thread when everything else has been answered: after the `ok` that follows `$N1=`, the last line of the listing of `$N`.
+        # The library sends lines without a lock in two threads: the thread that starts a job and, from the first `ok`
+        # on, the receiving thread. It also takes an answer to one of its own requests for an answer to the job. So
+        # start the job in the receiving thread, after everything else has been answered: at the `ok` after `$N1=`, the
+        # last line of the listing of `$N`.
         self.streamer.poll_stop()
         self.streamer.job_new()
         self.streamer.set_feed_override(False)

@@ -95,7 +95,7 @@ impl Folder {
         Self(path)
     }
 
-    /// Returns the path of the folder.
+    /// Returns the path of the folder. The folder exists until `self` is dropped.
     pub fn path(&self) -> &Path {
         &self.0
     }

@@ -4,7 +4,7 @@ use crate::Random;
 use std::collections::VecDeque;
 use std::fmt::Write;
 
-/// Number of axes of the machine.
+/// Number of axes that the programs move: X, Y and Z.
 pub const AXES: usize = 3;
 /// Settings of the machine. A step is 0.004 mm, so three decimals can specify every step.
 pub const SETTINGS: [&str; 11] = [
@@ -30,7 +30,7 @@ const REACH: i64 = 2_500;
 pub struct Program {
     /// Position in steps from the origin.
     pub place: [i64; AXES],
-    /// Whether G91 is active.
+    /// `true` while G91 (relative positions) is active, `false` while G90 is.
     pub relative: bool,
 }
 
@@ -53,8 +53,8 @@ impl Program {
         words
     }
 
-    /// Appends a line, or several that belong together, such as a loop. Appends nothing if a drilling cycle is drawn
-    /// while G91 is active.
+    /// Appends a random line, or several lines that belong together, such as a loop. Appends nothing if the choice is a
+    /// drilling cycle while G91 is active.
     pub fn lines(&mut self, random: &mut Random, lines: &mut VecDeque<String>) {
         let axes = 1 + random.below(7);
         match random.below(20) {

@@ -36,10 +36,10 @@ from .models.usart import Usart
 
 ENTRY_CYCLES, RETURN_CYCLES, CHAIN_CYCLES = 12, 12, 6
 WAIT_STATES_FROM_V = 2.7
-"""Minimum supply for which the wait states of `parts.py` are valid."""
+"""Minimum supply, V, for which the wait states of `parts.py` are valid."""
 HOT, COLD = round(1.1 * 256), round(1.3 * 256)
 FILL = b"\xa5"
-"""Contents of RAM at power-up."""
+"""Contents of each byte of RAM at power-up."""
 PAINTS = (4 * FILL, (0xA5C3_5A3C).to_bytes(4, "little"))
 """The two values of a stack word that was never used: the emulation's fill of RAM, and the pattern with which the
 firmware marks unused stack (its stack paint)."""
@@ -75,14 +75,14 @@ class Image:
         self.starts = [start for start, _, _ in self.functions]
 
     def place(self, address):
-        """Returns function and offset of an address."""
+        """Returns the function and offset of an address as text, for example `memcpy+0x12`."""
         if found := self._find(address):
             start, _, name = found
             return f"{name}+{address - start:#x}"
         return f"{address:#010x}"
 
     def function(self, address):
-        """Returns the symbol of the function at an address."""
+        """Returns the symbol of the function at an address, or `elsewhere` if no function is there."""
         found = self._find(address)
         return found[2] if found else "elsewhere"
 
@@ -96,7 +96,7 @@ class Image:
 # Sources for this file: base addresses from RM0383 and RM0390, "Memory map", register boundary addresses; interrupt
 # numbers from their vector tables; bits of the enable registers from RCC_AHB1ENR, RCC_APB1ENR and RCC_APB2ENR.
 UNIQUE_ID = bytes.fromhex("3300210007504b4b38373320")
-"""A unique number, taken from a real part."""
+"""The chip's unique number (96 bits), taken from a real part."""
 
 
 LOADER = 0x1FFF_0000
@@ -125,7 +125,7 @@ class Board:
         self.watchers = []
         self.operations_left = None
         self.clocks = [(0, 0.0, 16_000_000)]
-        """(cycle, seconds, core clock from that cycle on)."""
+        """(cycle, seconds since power-up, core clock in Hz) at each change of the core clock."""
         self.powered = True
         self.supply_v = 3.3
         self._reset_asked = None
@@ -150,7 +150,7 @@ class Board:
         self._fit()
         self.power_on()
 
-    # Building it.
+    # Construction.
 
     def _map(self):
         uc, part = self.core.uc, self.part
@@ -165,7 +165,7 @@ class Board:
         guarded = self._guarded
         self.core.map_registers(0x4000_0000, 0x8_0000, guarded(self._read_register), guarded(self._write_register))
         self.core.map_registers(0x5000_0000, 0x4_0000, guarded(self._read_otg), guarded(self._write_otg))
-        # System memory: in place of the chip's boot loader a program that waits, and the part's own number at 0x1FFF_7A10.
+        # System memory holds an endless loop in place of the chip's boot loader, and the unique number at 0x1FFF_7A10.
         uc.mem_map(LOADER, 0x8000, UC_PROT_ALL)
         self.write_memory(LOADER, struct.pack("<II", LOADER_STACK, LOADER_START | 1))
         self.write_memory(LOADER_START, b"\xfe\xe7")  # b .
@@ -248,8 +248,8 @@ class Board:
 
     def jump_from_loader(self, resets_clocks):
         """Starts the program as the chip's boot loader does, by a jump instead of a reset: system memory is at address
-        0, and VTOR points to the vectors there. Unless the loader resets the clocks, they stay as the loader set
-        them."""
+        0, and VTOR points to the vectors there. `resets_clocks`: True if the loader resets the clocks before the
+        jump."""
         self.power_on()
         self.syscfg.values[0] = SYSTEM_MEMORY
         self.nvic.vectors = LOADER
@@ -288,7 +288,7 @@ class Board:
             self.clocks.append((self.now, seconds + (self.now - last) / before, hz))
 
     def slow_down(self, hz):
-        """Changes the core's clock while models run. Only the watchdog's model adapts to it."""
+        """Changes the core's clock while models run. Only the watchdog's model adapts its time to the new clock."""
         self.iwdg.slowed_down(hz / self.clocks[-1][2])
         self.clocks.append((self.now, self.seconds(), hz))
 
@@ -313,12 +313,14 @@ class Board:
         self._advance()
 
     def replan(self):
-        """Called by a model that has changed its `due` time."""
+        """Makes the board compute the time of the next event again. A model calls this after it has changed its
+        `due`."""
         self._next_due = None
         self.state.deadline = 0
 
     def look(self):
-        """Called when an interrupt may have become pending."""
+        """Makes the board check for interrupts after the current instruction. Models call this when an interrupt may
+        have become pending."""
         self.state.deadline = 0
 
     def mask(self, seconds):
@@ -422,7 +424,8 @@ class Board:
         self._at(address).write(address & 0x3FC, value)
 
     def puts_out_steps(self):
-        """Returns whether the timer of the pulses listens to its trigger, so that DMA2 may write to a port at any time."""
+        """Returns whether the step output is on: the pulse timer reacts to its trigger, so DMA2 can write to a port at
+        any time."""
         return bool(self.peripherals[self.wiring.pulse_timer].values[SMCR] & 7)
 
     def store_by_dma(self, address, value, at):
@@ -654,7 +657,7 @@ class Board:
             self.core.write("pc", state.at)
             self._enter(HARD_FAULT, ENTRY_CYCLES)
 
-    # What remains in memory.
+    # Use of the stack.
 
     def stack_used(self):
         """Returns the number of stack bytes that have been in use, and the stack's size. Words that still hold one of

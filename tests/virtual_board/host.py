@@ -7,7 +7,7 @@ WINDOW = 127
 
 
 FRAMES = 8
-"""Number of past bytes that are kept to compute the levels of the line."""
+"""Minimum number of bytes kept in `frames`, from which the levels of the line are computed."""
 
 
 class Host:
@@ -40,7 +40,7 @@ class Host:
         self.outgoing.popleft()
 
     def level(self, cycle):
-        """Returns the level of the line to the board at a cycle."""
+        """Returns the level (0 or 1) of the line to the board at a core cycle; 1 if no byte is on the line."""
         for start, bit, byte in self.frames:
             if start <= cycle < start + 10 * bit:
                 place = int((cycle - start) / bit)

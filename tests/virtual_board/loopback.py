@@ -14,14 +14,14 @@ from .board import Board, Failure, Image
 from .parts import BOARDS
 
 LONGEST_S = 3.0
-"""Upper bound of the suite's emulated time."""
+"""Emulated time, s, after which an unfinished suite is ended."""
 CONTROL_BLOCK = "_SEGGER_RTT"
 BUFFER, SIZE, WRITTEN, READ = 28, 32, 36, 40
-"""Offsets of the first up-channel's words (defmt-rtt, `Header` and `Channel`)."""
+"""Offsets, in the RTT control block, of the words of the first up-channel (defmt-rtt, `Header` and `Channel`)."""
 
 
 def wires(wiring):
-    """Returns the input of each output's wire (STEP X, DIR X, STEP Y), independently of the suite's own table."""
+    """Returns the wires as {output: input} for STEP X, DIR X and STEP Y, independently of the suite's own table."""
     return {wiring.step[0]: "B6", wiring.direction[0]: "B7", wiring.step[1]: "B8"}
 
 

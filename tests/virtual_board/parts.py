@@ -1,5 +1,5 @@
-"""Properties of the parts, taken from data sheets, and of the boards: their pins are read from the boards' files, of which
-the firmware has only the table of bytes that a tool made."""
+"""Properties of the chips, taken from data sheets, and of the boards. The pins of a board are read from its file in
+`boards/tables`; the firmware contains only a table of bytes that a tool makes from this file."""
 
 import re
 import tomllib
@@ -13,7 +13,7 @@ MHZ = 1_000_000
 
 @dataclass(frozen=True)
 class Part:
-    """An STM32F4."""
+    """The properties of an STM32F4: clock limits, reset values and memory."""
 
     name: str
     core_hz: int
@@ -77,8 +77,8 @@ STM32F407 = Part(
 )  # fmt: skip
 """RM0090; its core-coupled RAM is left out, because the firmware does not use it."""
 STM32F412 = replace(STM32F411, name="STM32F412VG", otg_id=0x2000, has_tim8=True, interrupts=97, flash_kib=1024, ram_kib=256)
-"""RM0402: supply, wait states and clocks as in an F411; USB and timers as in an F446. Which clocks run in sleep after a
-reset is taken from the F411, which has fewer: so the image must enable those that it needs."""
+"""RM0402: supply, wait states and clocks as in an F411; USB and timers as in an F446. After a reset fewer clocks run in
+sleep on the F411. The model takes these fewer clocks, so the image must enable all that it needs."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ class Wiring:
         """Returns the value of a field in the board's entry in `profiles.rs`, as it stands there."""
         text, begin = PROFILES.read_text(), f'name: "{self.name}"'
         while True:
-            # A field that an entry lacks comes from the entry named after its two dots.
+            # A field that an entry lacks comes from the entry after its `..` (struct update syntax of Rust).
             row, _, rest = text.split(begin, 1)[1].split("}", 1)[0].partition("..")
             if found := re.search(rf"\b{field}: (\w+)", row):
                 return found[1]
@@ -140,7 +140,7 @@ class Wiring:
 
     @property
     def pulse_timer(self):
-        """Timer of the step pulses."""
+        """Timer that makes the step pulses, `TIM8` or `TIM1`."""
         return "TIM8" if self.entry("tim8_makes_pulses") == "true" else "TIM1"
 
     @property
@@ -150,7 +150,7 @@ class Wiring:
 
     @property
     def pwm_timer(self):
-        """Timer on the spindle's pin."""
+        """Timer that makes the spindle's PWM: `TIM1` on pin A8, `TIM3` on all other pins."""
         return "TIM1" if self.pwm == "A8" else "TIM3"
 
     @property
@@ -170,7 +170,7 @@ class Wiring:
 
     @property
     def axes(self):
-        """Number of axes: three, or four if the board's entry says `AXES`, as many as the simulator."""
+        """Number of axes: 4 if the board's entry says `AXES` (the number of the simulator), otherwise 3."""
         return {"AXES": 4, "AXES_OF_BOARDS": 3}[self.entry("axes")]
 
     @property

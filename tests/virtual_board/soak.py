@@ -1,9 +1,9 @@
 """Runs a long job on one board: `python -m virtual_board.soak BOARD ELF SCRIPT ANSWERS REPORT [WALL]`, as `cargo xtask
 soak BOARD` does.
 
-Executes the codes of a script (`xtask/src/script.rs`). Writes the board's output to ANSWERS and, at the end of each
-record (code `N`), a line with the time, the steps counted at the step outputs and the stack to REPORT. xtask, which
-wrote the script, judges both. After WALL seconds it ends at the next line of REPORT.
+Executes the codes of SCRIPT (`xtask/src/script.rs`). Writes the board's output to ANSWERS. At the end of each record
+(code `N`) writes a line to REPORT: the time, the steps counted at the step outputs, and the stack. xtask, which wrote
+the script, judges both files. After WALL seconds of real time the run ends at the next line of REPORT.
 """
 
 import struct

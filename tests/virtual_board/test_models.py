@@ -187,7 +187,7 @@ class RccTraces(unittest.TestCase):
             model.write(rcc.AHB1ENR, 7 | 3 << 21)
             model.write(rcc.APB1ENR, 0xF | 1 << 28)
             model.check_sleep()
-            # TIM1, bit 0.
+            # Bit 0 enables TIM1. On the F411 its clock stops in sleep after a reset.
             model.write(rcc.APB2ENR, 1 | 1 << 14)
             if stands:
                 with self.assertRaises(Misuse):
@@ -535,8 +535,8 @@ class UsartTraces(unittest.TestCase):
         self.assertEqual((wire.heard[-1], model.read(usart.SR)), ((16_660, 0xAA), usart.TXE | usart.TC))
 
     def heard(self, baud, brr, text):
-        """Returns the bytes that a receiver with this divider decodes from bytes at another rate, each with whether it
-        has a framing error."""
+        """Sends `text` at the rate `baud` to a receiver with the divider `brr`. Returns (byte, whether it has a framing
+        error) for each received byte."""
         bench, bit = Bench(), 96e6 / baud
         wire = Wire([(2_000 + round(10 * bit * k + 9.5 * bit), byte) for k, byte in enumerate(text)], baud)
         model = usart.Usart("USART1", bench, 0x4001_1000, (0x44, 4), 37, "pclk2")
@@ -559,8 +559,8 @@ class UsartTraces(unittest.TestCase):
         # At twice the rate each bit is read as two.
         self.assertEqual(self.heard(115_200, 417, b"?"), [(0xFE, False), (0xF8, False)])
         self.assertEqual(self.heard(115_200, 417, b"$"), [(0x60, True), (0xF8, False)])
-        # Bits that are much faster than the receiver's are too short for a start bit, or a whole byte of them gives a
-        # start bit and little else.
+        # The bits are much shorter than those of the receiver: a few zeros are too short for a start bit. A whole byte
+        # of zeros is read as a start bit, and then the line is high again.
         self.assertEqual(self.heard(1_000_000, 833, b"\x18"), [])
         self.assertEqual(self.heard(1_000_000, 833, b"\0"), [(0xFF, False)])
 
@@ -1136,14 +1136,14 @@ class OtgTraces(unittest.TestCase):
             self.assertTrue(model.out(1, b"G", toggle), "ACK in any case")
             self.assertEqual(len(model.fifo), 2 * taken)
             model.fifo.clear()
-        # DOEPCTL, SD0PID.
+        # SD0PID in DOEPCTL1 makes the endpoint expect DATA0.
         model.write(0xB20, enabled | 1 << 28)
         model.out(1, b"G", 0)
         self.assertEqual(len(model.fifo), 2)
 
     def test_a_suspended_bus_is_told_until_it_is_used_again(self):
         _, model = self.fresh()
-        # GINTSTS: USBSUSP, and then WKUPINT. DSTS: full speed in bits 2:1, SUSPSTS in bit 0.
+        # Flags of GINTSTS: USBSUSP, WKUPINT, USBSUSP, USBRST. DSTS: full speed in bits 2:1, SUSPSTS in bit 0.
         for flag, status in ((1 << 11, 7), (1 << 31, 6), (1 << 11, 7), (1 << 12, 6)):
             model.flag(flag)
             self.assertEqual(model.read(0x808), status)

@@ -43,7 +43,8 @@ class UsbHost(Host):
         self._work = None
         self._orders = deque()
         self._idle_since = None
-        """Cycle of the last emulated poll. Set while all further polls would have the same answer."""
+        """While polling is suspended, because all further polls would have the same answer: core cycle of the last
+        emulated poll. Otherwise None."""
 
     # The bus.
 

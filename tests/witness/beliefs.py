@@ -1,8 +1,9 @@
-"""The firmware's beliefs about the hardware, each with its source and a check in labwired.
+"""The firmware's beliefs (assumptions) about the hardware, each with its source and a check in labwired, a chip
+emulator that is independent of this project.
 
-`ACTS`: labwired's own model decides, because with a wrong belief the firmware would not get this far. `FIELDS`: a value
-that the firmware wrote is read back and split by ST's names for its bits; its meaning is taken from the manual.
-`NOT_MODELLED`: beliefs that labwired cannot check.
+`ACTS`: the behaviour of labwired's model is the check, because with a wrong belief the firmware would not get this far.
+`FIELDS`: the check reads back a value that the firmware wrote, and splits it by ST's names for its bits; the meaning of
+the bits is from the manual. `NOT_MODELLED`: beliefs that labwired cannot check.
 
 Manuals: RM0383 for the STM32F411, PM0214 for its processor.
 """
@@ -210,7 +211,7 @@ def answers(machine, _):
 def inputs(machine, board):
     for name, letter in (("probe", "P"), ("limit_x", "X")):
         machine.sim.set_pin(name, True)
-        # These are twelve samples of the inputs; the filter needs eight.
+        # 0.6 ms are twelve samples of the inputs; the filter needs eight.
         machine.run(0.0006)
         said = machine.status()
         machine.sim.set_pin(name, False)
@@ -367,9 +368,9 @@ def chain_is_watched(machine, _):
 @belief("the streams of the edges read memory as a peripheral that counts up and write BSRR; channel 6 is TIM1's", FIELDS, "RM0383 chapter 9, DMA2 request mapping, GPIOx_BSRR")
 def edges(machine, board):
     ports = sorted({pin[0] for pin in board.step + board.direction + (board.second_step, board.second_direction)})
-    # By the number of ports with step pins: the DMA2 streams that output the rising edge (True) and the end of the
-    # pulse (False). The requests come from TIM1: channel 1 serves stream 1, channel 2 stream 2, channel 3 stream 6,
-    # channel 4 stream 4.
+    # The key is the number of ports with step or direction pins. The value lists the DMA2 streams that output the
+    # rising edge (True) or the end of the pulse (False). The requests come from TIM1: channel 1 serves stream 1,
+    # channel 2 stream 2, channel 3 stream 6, channel 4 stream 4.
     streams = {1: {1: True, 4: False}, 2: {1: True, 2: False, 6: True, 4: False}}[len(ports)]
     told = []
     for stream, counts in streams.items():

@@ -1,4 +1,4 @@
-"""A labwired chip that runs the firmware, and a host at its UART.
+"""A chip in the emulator labwired that runs the firmware, and a host at the chip's UART.
 
 Finds registers by the names of ST's SVD, which the package includes. Emulates what labwired 0.25.0 lacks at a UART:
 
@@ -29,7 +29,8 @@ LOOK_S = 0.000_02
 
 
 class Broken(Exception):
-    """A belief does not hold."""
+    """Raised if a belief (an assumption of the firmware about the hardware) does not hold, or the chip does not
+    answer."""
 
 
 class Machine:

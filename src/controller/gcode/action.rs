@@ -16,11 +16,11 @@ use crate::image::FULL_IMAGE;
 use crate::messages::{Coolant, SpindleDirection};
 use crate::units::{Coordinate, Decimal, Duration};
 
-/// Effects of a line, in the order of execution. The private fields hold the state after the line, which
-/// `Interpreter::commit` applies.
+/// Effects of a line, in the order of execution. The private fields hold the state after the line.
+/// `Interpreter::commit` makes it the state of the interpreter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Action<const N: usize> {
-    /// The line number (N); 0 without an N.
+    /// The line number (N), 0 to 10,000,000; 0 without an N.
     pub line_number: u32,
     /// The new state of the spindle, if the line changes it before the motion. (At the program's end the spindle stops:
     /// see [`Flow::End`].)
@@ -31,7 +31,7 @@ pub struct Action<const N: usize> {
     pub speed: f32,
     /// The new state of the coolant, if the line changes it before the motion.
     pub coolant: Option<Coolant>,
-    /// The line has an M6, and the selected tool is not the one in the spindle.
+    /// The line has an M6, and the selected tool differs from the one in the spindle.
     pub tool_change: bool,
     /// Duration of a dwell before the motion.
     pub dwell: Option<Duration>,
@@ -40,15 +40,14 @@ pub struct Action<const N: usize> {
     /// The line goes to a machine position or stores one (G53, G28, G30, G28.1, G30.1), so it needs a valid machine
     /// position.
     pub uses_machine_place: bool,
-    /// The stored position or tool that changes at the commit. For a tool, the change is a new offset or its removal
-    /// from the table.
+    /// The stored position, coordinate system or tool that changes when the line is committed. A tool gets a new
+    /// offset, or is removed from the table.
     pub store: Option<StoredOffset>,
     /// Motion of the line; [`MotionCommand::None`] if nothing moves.
     pub motion: MotionCommand<N>,
-    /// Value of the last decimal place of the axis words, in mm: 0.001 for `X1.234`. Before scaling by G51 it is at
-    /// most 0.01 mm or 0.001 inch, because programs often omit trailing zeros. For canned cycles and splines it is 0,
-    /// because their points count as exact. `motion` uses it to estimate by how much the program has rounded its
-    /// points.
+    /// Value of the last decimal place of the axis words, in mm: 0.001 for `X1.234`. `motion` estimates from it by how
+    /// much the program has rounded its points. Programs often omit trailing zeros, so the value is at most 0.01 mm or
+    /// 0.001 inch, before scaling by G51. It is 0 for canned cycles and splines, whose points count as exact.
     pub digit: f32,
     /// What the program does after the motion.
     pub flow: Flow,
@@ -73,18 +72,18 @@ pub(super) struct Afterwards {
     pub(super) tool_alone: bool,
     /// See [`Action::moves_only`].
     pub(super) moves_only: bool,
-    /// The commit stores this line's G92 offset, so that G92.3 can restore it.
+    /// The G92 offset of this line is stored when the line is committed, so that G92.3 can restore it.
     pub(super) keeps_g92: bool,
     pub(super) g92_acts: bool,
     pub(super) keeping: Keeping,
     /// Outputs and inputs that the line uses.
     pub(super) pins: Option<ProgramPins>,
     pub(super) notice: Option<Notice>,
-    /// If the line has D: whether D names the radius of a tool. D0 names none.
+    /// `None` if the line has no D; `Some(true)` if D names the radius of a tool, `Some(false)` for D0.
     pub(super) names_radius: Option<bool>,
 }
 
-/// Message about a word of a program, sent once for each program.
+/// Message to the host about a word of a program, sent at most once in each program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Notice {
@@ -123,8 +122,8 @@ impl Notice {
 }
 
 impl<const N: usize> Action<N> {
-    /// Whether the line has no effect except a motion or a change of modes for motions: it changes no outputs, offsets
-    /// or stored records, and does not wait. Nearly all lines are like this.
+    /// Returns whether the line only moves or changes modes of motions, as nearly all lines do. Such a line changes no
+    /// outputs, offsets or stored records, and does not wait.
     #[inline]
     pub fn moves_only(&self) -> bool {
         self.after.moves_only
@@ -135,7 +134,8 @@ impl<const N: usize> Action<N> {
         &self.modal
     }
 
-    /// Whether the line changes spindle, coolant or S, stores a position or a tool, or has one of the words M62 to M68.
+    /// Returns whether the line changes spindle, coolant or S, stores a position or a tool, or has one of the words
+    /// M62 to M68.
     pub fn changes_outputs(&self) -> bool {
         self.spindle.is_some()
             || self.coolant.is_some()
@@ -144,8 +144,8 @@ impl<const N: usize> Action<N> {
             || self.pins().is_some()
     }
 
-    /// Adapts the action to a spindle that was stopped for a tool change. The spindle restarts only if the line has M3
-    /// or M4.
+    /// Adapts the action to a spindle that was stopped for the tool change of this line. The spindle restarts only if
+    /// the line has M3 or M4.
     pub fn spindle_stopped_for_tool(&mut self) {
         if !self.after.spindle_word {
             self.modal.spindle = SpindleDirection::Off;
@@ -158,14 +158,15 @@ impl<const N: usize> Action<N> {
         self.tool_length
     }
 
-    /// For a line with M6: whether no other word of the line depends on the length of the tool.
+    /// Returns whether M6 is alone on its line: no other word of the line depends on the length of the tool. Valid
+    /// only for a line with M6.
     pub fn is_tool_change_alone(&self) -> bool {
         self.after.tool_alone
     }
 
-    /// Adapts the action to a tool that has been changed and measured while spindle and coolant were off. Spindle and
-    /// coolant are switched on again if they are on in the modal state. The tool moves to `via` by a rapid, and then to
-    /// `target`. `length` is the tool length offset after the line.
+    /// Adapts the action of an M6 whose tool has been changed and measured. Spindle and coolant were off meanwhile.
+    /// They are switched on again if they are on in the modal state. The tool moves to `via` by a rapid, and then to
+    /// `target` with `feed`. `length`: the tool length offset after the line.
     pub fn return_with_tool(
         &mut self,
         [via, target]: [PerAxis<Coordinate, N>; 2],
@@ -188,18 +189,19 @@ impl<const N: usize> Action<N> {
         }
     }
 
-    /// Returns the use of a program output or input by the line (M62 to M68); `None` if it has none of these words.
+    /// Returns what the line does with an output or input for programs; `None` if it has none of the words M62 to M68.
     #[inline]
     pub fn pins(&self) -> Option<ProgramPins> {
         if FULL_IMAGE { self.after.pins } else { None }
     }
 
-    /// Returns the message to send to the host when the line is executed.
+    /// Returns the message to send to the host when the line is executed; `None` for nearly all lines.
     pub fn notice(&self) -> Option<Notice> {
         self.after.notice
     }
 
-    /// Whether the machine can still refuse the line after the check, because the line changes the tool or uses pins.
+    /// Returns whether the machine can still refuse the line after this check, because the line changes the tool or
+    /// uses pins.
     #[inline]
     pub fn needs_machine(&self) -> bool {
         self.tool_change || self.pins().is_some()
@@ -215,8 +217,7 @@ impl<const N: usize> Action<N> {
         if self.modal.spindle == SpindleDirection::Off { 0.0 } else { self.speed }
     }
 
-    /// Returns the machine position after the line: the programmed end of its motion, or the present position if
-    /// nothing moves.
+    /// Returns the machine position after the line, as programmed. If nothing moves, this is the present position.
     pub fn position(&self) -> &PerAxis<Coordinate, N> {
         &self.position
     }
@@ -229,7 +230,7 @@ impl<const N: usize> Action<N> {
         }
     }
 
-    /// An action without effects. Its modal state is that after power-up, not the state of an interpreter.
+    /// An action without effects. Its modal state is the one that an interpreter has after power-up.
     pub const NOTHING: Self = Self {
         line_number: 0,
         spindle: None,
@@ -265,8 +266,8 @@ impl<const N: usize> Action<N> {
         unused: [Letters::of(b""); REASONS as usize],
     };
 
-    /// Resets this action to one that changes nothing of `state`. The action is changed in place, because a new action
-    /// would be copied here with all its bytes, even those that only an arc needs.
+    /// Resets this action: afterwards it changes nothing of `state`. Works in place, because a returned action would
+    /// be copied with all its bytes, even those that only an arc needs.
     pub(super) fn begin(&mut self, state: &Interpreter<N>) {
         self.line_number = 0;
         self.uses_machine_place = false;
@@ -278,7 +279,7 @@ impl<const N: usize> Action<N> {
         self.only_moves(state);
     }
 
-    /// Discards all changes of the state except the change of the position.
+    /// Discards all changes of the state except the change of the position, so that the line only moves.
     pub(super) fn only_moves(&mut self, state: &Interpreter<N>) {
         self.spindle = None;
         self.speed_changed = false;
@@ -312,9 +313,9 @@ pub enum ProgramPins {
     Digital {
         /// P: number of the output, from 0.
         number: u32,
-        /// Whether the output is switched on (M62, M64) or off (M63, M65).
+        /// `true` for M62 and M64, which switch on; `false` for M63 and M65, which switch off.
         on: bool,
-        /// Whether the output is switched when the next motion begins (M62, M63), or at rest (M64, M65).
+        /// `true` for M62 and M63, which act when the next motion begins; `false` for M64 and M65, which act at rest.
         with_motion: bool,
     },
     /// M67, M68: sets an analog output.
@@ -323,7 +324,7 @@ pub enum ProgramPins {
         number: u32,
         /// Q: value of the output.
         value: Decimal,
-        /// Whether the output is set with the next motion (M67) or without waiting for one (M68).
+        /// `true` for M67, which acts with the next motion; `false` for M68, which does not wait for one.
         with_motion: bool,
     },
     /// M66 P: waits for a digital input.
@@ -332,7 +333,7 @@ pub enum ProgramPins {
         number: u32,
         /// L: the condition that ends the wait.
         until: InputWait,
-        /// Q: maximum duration of the wait.
+        /// Q: maximum duration of the wait. May be 0 with L0.
         longest: Duration,
     },
     /// M66 E: reads an analog input.
@@ -343,8 +344,8 @@ pub enum ProgramPins {
 }
 
 impl ProgramPins {
-    /// Whether the line waits until the previous motion has ended. So M64 and M65 switch the output, and M66 P reads
-    /// the input, at the position where that motion ends.
+    /// Returns whether the line waits until the previous motion has ended. Then M64 and M65 switch the output, and M66
+    /// P reads the input, where that motion ends.
     pub fn act_at_rest(self) -> bool {
         matches!(self, ProgramPins::Wait { .. } | ProgramPins::Digital { with_motion: false, .. })
     }
@@ -366,7 +367,8 @@ pub enum InputWait {
 }
 
 impl InputWait {
-    /// Whether the wait ends. `before` is the state of the input when it was read last, `now` its present state.
+    /// Returns whether the wait ends. `before`: `true` if the input was active when it was read last. `now`: `true` if
+    /// it is active at present.
     pub fn is_over(self, before: bool, now: bool) -> bool {
         match self {
             InputWait::Nothing => true,
@@ -383,7 +385,7 @@ impl InputWait {
 pub enum MotionCommand<const N: usize> {
     /// Nothing moves.
     None,
-    /// A straight move.
+    /// A straight move: G0, G1, and the moves of G28 and G30.
     Line {
         /// For G28 and G30: the intermediate point, reached by a rapid.
         via: Option<PerAxis<Coordinate, N>>,
@@ -392,11 +394,11 @@ pub enum MotionCommand<const N: usize> {
         /// Speed of the move.
         feed: Feed,
     },
-    /// An arc or helix.
+    /// An arc or helix: G2, G3, G12 and G13.
     Arc(ArcMove<N>),
-    /// A Bezier curve in X and Y.
+    /// A Bezier curve in X and Y: G5 and G5.1.
     Spline(SplineMove<N>),
-    /// A rational B-spline in X and Y.
+    /// A rational B-spline in X and Y: G5.3, with the control points of G5.2.
     Nurbs(NurbsMove<N>),
     /// A straight move until the probe makes contact, or loses it.
     Probe {
@@ -404,18 +406,19 @@ pub enum MotionCommand<const N: usize> {
         target: PerAxis<Coordinate, N>,
         /// Speed of the move.
         feed: Feed,
-        /// Whether the move ends at the loss of contact (G38.4, G38.5) instead of at contact.
+        /// `true` for G38.4 and G38.5, which end at the loss of contact; `false` for G38.2 and G38.3, which end at
+        /// contact.
         away: bool,
-        /// Whether an alarm follows if the probe does not change before the target (G38.2, G38.4).
+        /// `true` for G38.2 and G38.4: an alarm follows if the probe has not changed before the target.
         alarm: bool,
     },
-    /// A canned cycle.
+    /// A canned cycle: G73 to G89.
     Cycle(Cycle<N>),
 }
 
 /// An arc from `start` to `target` round a centre. The axes outside its plane move at constant speed during the arc.
-/// Start and target are equally far from the centre, within the greatest of these tolerances: 0.005 mm, 0.1 % of the
-/// radius (0.5 mm at most), and the rounding of the words (see `arc`).
+/// The radii at start and target may differ by the greatest of these tolerances: 0.005 mm, 0.1 % of the radius (0.5 mm
+/// at most), and the rounding of the words (see `arc`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArcMove<const N: usize> {
     /// Start point.
@@ -428,13 +431,13 @@ pub struct ArcMove<const N: usize> {
     pub i: Coordinate,
     /// Distance from the start to the centre, along the second axis of the plane.
     pub j: Coordinate,
-    /// Whether the arc is clockwise: G2 instead of G3.
+    /// `true`: clockwise in its plane, as G2. `false`: counter-clockwise, as G3.
     pub clockwise: bool,
-    /// Number of full turns in addition to the arc from start to target.
+    /// Number of full turns before the arc from start to target: 1 for `P2`.
     pub turns: u32,
-    /// Speed along the arc.
+    /// Speed along the arc, from F.
     pub feed: Feed,
-    /// Set for G12 and G13: the tool is at the centre before the line. It feeds straight to `start`, follows the
+    /// `true` for G12 and G13. Before the line, the tool is at the centre. It feeds straight to `start`, follows the
     /// circle, and returns straight to the centre.
     pub from_centre: bool,
 }
@@ -490,8 +493,8 @@ pub struct NurbsMove<const N: usize> {
 pub enum Feed {
     /// As fast as the machine allows.
     Rapid,
-    /// G94 and G95: speed in mm/s. For straight moves it is the speed along the path of all axes, where a degree counts
-    /// as a millimetre; for arcs and cycles, the speed along the path of X, Y and Z.
+    /// G94 and G95: speed in mm/s. For arcs and cycles, this is the speed along the path of X, Y and Z. For straight
+    /// moves, it is the speed along the path of all axes, in which a degree counts as a millimetre.
     PerMinute(f32),
     /// G93: duration of the whole motion, in seconds.
     InverseTime(f32),
@@ -511,7 +514,7 @@ pub enum Flow {
     End,
 }
 
-/// What the line does with the states saved by M70 and M73, or with the control points of G5.2.
+/// What the line does with saved modal states (M70 to M73) or with control points (G5.2).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Keeping {
     /// The line has none of the words M70 to M73 and G5.2.

@@ -10,21 +10,21 @@
 //!          │ ╱  ╲ h │               G2 with R > 0 has its centre to the right of the chord, G3 to the left;
 //!        start ── centre ── first   R < 0 swaps the sides and so takes the longer way round
 //! ```
-//! Lengths stay below 2^42 (twice [`Coordinate::LIMIT`] in each direction), so squares fit `u128` with 40 bits to
-//! spare. Square roots use these spare bits as binary places. Their error is far below 0.1 nm, except for arcs whose
-//! chord is extremely short relative to their radius.
+//! Lengths stay below 2^42 units (twice [`Coordinate::LIMIT`] in each direction), so their squares leave 40 bits of a
+//! `u128` free. A square is shifted into these bits before its root is computed, which gives the root binary places.
+//! The error of a root is far below 0.1 nm, except for arcs whose chord is extremely short relative to their radius.
 
 use crate::error::Error;
 use crate::units::{Coordinate, DECIMAL_ONE, integer_root};
 
 /// Difference of the radii at start and end that is always allowed: 0.005 mm.
 pub(super) const RADIUS_TOLERANCE: Coordinate = Coordinate(DECIMAL_ONE / 200);
-/// Maximum of the tolerance that grows with the radius: 0.5 mm.
+/// Limit of the tolerance that grows with the radius: 0.5 mm, reached at a radius of 500 mm.
 const RADIUS_TOLERANCE_MAX: i64 = DECIMAL_ONE / 2;
 /// The tolerance that grows with the radius is the radius divided by this: 0.1 %.
 const RADIUS_TOLERANCE_PART: i64 = 1000;
-/// In all dialects, a chord may exceed twice the radius by this much, 0.4 nm, because the conversion from inches rounds
-/// each value.
+/// Length by which a chord may exceed twice the radius in all dialects: 0.4 nm, because the conversion from inches
+/// rounds each value.
 pub(super) const DIAMETER_TOLERANCE: Coordinate = Coordinate(4);
 
 /// A vector in the plane of an arc, in units of 0.1 nm.
@@ -39,7 +39,7 @@ impl Vector {
         Vector { first: first.0, second: second.0 }
     }
 
-    /// Returns an error unless both parts are within the range of the computations below.
+    /// Returns an error if a part is outside the range of the computations below.
     pub fn checked(self) -> Result<Vector, Error> {
         const MAX: u64 = 2 * Coordinate::LIMIT.0.unsigned_abs();
         if self.first.unsigned_abs() > MAX || self.second.unsigned_abs() > MAX {
@@ -65,8 +65,8 @@ fn square(value: u64) -> u128 {
     u128::from(value) * u128::from(value)
 }
 
-/// Returns the square roots of both values, multiplied by the same power of two. The greater root then has about 62
-/// bits.
+/// Returns the square roots of both values, multiplied by the same power of two, which a quotient of the two cancels.
+/// The greater root then has about 62 bits.
 fn roots(a: u128, b: u128) -> (i128, i128) {
     // The greater square keeps two leading zero bits, so its root stays below 2^63.
     let shift = (a.max(b).leading_zeros().saturating_sub(2)) & !1;
@@ -107,22 +107,23 @@ pub(super) fn centre_by_radius(
     Ok(Vector { first: divided(x * along + y * across, 2 * along), second: divided(y * along - x * across, 2 * along) })
 }
 
-/// Returns by how much a chord may exceed twice the radius if all words of the arc are rounded to `digit`, the value of
-/// their last decimal place. Twice R is off by up to one digit. Each end of the chord is off by up to half a digit
-/// along both axes, both ends together by up to sqrt(2) digits. The sum is 1 + sqrt(2) digits.
+/// Returns by how much a chord may exceed twice the radius if the words of the arc are rounded. `digit`: value of
+/// their last decimal place, 0.001 mm for `X1.234`. Twice R is off by up to 1 digit. Each end of the chord is off by
+/// up to half a digit along each axis, so the chord is off by up to sqrt(2) digits. The sum is 1 + sqrt(2), about 2.4
+/// digits.
 pub(super) fn rounding_of_diameter(digit: Coordinate) -> Coordinate {
     Coordinate(digit.0 * 12 / 5)
 }
 
-/// Returns by how much the radii at start and end may differ if all words of the arc are rounded to `digit`. Start, end
-/// and centre are each off by up to half a digit along both axes, which is sqrt(2) / 2 digits. The centre affects both
-/// radii, so the sum is 2 sqrt(2) digits.
+/// Returns by how much the radii at start and end may differ if the words of the arc are rounded to `digit`. Start,
+/// end and centre are each off by up to half a digit along each axis, which is sqrt(2) / 2 digits. The centre counts
+/// twice, because it affects both radii. The sum is 2 sqrt(2), about 2.8 digits.
 pub(super) fn rounding_of_radii(digit: Coordinate) -> Coordinate {
     Coordinate(digit.0 * 14 / 5)
 }
 
-/// Whether the radii at start and end differ by at most `tolerance`, or by at most the tolerance that grows with the
-/// radius.
+/// Returns whether the radii at start and end agree: they differ by at most `tolerance`, or by at most the tolerance
+/// that grows with the radius.
 pub(super) fn radii_agree(chord: Vector, centre: Vector, tolerance: Coordinate) -> Result<bool, Error> {
     let radius = centre.checked()?.length();
     let difference = (chord.checked()?.minus(centre).length() - radius).abs();
@@ -130,8 +131,8 @@ pub(super) fn radii_agree(chord: Vector, centre: Vector, tolerance: Coordinate) 
         || (difference <= RADIUS_TOLERANCE_MAX && difference.saturating_mul(RADIUS_TOLERANCE_PART) <= radius))
 }
 
-/// Returns the point where the ray from the centre to the programmed end point crosses the circle, relative to the
-/// start.
+/// Returns the point where the ray from the centre to the programmed end point crosses the circle. The result is
+/// relative to the start of the arc.
 pub(super) fn ray_crossing(chord: Vector, centre: Vector) -> Result<Vector, Error> {
     let ray = chord.checked()?.minus(centre.checked()?);
     if ray.square() == 0 || centre.square() == 0 {
@@ -144,7 +145,7 @@ pub(super) fn ray_crossing(chord: Vector, centre: Vector) -> Result<Vector, Erro
     })
 }
 
-/// Whether start and centre are the same point. In this case the radius is 0, and there is no arc.
+/// Returns whether start and centre are the same point. Then the radius is 0, and there is no arc.
 pub(super) fn is_point(centre: Vector) -> bool {
     centre.square() == 0
 }

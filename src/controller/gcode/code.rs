@@ -2,7 +2,7 @@
 
 use crate::units::{DECIMAL_ONE, Decimal, ones};
 
-/// The number of a G or M word, split into the two parts used for the lookup: `G38.2` is 38 and 20.
+/// The number of a G or M word, split into two parts for the lookup: `G38.2` is 38 and 20.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Code {
     /// The whole part, modulo 256.
@@ -14,12 +14,12 @@ pub(super) struct Code {
 impl Code {
     /// A fraction that no command has.
     pub const NO_CODE: u16 = u16::MAX;
-    /// A hundredth, in units of a [`Decimal`].
+    /// A hundredth in units of a [`Decimal`]: 100,000.
     const HUNDREDTH: u32 = (DECIMAL_ONE / 100) as u32;
 
     /// Returns the code of a number. Grbl keeps only the low byte of the whole part and takes everything else as the
-    /// fraction. So `G256` is a G0 with an impossible fraction, while `G999` is an unknown command, and a host gets
-    /// different error numbers for these two.
+    /// fraction. So `G256` is a G0 with an impossible fraction, while `G999` (low byte 231) is an unknown command. A
+    /// host gets different error numbers for these two.
     pub fn of(value: Decimal) -> Code {
         let ones = ones(value.0.unsigned_abs());
         // The fraction is less than `DECIMAL_ONE` (10^7), so it fits `u32`.

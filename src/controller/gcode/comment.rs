@@ -1,9 +1,9 @@
 //! Message comments of programs (`(MSG, ...)`, `(PRINT, ...)`, `(DEBUG, ...)`), as they are stored after the words of a
 //! line.
 //!
-//! A mark precedes the text of the message. It determines whether the text is sent as written, or with the values of
-//! parameters inserted. [`split_comment`] splits a line at the mark. The words before the mark contain neither `(` nor
-//! `;`, because all comments have been removed from them.
+//! A mark before the text of the message tells whether the text is sent as written, or with the values of parameters
+//! inserted. [`split_comment`] splits a line at the mark. The words before the mark contain neither `(` nor `;`,
+//! because all comments have been removed from them.
 
 /// Mark of a message that is sent as it is written.
 pub const AS_WRITTEN: u8 = b'(';

@@ -11,9 +11,9 @@ use crate::axes::PerAxis;
 use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Interpreter<N> {
-    /// Compares the state part by part. Returns the name of the first part that could give a following line another
-    /// meaning in the other interpreter; `None` if all following lines have the same meaning in both. The words of
-    /// canned cycles and curves count only while their mode is in force.
+    /// Compares two interpreters part by part. Returns the name of the first part that could give a following line
+    /// different meanings in them; `None` if all following lines have the same meaning in both. The words of canned
+    /// cycles and curves count only while their mode is in force.
     pub fn differs_from(&self, other: &Self) -> Option<&'static str> {
         let in_cycle = matches!(self.modal.motion, MotionMode::Cycle(_));
         let are_blank = [self, other].into_iter().all(|state| state.computed.is_blank() && !state.is_within_block());
@@ -35,8 +35,9 @@ impl<const N: usize> Interpreter<N> {
         parts.into_iter().find_map(|(differs, part)| differs.then_some(part))
     }
 
-    /// Whether the position of the program is `place`, and the modal state, the stored offsets and the tool table are
-    /// its only state: no G92, open block, saved state, rotation or scaling.
+    /// Whether the program is at `place` and has no state except the modal state, the stored offsets and the tool
+    /// table: no G92, open block, saved state, rotation or scaling. A recording that can be replayed begins only in
+    /// this state.
     pub fn is_plain(&self, place: &PerAxis<Coordinate, N>) -> bool {
         let offsets = [&self.offsets.g92, &self.offsets.g92_kept, &self.offsets.tool_length];
         self.position == *place
@@ -52,23 +53,23 @@ impl<const N: usize> Interpreter<N> {
             && self.modal.tool == self.spindle_tool
     }
 
-    /// Returns the control points of a curve that G5.2 has started and G5.3 has not yet run; `None` without such a
+    /// Returns the control points of a curve that G5.2 has begun and G5.3 has not ended yet; `None` without such a
     /// curve.
     fn waiting_points(&self) -> Option<&ControlPoints> {
         let waits = self.modal.motion == MotionMode::Spline(SplineKind::Nurbs);
         self.control_points.first().filter(|points| waits && points.begin_at(in_xy(&self.position)))
     }
 
-    /// Returns the vector from the present position to the first control point that a G5 without I and J would have;
-    /// `None` if the most recent G5 did not end here.
+    /// Returns the direction in which a G5 without I and J would continue the most recent G5: the vector from the
+    /// present position to the first control point. `None` if the most recent G5 did not end here.
     fn next_way(&self) -> Option<[Coordinate; 2]> {
         let last = self.tangent.iter().flatten().find(|tangent| tangent.place == in_xy(&self.position));
         last.map(|tangent| tangent.way)
     }
 }
 
-/// Returns the modal state without the parts that affect no later line. The speed that an F with G94 or G95 has set
-/// affects no later line in G93, or while F is undefined.
+/// Returns the modal state without the parts that affect no later line. While G93 is active or F is undefined, this
+/// removes the speed that an earlier F has set.
 fn meant(modal: &Modal) -> Modal {
     let is_speed = modal.feed_mode != FeedMode::InverseTime && modal.feed > Decimal::ZERO;
     let feed_per_second = if is_speed { modal.feed_per_second } else { 0.0 };

@@ -15,7 +15,8 @@ pub(super) const ORDER: u8 = 3;
 /// The change that a line makes to the control points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Addition {
-    /// Start point of a new curve, if the line starts one. It replaces all earlier control points.
+    /// Start point of a new curve; `None` if the line continues a curve. A start point replaces all earlier control
+    /// points.
     pub start: Option<WeightedPoint>,
     pub point: Option<WeightedPoint>,
     pub order: u8,
@@ -38,7 +39,7 @@ impl ControlPoints {
         Self { points, order: ORDER }
     }
 
-    /// Whether the first control point is at `place`.
+    /// Whether the curve starts at `place`, in X and Y of the machine; `false` without control points.
     pub fn begin_at(&self, place: [Coordinate; 2]) -> bool {
         self.points.first().is_some_and(|first| first.place == place)
     }
@@ -56,7 +57,7 @@ impl ControlPoints {
     }
 
     /// Adds the points of a line with G5.2; a start point replaces all earlier points. Points beyond the capacity are
-    /// dropped.
+    /// dropped; the check refuses a line that would add them.
     pub fn add(&mut self, addition: &Addition) {
         if let Some(start) = addition.start {
             self.points.clear();

@@ -32,8 +32,9 @@ pub struct CycleWords {
     pub peck: Coordinate,
     /// P: dwell at the bottom.
     pub dwell: Duration,
-    /// Machine coordinate at which the series of cycles began, minus the tool length offset at that time. G98 adds the
-    /// offset in force, so a longer tool returns to a higher machine coordinate.
+    /// The level to which G98 returns, without the tool length offset: the machine coordinate at which the series of
+    /// cycles began, minus the offset at that time. G98 adds the offset in force, so that a longer tool returns to a
+    /// higher machine coordinate.
     pub level: Coordinate,
 }
 
@@ -90,7 +91,7 @@ impl CycleKind {
     }
 }
 
-/// Single step of a cycle.
+/// Single step of a canned cycle, from [`Cycle::step`]. Positions are machine positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CycleStep<const N: usize> {
     /// Rapid to this machine position; its length can be 0.
@@ -126,10 +127,10 @@ pub(super) enum CyclePhase {
     After(u8),
 }
 
-/// Cycle of one line: its holes and its progress.
+/// Canned cycle of one line: its holes, its levels (machine coordinates along the drilling axis) and its progress.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cycle<const N: usize> {
-    /// Kind of cycle, such as G83.
+    /// Kind of cycle, which determines the steps: G83 drills in pecks, for example.
     pub kind: CycleKind,
     pub(super) axes: PlaneAxes,
     /// Position of the tool after the previous step.
@@ -138,7 +139,7 @@ pub struct Cycle<const N: usize> {
     pub(super) hole: PerAxis<Coordinate, N>,
     /// Vector from one hole to the next.
     pub(super) pitch: [Coordinate; 2],
-    /// Number of holes that have not been finished.
+    /// Number of holes that are not finished yet, with the present one.
     pub(super) left: u32,
     pub(super) r: Coordinate,
     pub(super) bottom: Coordinate,
@@ -160,7 +161,7 @@ impl<const N: usize> Cycle<N> {
         place
     }
 
-    /// Returns the hole that is `count` holes after the next one.
+    /// Returns the position of a hole: of the next one for `count` 0, of the one after it for 1, and so on.
     pub(super) fn hole_after(&self, count: u32) -> PerAxis<Coordinate, N> {
         let mut hole = self.hole;
         for (axis, pitch) in [self.axes.first, self.axes.second].into_iter().zip(self.pitch) {
@@ -170,8 +171,8 @@ impl<const N: usize> Cycle<N> {
         hole
     }
 
-    /// Returns points that enclose the whole cycle: each end of every move is one of these points or lies between two
-    /// of them. Valid only before the first step.
+    /// Returns points that enclose the whole cycle: each move begins and ends at one of these points or between two of
+    /// them. The checks of the range and of the travel limits use them. Valid only before the first step.
     pub fn corners(&self) -> [PerAxis<Coordinate, N>; 6] {
         let high = along(&self.place, self.axes.linear).max(self.r);
         let last = self.hole_after(self.left.saturating_sub(1));
@@ -185,7 +186,7 @@ impl<const N: usize> Cycle<N> {
         ]
     }
 
-    /// Whether the machine must be at rest before the next step.
+    /// Whether the machine must stand still before the next step: a dwell, a pause, or a change of the spindle.
     pub fn next_rests(&self) -> bool {
         let CyclePhase::After(done) = self.next else { return false };
         matches!(
@@ -194,9 +195,9 @@ impl<const N: usize> Cycle<N> {
         )
     }
 
-    /// Returns the next step, or `None` at the end of the cycle. `clearance` is the distance by which the tool backs
-    /// off after a peck (G73), and the height above the bottom of the previous peck at which the rapid down ends (G83).
-    /// Neither of these moves ends above R.
+    /// Returns the next step; `None` at the end of the cycle. `clearance`: with G73, the distance by which the tool
+    /// backs off after a peck; with G83, the height above the bottom of the previous peck at which the rapid down ends.
+    /// Both moves end at R at the highest.
     pub fn step(&mut self, clearance: Coordinate) -> Option<CycleStep<N>> {
         let r = self.r;
         let (next, depth, is_feed) = match self.next {

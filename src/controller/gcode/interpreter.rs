@@ -19,7 +19,7 @@ use crate::units::Coordinate;
 impl<const N: usize> Interpreter<N> {
     /// Resets modal state, rotation, scaling, G92, tool length offset and parameters. Ends check mode; the next line
     /// begins a program. Keeps the stored offsets, the position, and the tool in the spindle with its measured length.
-    /// That tool becomes the selected one, so that M6 without T changes nothing.
+    /// Selects the tool in the spindle, so that M6 without T changes nothing.
     pub fn reset(&mut self) {
         self.modal = Modal::INITIAL;
         if let Some(before) = self.before_check.take() {
@@ -57,17 +57,17 @@ impl<const N: usize> Interpreter<N> {
         });
     }
 
-    /// Resets the interpreter, which ends check mode, and then restores all offsets from before check mode, also G92
-    /// and the tool length offset. In Grbl's dialect and in a build without expressions, these two stay as the reset
-    /// leaves them.
+    /// Ends check mode: resets the interpreter, and then restores all offsets from before check mode, with G92 and the
+    /// tool length offset. In Grbl's dialect and in a build without expressions, restores no offsets: G92 and the tool
+    /// length offset are those of the reset, and the stored offsets stay as the checked programs have set them.
     pub fn end_check_mode(&mut self) {
         let before = self.before_check.as_ref().and_then(BeforeCheck::offsets);
         self.reset();
         self.offsets = before.unwrap_or(self.offsets);
     }
 
-    /// Ends the modal states that a program in the new dialect might be unable to end, because the dialect lacks the
-    /// word for it. Abandons the present program, and drops saved states and the measured length of the tool.
+    /// Prepares for another dialect: ends the modal states for which the new dialect may lack the word that would end
+    /// them. Abandons the present program, and drops saved states and the measured length of the tool.
     pub fn change_dialect(&mut self) {
         self.end_cycles();
         if matches!(self.modal.motion, MotionMode::Spline(_)) {
@@ -82,8 +82,8 @@ impl<const N: usize> Interpreter<N> {
         self.begin_program();
     }
 
-    /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments. The line's assignments
-    /// to parameters are evaluated and then discarded, so a commit does not make them.
+    /// Checks a line of a program. `line` is filtered: capital letters, no blanks, no comments. Assignments to
+    /// parameters are evaluated and then discarded; [`Self::commit`] does not make them.
     #[cfg(feature = "alloc")]
     pub fn check(&self, line: &[u8], dialect: Dialect) -> Result<Action<N>, Error> {
         let mut action = Action::NOTHING;
@@ -117,8 +117,8 @@ impl<const N: usize> Interpreter<N> {
     /// Applies the changes of a checked line. The position becomes the end of the line's motion; if a probing move ends
     /// elsewhere, call [`Interpreter::set_position`] afterwards.
     pub fn commit(&mut self, action: &Action<N>) {
-        // The operator can have switched the coolant since the line was checked, so its state is kept unless the line
-        // changes it.
+        // The operator can have switched the coolant since the line was checked. So the present state of the coolant
+        // stays, unless the line changes it.
         let coolant = self.modal.coolant;
         self.modal = action.modal;
         if action.coolant.is_none() && action.flow != Flow::End {

@@ -11,8 +11,8 @@
 //! * Every byte sequence is either accepted or refused, without panic or overflow.
 //! * Positions are integers, so rounding errors do not add up.
 //!
-//! Done elsewhere: filtering of bytes and limiting of the line length (`protocol`), executing actions (`controller`),
-//! chords of arcs and the speeds of moves (`motion`), travel limits.
+//! Not done here: filtering bytes and limiting the length of lines (`protocol`), executing actions (`controller`),
+//! dividing arcs into chords and choosing speeds (`motion`), checking travel limits.
 
 mod action;
 mod arc;
@@ -86,7 +86,8 @@ pub enum Dialect {
     /// All words of Grbl with Grbl's meaning, and further words.
     #[default]
     Oxmill,
-    /// As Oxmill, with two exceptions. Axis words after G80 move the axes in the mode of the most recent G0 or G1. An
-    /// arc whose end point is off its circle ends where the ray from the centre to that point crosses the circle.
+    /// As Oxmill, with two exceptions. Axis words after G80 move the axes in the mode of the most recent G0 or G1. If
+    /// the end point of an arc is off the circle, the arc ends where the line from the centre through that point
+    /// crosses the circle.
     Seed,
 }

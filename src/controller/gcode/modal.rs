@@ -28,7 +28,7 @@ pub enum MotionMode {
 }
 
 impl MotionMode {
-    /// Returns the word that selects the mode.
+    /// Returns the word that selects the mode, such as `G38.2`, for the answer to `$G` and for messages.
     pub const fn word(self) -> &'static str {
         match self {
             MotionMode::Rapid => "G0",
@@ -96,12 +96,12 @@ impl CycleKind {
     }
 }
 
-/// Condition that ends a probing move, and whether an alarm occurs if the condition is not met.
+/// How a probing move ends: at contact or at the loss of contact, and with or without an alarm if that does not happen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProbeMode {
     /// Whether the move ends at the loss of contact (G38.4, G38.5) instead of at contact.
     pub away: bool,
-    /// Whether an alarm occurs if the contact does not change (G38.2, G38.4).
+    /// Whether an alarm occurs if the move reaches its target and the contact has not changed (G38.2, G38.4).
     pub alarm: bool,
 }
 
@@ -120,16 +120,16 @@ pub enum Plane {
 /// The axes of a plane, in such an order that G3 turns from the first axis towards the second.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlaneAxes {
-    /// First axis of the plane.
+    /// The axis from which G3 turns: X for G17.
     pub first: Axis,
-    /// Second axis of the plane.
+    /// The axis towards which G3 turns: Y for G17.
     pub second: Axis,
-    /// The axis normal to the plane.
+    /// The axis normal to the plane, along which canned cycles drill: Z for G17.
     pub linear: Axis,
 }
 
 impl Plane {
-    /// Returns the word that selects the plane.
+    /// Returns the word that selects the plane, such as `G17`, for the answer to `$G` and for messages.
     pub const fn word(self) -> &'static str {
         match self {
             Plane::Xy => "G17",
@@ -159,7 +159,7 @@ pub enum Distance {
 }
 
 impl Distance {
-    /// Returns the word that selects the mode.
+    /// Returns the word that selects the mode, such as `G90`, for the answer to `$G` and for messages.
     pub const fn word(self) -> &'static str {
         match self {
             Distance::Absolute => "G90",
@@ -191,7 +191,7 @@ pub enum FeedMode {
 }
 
 impl FeedMode {
-    /// Returns the word that selects the mode.
+    /// Returns the word that selects the mode, such as `G94`, for the answer to `$G` and for messages.
     pub const fn word(self) -> &'static str {
         match self {
             FeedMode::PerRevolution if FULL_IMAGE => "G95",
@@ -212,7 +212,7 @@ pub enum Units {
 }
 
 impl Units {
-    /// Returns the word that selects the unit.
+    /// Returns the word that selects the unit, such as `G21`, for the answer to `$G` and for messages.
     pub const fn word(self) -> &'static str {
         match self {
             Units::Mm => "G21",
@@ -233,15 +233,15 @@ pub enum PathControl {
     Within(PathTolerance),
 }
 
-/// Maximum distance of the tool from the programmed path, in units of 0.1 nm. Greater values are limited to the maximum
-/// of the type, about 0.43 m.
+/// Maximum distance between the tool and the programmed path, in units of 0.1 nm, from G64 P. Greater values are
+/// limited to the maximum of the type, about 0.43 m.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PathTolerance {
-    /// P of G64, greater than 0: the maximum distance. Merged moves may use the part `merging` of it, rounded corners
-    /// the rest.
+    /// P of G64, greater than 0: the maximum distance. Merging of moves may use the part `merging` of this distance;
+    /// the rounding of corners uses the rest.
     pub path: u32,
-    /// Q of G64: the part of `path` for merging. If several moves are merged into one, no programmed point is farther
-    /// than this from the merged move.
+    /// Q of G64: the part of `path` for merging. If several moves are merged into one, each programmed point is at most
+    /// this far from the merged move.
     pub merging: u32,
 }
 
@@ -282,7 +282,7 @@ pub enum CoordinateSystem {
 }
 
 impl CoordinateSystem {
-    /// All systems, in the order of G10's P.
+    /// All systems, in the order of G10's P: P1 is G54, P9 is G59.3.
     pub const ALL: [CoordinateSystem; 9] = [
         CoordinateSystem::G54,
         CoordinateSystem::G55,
@@ -297,7 +297,7 @@ impl CoordinateSystem {
     /// Number of systems in Grbl's dialect, G54 to G59: the first ones of `ALL`.
     pub const OF_GRBL: usize = 6;
 
-    /// Returns the word that selects the system.
+    /// Returns the word that selects the system, such as `G54`, for the answer to `$G` and for messages.
     pub const fn word(self) -> &'static str {
         match self {
             CoordinateSystem::G54 => "G54",
@@ -350,11 +350,11 @@ pub struct Modal {
     pub tool: u32,
     /// F, exact: mm/min with G94, moves per minute with G93, mm per revolution with G95; 0 while undefined.
     pub feed: Decimal,
-    /// F of G94 in mm/s, the unit of moves. With G95 it is F in mm per revolution divided by 60, which is multiplied by
-    /// S for each move. The value is stored because most lines keep the F in force and so need not convert it again.
+    /// F converted for the moves. With G94: in mm/s. With G95: in mm per revolution divided by 60; each move multiplies
+    /// it by S. Stored, so that a line without F need not convert it again.
     pub feed_per_second: f32,
-    /// Whether F was written in inches per minute and was converted. A move of rotary axes alone needs this flag,
-    /// because it takes the number as it was written: in degrees per minute.
+    /// Whether F was written in inches (G20), so that `feed` is the written number times 25.4. A move of rotary axes
+    /// alone needs the written number, because it takes F in degrees.
     pub feed_in_inches: bool,
     /// S, in revolutions per minute.
     pub speed: f32,
@@ -395,7 +395,8 @@ impl Modal {
         feed.to_f32()
     }
 
-    /// Resets all modes that a word outside Grbl's dialect may have set.
+    /// Resets all modes that only words outside Grbl's dialect can set: G99, G90.1, G61.1, G64, G95, G59.1 to G59.3,
+    /// M49 to M51.
     pub(super) fn forget_extended(&mut self) {
         self.retract_to_r = false;
         self.arc_distance = ArcDistance::default();
@@ -419,8 +420,8 @@ impl Modal {
         self.distance = Distance::default();
         self.arc_distance = ArcDistance::default();
         if self.feed_mode == FeedMode::InverseTime || FULL_IMAGE && self.feed_mode == FeedMode::PerRevolution {
-            // F of G93 is a number of moves per minute, F of G95 a distance per revolution. G94 would take either
-            // number for a speed, so F becomes undefined.
+            // F of G93 is a number of moves per minute, F of G95 a distance per revolution. With G94, F is a speed, so
+            // F becomes undefined.
             self.feed = Decimal::ZERO;
         }
         self.feed_mode = FeedMode::default();

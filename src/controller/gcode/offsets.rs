@@ -43,8 +43,8 @@ pub struct Offsets<const N: usize> {
     pub g92: PerAxis<Coordinate, N>,
     /// The offset that G92.3 restores after a G92.2.
     pub(super) g92_kept: PerAxis<Coordinate, N>,
-    /// Whether a G92 or G52 is in force: one has been given, even with the value 0, and has been neither cleared nor
-    /// suspended.
+    /// Whether G92 or G52 is in force, even with the value 0. `false` before the first one, and after G92.1, G92.2 or a
+    /// reset.
     pub g92_acts: bool,
     /// Tool length offset. A reset clears it, except the measured length of the tool in the spindle.
     pub tool_length: PerAxis<Coordinate, N>,
@@ -123,7 +123,6 @@ impl<const N: usize> Offsets<N> {
         };
     }
 
-    /// Returns the sum of G92 and tool length offset.
     fn g92_and_tool_length(&self) -> PerAxis<Coordinate, N> {
         self.g92.zip(&self.tool_length, |g92, tool| g92 + tool)
     }
@@ -135,9 +134,8 @@ impl<const N: usize> Offsets<N> {
 }
 
 impl<const N: usize> Offsets<N> {
-    /// Returns the rotated plane of `system` with the given G92, tool length offset and G68; `None` without a rotation.
-    /// The angle of a system always rotates X and Y. So if the system has an angle and G68 rotates another plane,
-    /// returns an error.
+    /// Returns the plane in which `system` is rotated with the given G92, tool length offset and G68; `None` without a
+    /// rotation. Fails if the system has an angle, which always rotates X and Y, and G68 rotates another plane.
     #[inline]
     pub(super) fn rotated_plane(
         &self,
@@ -177,8 +175,8 @@ impl<const N: usize> Offsets<N> {
         Ok(plane)
     }
 
-    /// Returns the machine position at which the work coordinates of a system are zero. The offset by G92 is along the
-    /// rotated axes of the system.
+    /// Returns the machine position of the work zero of a system. G92 shifts this zero along the rotated axes of the
+    /// system.
     pub(super) fn zero_of(&self, system: CoordinateSystem) -> PerAxis<Coordinate, N> {
         let mut zero = self.total(system);
         if let Ok(Some(rotated)) = self.rotated_plane(system, &self.g92, &self.tool_length, None) {

@@ -30,7 +30,8 @@ const NOT_NEGATIVE: Letters = Letters::of(b"DEFHNPTS");
 /// The words of a line that Grbl does not have.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Extended {
-    /// Whether the line has any of the words in this struct. G50, G51, G68, G69 and M6 do not count.
+    /// Whether the line has a word of this struct, except G50, G51, G68, G69 and M6. If `false`, the check skips the
+    /// steps for these words.
     pub any: bool,
     pub path: Option<PathControl>,
     /// Whether the path control word is G64, which can have tolerances (P and Q).
@@ -63,7 +64,7 @@ pub(super) struct Extended {
     pub look_ahead: Option<u8>,
     /// M29.
     pub rigid_tapping: bool,
-    /// With G28 and G30: the axes for which U, V and W give a distance.
+    /// With G28 and G30: the axes for which U, V or W gives a distance (U along X, V along Y, W along Z).
     pub distances: AxisMask,
 }
 
@@ -95,7 +96,7 @@ pub(super) struct Parsed<const N: usize> {
     value_words: ValueWords,
 }
 
-/// The line's modal words by group; `None` if it has no word of the group.
+/// The line's modal words by group; `None` if the line has no word of the group.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ModalWords {
     pub motion: Option<MotionMode>,
@@ -123,12 +124,12 @@ impl ModalWords {
     }
 }
 
-/// Words other than axis, G and M words, in the order of the line. This is a list because most lines have at most one
-/// such word. An array indexed by letter would have to be cleared for each line.
+/// Words other than axis, G and M words, in the order of the line. Most lines have at most one such word, so a list is
+/// faster than an array by letter, which would have to be cleared for each line.
 type ValueWords = heapless::Vec<(u8, Decimal), { VALUES.count() + CENTRE_OF_MACH.count() }>;
 
 impl<const N: usize> Parsed<N> {
-    /// Creates the result for a line without words, to which [`Parsed::read`] adds words.
+    /// Creates the result of a line without words. [`Parsed::read`] adds the words.
     pub fn empty() -> Self {
         Self {
             groups: Groups::default(),
@@ -157,7 +158,7 @@ impl<const N: usize> Parsed<N> {
             let Word { letter, value, places } = word?;
             match letter {
                 b'G' => self.take_g(Code::of(value), dialect)?,
-                // The letter of an axis that this machine does not have.
+                // The machine does not have the axis of this letter.
                 _ if N > LINEAR && Axis::from_letter(letter).is_some_and(|axis| axis.index() >= axes) => {
                     if axes > LINEAR {
                         return Err(Error::OneRotaryAxis);
@@ -175,22 +176,22 @@ impl<const N: usize> Parsed<N> {
         Ok(())
     }
 
-    /// Adds the words of a line like `read`, for callers that are not time-critical. This function is not inlined, so
-    /// all of them share one copy of the code.
+    /// Does the same as `read`, for callers that are not time-critical. Not inlined, so that these callers share one
+    /// copy of the code.
     #[inline(never)]
     pub fn read_apart(&mut self, line: &[u8], dialect: Dialect, state: &mut Interpreter<N>) -> Result<(), Error> {
         self.read(line, dialect, state)
     }
 
-    /// Whether all words only determine where and how the line moves. Nearly all lines of a program are like this. For
-    /// them the check skips the steps that only other words need.
+    /// Whether all words of the line only determine where and how it moves, as in most lines of a program. For such a
+    /// line the check skips the steps that only other words need.
     #[inline]
     pub fn is_move(&self) -> bool {
         !self.extended.any && self.groups.within(Groups::OF_MOVES) && !self.values.has_any(Letters::of(b"DST"))
     }
 
-    /// Returns the value of a letter other than an axis, G or M; 0 if the line lacks the word. [`Parsed::values`] has
-    /// the letters that the line has.
+    /// Returns the value of a letter other than an axis, G or M; 0 if the line lacks the word. [`Parsed::values`] tells
+    /// a missing word from the value 0.
     pub fn value(&self, letter: u8) -> Decimal {
         let found = self.value_words.iter().find(|(of, _)| *of == letter);
         found.map_or(Decimal::ZERO, |(_, value)| *value)
@@ -252,8 +253,8 @@ impl<const N: usize> Parsed<N> {
         }
     }
 
-    /// Handles G80 and another motion word on one line: in either order, the other word applies. Returns whether `word`
-    /// needs no further processing.
+    /// Handles G80 and another motion word on one line: in either order, the other word applies and G80 is ignored.
+    /// Returns `true` if `word` needs no further processing.
     fn cancels_only(&mut self, word: GWord) -> bool {
         match (word, self.modal.motion) {
             (GWord::Motion(MotionMode::Cancelled), Some(other)) => other != MotionMode::Cancelled,

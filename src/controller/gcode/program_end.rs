@@ -16,11 +16,12 @@
 //!     ├──words after a rest───────────────────┤                                                        │
 //!     └──%, reset, another host───────────────┴──────────────────────── $X (not one that ends an alarm)┘
 //! ```
-//! A program that is held because it calls an unknown subprogram is dropped in the same cases as a subprogram, although
-//! its place is still `Program`. After a program or subprogram has been dropped, the host can still send its remaining
-//! lines, so these lines are refused. A rest does not end the refusal, and neither does the `$X` that ends an alarm:
-//! the operator may only have looked at the machine before the sender continues. An M99 does not end the refusal
-//! either, because more lines of the same subprogram, which a GOTO can reach, may follow it.
+//! A held program (one that calls an unknown subprogram) is dropped in the same cases as a subprogram, although its
+//! place is still `Program`. When a program or subprogram has been dropped, the host can still send its remaining
+//! lines, so they are refused. Three things do not end the refusal:
+//! * a rest, and the `$X` that ends an alarm: the operator may only have looked at the machine before the sender
+//!   continues;
+//! * an M99: more lines of the same subprogram may follow, as targets of a GOTO.
 
 use super::program_number::{has_program_number, has_return, may_have_program_number};
 use super::state::{Interpreter, ProgramPlace};
@@ -29,8 +30,8 @@ use crate::error::Error;
 use crate::image::FULL_IMAGE;
 
 impl<const N: usize> Interpreter<N> {
-    /// Whether [`Interpreter::look_behind_end`] has to examine the host's next line, because a program has ended and no
-    /// other program has begun, or because a program is held until its subprogram has been received.
+    /// Whether [`Interpreter::look_behind_end`] has to examine the host's next line. This is so after the end of a
+    /// program until another one begins, and while a program is held until its subprogram has been received.
     #[inline]
     pub fn is_behind_end(&self) -> bool {
         self.place != ProgramPlace::Program || self.is_holding()
@@ -57,9 +58,9 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Executes `$X`: the next line begins a program. But if the host is still sending a held program or its
-    /// subprograms, the lines that follow are refused, up to another `$X`. `is_locked`: the `$X` ends an alarm, so it
-    /// does not end a refusal. `rested`: the `$X` follows a rest (the machine was idle, and the host sent no line for a
-    /// while), so no more subprograms are expected.
+    /// subprograms, the lines that follow are refused, up to another `$X`. `is_locked`: `true` if the `$X` ends an
+    /// alarm; it then does not end a refusal. `rested`: `true` if the machine was idle before the `$X` and the host
+    /// sent no line for a while; then no more subprograms are expected.
     #[cfg_attr(not(feature = "full"), allow(unused_variables, reason = "there are no subprograms"))]
     pub fn unlock(&mut self, is_locked: bool, rested: bool) {
         self.computed.end_modal_call();
@@ -72,9 +73,9 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Examines a line that follows the end of a program, or that arrives while a program is held. `rested`: the line
-    /// follows a rest, in which the machine was idle and the host sent no line. So an O number in it is that of the
-    /// next program, and no more lines of the held program will come.
+    /// Examines a line that follows the end of a program, or that arrives while a program is held. `rested`: `true` if
+    /// the machine was idle before the line and the host sent nothing for a while. Then an O number begins the next
+    /// program, and the held program is incomplete, because no more lines of it will come.
     ///
     /// # Errors
     /// [`Error::OutOfPlace`] for lines that belong to no program.
@@ -105,7 +106,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    /// Records that a line with M2 or M30 was refused. For the lines after it, the program has ended all the same.
+    /// Records that a line with M2 or M30 was refused. The lines after it are treated as lines after the end of a
+    /// program.
     pub fn note_end(&mut self) {
         self.computed.end_modal_call();
         if self.place == ProgramPlace::Program {
@@ -114,8 +116,8 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Records that block delete (`/`) has skipped a line. An M2 or M30 in the line ends the program all the same.
-    /// After the end of a program, an O number in the line begins a subprogram whose lines are refused, unless the line
-    /// follows a rest (`rested`): the machine was idle, and the host sent no line for a while.
+    /// After the end of a program, an O number in the line begins a subprogram, whose lines are refused. With `rested`
+    /// (the machine was idle before the line, and the host sent nothing for a while), such an O number has no effect.
     pub fn skipped_line(&mut self, line: &[u8], rested: bool) {
         if may_end_program(line) {
             self.note_end();
@@ -124,9 +126,9 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Records that `line`, a line of the held text, was refused while the text ran. The host's line that started the
-    /// text is refused with it. Among subprograms, the text is the program that waited for them: this program ends, and
-    /// the lines that follow are refused.
+    /// Records that a line of the held text was refused while the text ran. The host's line that started the text is
+    /// refused too. Among subprograms, the text is the program that has waited for them: the program ends, and all
+    /// lines that follow are refused.
     #[cfg(feature = "full")]
     #[cold]
     #[inline(never)]
@@ -139,9 +141,9 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Records that a line was refused. An M2 or M30 in the line, even a computed one, ends the program all the same.
-    /// After the end of a program, the line begins a refused subprogram if the line has an O number anywhere, or if its
-    /// text is unknown (`None`: too long, damaged, or with an open comment). An M99 in the line means that a subprogram
-    /// has been taken for the program, unless a subroutine or loop is being recorded.
+    /// After the end of a program, an O number anywhere in the line begins a subprogram, which is refused; so does a
+    /// line with unknown text (`None`: too long, damaged, or with an open comment). An M99 in the line means that a
+    /// subprogram was taken for the program, unless a subroutine or loop is being recorded.
     #[cold]
     #[inline(never)]
     pub fn refused_line(&mut self, line: Option<&[u8]>) {
@@ -159,7 +161,7 @@ impl<const N: usize> Interpreter<N> {
     }
 }
 
-/// Returns whether a line has only words that switch spindle and coolant off.
+/// Whether a line only switches spindle and coolant off.
 fn switches_off(line: &[u8]) -> bool {
     matches!(line, b"M5" | b"M05" | b"M9" | b"M09" | b"M5M9" | b"M9M5")
 }

@@ -15,14 +15,14 @@ pub(super) fn behind_digits(text: &[u8]) -> &[u8] {
     text.get(digits..).unwrap_or_default()
 }
 
-/// Whether a line begins with the number of a program or subprogram, after its line number (N) if it has one. Further
-/// words may follow, and the numbers need not be valid ones.
+/// Whether a line begins with the number of a program or subprogram; a line number (N) may precede it. Further words
+/// may follow, and the numbers need not be valid: `N10O1001G0` has one.
 pub(super) fn has_program_number(line: &[u8]) -> bool {
     is_program_number(line.strip_prefix(b"N").map_or(line, from_next_word))
 }
 
-/// Returns the number of a subprogram, without leading zeros, if the line consists of nothing else; a line number may
-/// precede it.
+/// Returns the number of a subprogram as digits without leading zeros: `1` for `N5O0001`. Returns `None` if the line
+/// has any other word than the number and a line number before it.
 #[inline(never)]
 #[cfg(feature = "full")]
 pub(super) fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
@@ -40,8 +40,8 @@ pub(super) fn number_of(line: &[u8]) -> u32 {
     digits.iter().fold(0, |value, digit| value * 10 + u32::from(digit - b'0'))
 }
 
-/// Whether a refused line may have the number of a program or subprogram anywhere in it, or begins with a name in its
-/// place (`<SUB1>`).
+/// Whether a refused line may be the first line of a program or subprogram: it has an O number anywhere in it, or
+/// begins with a name instead of a number (`<SUB1>`).
 pub(super) fn may_have_program_number(line: &[u8]) -> bool {
     let mut before = b' ';
     line.first() == Some(&b'<')
@@ -53,7 +53,8 @@ pub(super) fn may_have_program_number(line: &[u8]) -> bool {
         })
 }
 
-/// Whether a text begins with O or a colon, and the number after it is not followed by a keyword of O words.
+/// Whether a text begins with a program number: O or a colon, and after the number no keyword of an O word. `O1X5`
+/// begins with a program number, `O1SUB` does not.
 fn is_program_number(text: &[u8]) -> bool {
     let Some((b'O' | b':', number)) = text.split_first() else { return false };
     let word = from_next_word(number);
@@ -87,7 +88,7 @@ fn from_next_word(line: &[u8]) -> &[u8] {
     word.and_then(|at| line.get(at..)).unwrap_or_default()
 }
 
-/// The keywords of O words. An image without O words needs them too, to distinguish O words from program numbers.
+/// The keywords of O words. A build that does not execute O words needs them too: `O1SUB` is not a program number.
 pub(super) const O_WORDS: [&[u8]; 15] = [
     b"SUB",
     b"ENDSUB",

@@ -1,5 +1,5 @@
-//! Rotated coordinates: G10 L2 R turns a coordinate system about its origin, G68 turns the program about a centre. Both
-//! together are computed as one rotation of the plane, in fixed point.
+//! Rotated coordinates. G10 L2 R rotates a coordinate system about its origin; G68 rotates the program about a centre.
+//! If both act, they are computed as one rotation of the plane, in fixed point.
 //!
 //! ```text
 //!      second │      ╱ second of the program
@@ -11,7 +11,7 @@
 //! ```
 //! G92 and G52 are along the rotated axes of the system. The origin of the system and the tool length offset are along
 //! the machine's axes. Rotations by multiples of 90 degrees are exact, others are rounded to 0.1 nm. The most recent
-//! position is stored in the coordinates that the program wrote, so that roundings do not add up over many increments.
+//! position is stored in program coordinates, so that these roundings do not add up in G91.
 
 use super::modal::{Plane, PlaneAxes};
 use super::scaling::ScalingChange;
@@ -39,7 +39,7 @@ impl Angle {
         Angle((if angle > Self::HALF_TURN { angle - 2 * Self::HALF_TURN } else { angle }) as i32)
     }
 
-    /// Returns the angle in degrees.
+    /// Returns the angle in degrees, greater than -180 and at most 180.
     pub const fn degrees(self) -> Decimal {
         Decimal(self.0 as i64)
     }
@@ -52,8 +52,8 @@ impl Angle {
         Angle::of(Decimal(-self.degrees().0))
     }
 
-    /// Returns cosine and sine, with an error of a few units of 2^-62. Both are computed as power series of the
-    /// difference from the nearest multiple of 90 degrees.
+    /// Returns cosine and sine in units of 2^-62, with an error of a few units. Both are power series of a small angle:
+    /// the difference between this angle and the nearest multiple of 90 degrees.
     fn cosine_and_sine(self) -> (i64, i64) {
         const QUARTER: i64 = Angle::HALF_TURN / 2;
         /// One unit of an angle in radians, times 2^96.
@@ -79,7 +79,7 @@ impl Angle {
         }
     }
 
-    /// Rotates a vector by the angle.
+    /// Rotates a vector by the angle, counter-clockwise if it is positive. Rounds to 0.1 nm.
     pub(super) fn turn(self, [first, second]: [Coordinate; 2]) -> [Coordinate; 2] {
         if self == Angle::ZERO {
             return [first, second];
@@ -105,7 +105,7 @@ pub struct Rotation {
     pub(super) centre: [Coordinate; 2],
 }
 
-/// Relation between program coordinates and machine coordinates in the plane of a rotation.
+/// A rotation of a plane: converts the program's coordinates to machine coordinates and back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct RotatedPlane {
     pub(super) axes: PlaneAxes,
@@ -157,12 +157,12 @@ pub(super) struct RotationChange {
 }
 
 impl RotationChange {
-    /// Changes nothing: neither the rotation, the scaling nor the reached position.
     pub(super) const NONE: RotationChange =
         RotationChange { angle: None, rotation: None, reached: None, scaled: ScalingChange::NONE };
 }
 
-/// A position that a program has reached, in program and in machine coordinates.
+/// The target of the most recent move in rotated coordinates, as the program gave it and in machine coordinates. The
+/// next line in G91 starts from `program`, so that roundings do not add up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Reached {
     pub(super) rotated: RotatedPlane,

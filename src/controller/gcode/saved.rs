@@ -9,7 +9,7 @@ use crate::units::Coordinate;
 
 /// Maximum number of saved states. A build without subroutines needs only one.
 const MOST: usize = if FULL_IMAGE { 8 } else { 1 };
-/// Level of a saved state that has not been restored yet although its call has returned.
+/// Stands in place of the level if the call of a saved state has returned: the M72 that runs next restores this state.
 const RETURNED: u8 = u8::MAX;
 
 /// A state that M70 or M73 has saved.
@@ -18,14 +18,15 @@ pub(super) struct Saved<const N: usize> {
     pub modal: Modal,
     pub tool_length: PerAxis<Coordinate, N>,
     pub g92_acts: bool,
-    /// The tool in the spindle when the state was saved. With another tool in the spindle, the saved length is not
-    /// restored.
+    /// The tool in the spindle when the state was saved. If another tool is in the spindle now, the saved tool length
+    /// is not restored.
     pub spindle_tool: u32,
     /// Whether a tool has been measured since the state was saved, so that the saved length is outdated.
     pub is_measured_anew: bool,
     /// Number of active subroutine calls when the state was saved.
     pub level: u8,
-    /// Whether the state was saved by M73, and so is restored when its call returns.
+    /// Whether M73 has saved the state: the return from its call then restores the state, without an M72 in the
+    /// program.
     pub until_return: bool,
     /// Whether M71 has discarded the state, so that it is never restored. The entry remains in the list until another
     /// state is saved at its level.
@@ -50,8 +51,8 @@ impl<const N: usize> SavedStates<N> {
         self.0.iter().all(|saved| saved.is_forgotten)
     }
 
-    /// Returns the state that M72 restores at a level of calls. The state of a call that has just returned takes
-    /// precedence.
+    /// Returns the state that M72 restores at this level of calls. If a call has just returned, the state of that call
+    /// is first.
     pub fn of(&self, level: u8) -> Option<&Saved<N>> {
         let at = |level| self.saved_at(level).filter(|saved| !saved.is_forgotten);
         at(RETURNED).or_else(|| at(level))
@@ -66,8 +67,8 @@ impl<const N: usize> SavedStates<N> {
         !self.0.is_full() || self.saved_at(level).is_some()
     }
 
-    /// Saves a state in place of the state that was saved at the same level. If M73 saved the old state, the end of the
-    /// call restores the new one.
+    /// Saves a state. It replaces the state that was saved at the same level. If that one was saved by M73, the end of
+    /// the call restores the new state.
     pub fn save(&mut self, mut saved: Saved<N>) {
         saved.until_return |= self.saved_at(saved.level).is_some_and(|before| before.until_return);
         self.0.retain(|before| before.level != saved.level);
@@ -86,8 +87,8 @@ impl<const N: usize> SavedStates<N> {
         }
     }
 
-    /// Ends all calls that are nested deeper than `level`. Returns whether M73 saved a state of one of them, which must
-    /// be restored now.
+    /// Drops the states of all calls that are nested deeper than `level`, because these calls end. Returns `true` if
+    /// M73 has saved a state in one of them. This state stays, and the caller has to run M72, which restores it.
     #[cfg_attr(not(feature = "full"), allow(dead_code, reason = "there are no calls"))]
     pub fn leave(&mut self, level: u8) -> bool {
         let mut restores = false;
@@ -103,13 +104,12 @@ impl<const N: usize> SavedStates<N> {
         restores
     }
 
-    /// Drops the states of all calls nested deeper than `level`, because these calls were aborted, or have returned and
-    /// their states were restored.
+    /// Drops the states of all calls nested deeper than `level`. Called when these calls were aborted, or when M72 has
+    /// restored the state of a call that has returned.
     pub fn abandon(&mut self, level: u8) {
         self.0.retain(|saved| saved.level <= level);
     }
 
-    /// Forgets all states.
     pub fn clear(&mut self) {
         self.0.clear();
     }

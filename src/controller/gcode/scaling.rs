@@ -5,8 +5,8 @@
 //!                       scaled = centre + factor · (written - centre)         a distance: factor · written
 //! ```
 //! Coordinates are in units of 0.1 nm, factors in units of 10^-7. So the product of a coordinate and a factor is an
-//! exact integer in units of 10^-8 nm. The remainder from rounding the reached position to 0.1 nm is kept, so roundings
-//! do not add up over many increments.
+//! exact integer in units of 10^-8 nm. When a position is rounded to 0.1 nm, the remainder is stored and added to the
+//! next distance, so that roundings do not add up in G91.
 
 use super::values::nearest;
 use crate::axes::{Axis, PerAxis};
@@ -26,7 +26,7 @@ pub struct Scaling {
 
 /// Remainder from rounding a position to 0.1 nm, for each axis, in units of 10^-8 nm.
 pub(super) type Rest = [i32; AXES];
-/// The remainders of a position that has not been rounded.
+/// The remainders of an exact position.
 pub(super) const NO_REST: Rest = [0; AXES];
 
 /// A length in units of 10^-8 nm.
@@ -49,12 +49,12 @@ fn divided(numerator: Fine, denominator: i64) -> Coordinate {
 #[inline(never)]
 fn rounded(length: Fine) -> (Coordinate, i32) {
     let coordinate = divided(length, DECIMAL_ONE);
-    // The remainder is at most 0.05 nm, unless the coordinate was limited to the range of its type.
+    // The remainder is at most 0.05 nm, that is 5,000,000 units. It is larger only if the coordinate was limited to its
+    // type.
     (coordinate, i32::try_from(length - fine(coordinate)).unwrap_or(0))
 }
 
 impl Scaling {
-    /// Creates a scaling from the factors and the centre of X, Y and Z.
     pub(super) fn new(factors: [Decimal; 3], centre: [Coordinate; 3]) -> Self {
         Self {
             factors: core::array::from_fn(|axis| factors.get(axis).copied().unwrap_or(Decimal::ZERO)),
@@ -67,7 +67,7 @@ impl Scaling {
         self.factors.get(axis.index()).copied().unwrap_or(Decimal::from_int(1))
     }
 
-    /// Whether the factor of an axis is other than 1.
+    /// Whether G51 changes the size along an axis: its factor is not 1.
     pub(super) fn scales(&self, axis: Axis) -> bool {
         self.factor(axis) != Decimal::from_int(1)
     }
@@ -98,7 +98,7 @@ impl Scaling {
         rounded(length).0
     }
 
-    /// Converts a scaled distance back to the distance in the program.
+    /// Converts a scaled distance in units of 0.1 nm back to the distance in the program.
     pub(super) fn written_way(&self, axis: Axis, scaled: i64) -> i64 {
         divided(fine(Coordinate(scaled)), self.factor(axis).0).0
     }
@@ -118,8 +118,8 @@ impl Scaling {
         }
     }
 
-    /// Returns the smallest absolute factor. The value of the last decimal place of a program's words is multiplied by
-    /// at least this factor.
+    /// Returns the smallest factor, without its sign. The check multiplies `Action::digit`, the value of the last
+    /// decimal place of the axis words, by this factor.
     #[inline(never)]
     pub(super) fn least(&self) -> f32 {
         self.factors.iter().map(|factor| Decimal(factor.0.saturating_abs()).to_f32()).fold(f32::INFINITY, f32::min)
@@ -135,7 +135,6 @@ pub(super) struct ScalingChange {
 }
 
 impl ScalingChange {
-    /// Changes nothing: neither the scaling nor the remainders.
     pub(super) const NONE: ScalingChange = ScalingChange { scaling: None, rest: None };
 }
 

@@ -33,7 +33,7 @@ pub struct Interpreter<const N: usize> {
     pub(super) tools: Lent<ToolTable<N>>,
     /// Number of the tool in the spindle; 0 if none is known.
     pub(super) spindle_tool: u32,
-    /// In check mode: the state from before check mode, which is still the state of the machine.
+    /// The state from before check mode, while check mode is active. It is still the state of the machine.
     pub(super) before_check: Option<BeforeCheck<N>>,
     pub(super) computed: Computed<N>,
     pub(super) measured: Measured,
@@ -41,7 +41,7 @@ pub struct Interpreter<const N: usize> {
     pub(super) saved: SavedStates<N>,
     /// Rotation by G68.
     pub(super) rotation: Option<Rotation>,
-    /// The most recent position that a program gave in rotated coordinates.
+    /// The target of the most recent move in rotated coordinates.
     pub(super) reached: Option<Reached>,
     /// Scaling by G51.
     pub(super) scaling: Option<Scaling>,
@@ -81,8 +81,8 @@ pub(super) struct Tangent {
 }
 
 impl Tangent {
-    /// Returns the tangent with which the next curve continues smoothly from the end point of this one. `arriving` is
-    /// the vector from the end point to the last control point; the tangent has the opposite direction and the same
+    /// Returns the tangent for a next curve that continues smoothly from `end`, the end of this one. `arriving` is the
+    /// vector from `end` to the last control point of this curve. The tangent has the opposite direction and the same
     /// length.
     pub(super) fn behind<const N: usize>(end: &PerAxis<Coordinate, N>, arriving: [Coordinate; 2]) -> Self {
         Self { place: in_xy(end), way: arriving.map(|part| -part) }
@@ -154,7 +154,6 @@ impl<const N: usize> Interpreter<N> {
         self.axes = axes.min(N) as u8;
     }
 
-    /// Returns whether check mode is active.
     pub(super) fn is_checking(&self) -> bool {
         self.before_check.is_some()
     }
@@ -167,7 +166,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Sets a stored position, or the offset of a tool.
+    /// Sets a stored position, or the offset of a tool. In check mode, the tool gets a second entry, which is used
+    /// until check mode ends. If the tool table is full, the offset of a new tool is dropped.
     pub fn set_stored(&mut self, which: StoredOffset, value: PerAxis<Coordinate, N>) {
         match which {
             StoredOffset::Tool(number) => {
@@ -209,8 +209,8 @@ impl<const N: usize> Interpreter<N> {
         is_first
     }
 
-    /// Sets the reference of the tool setter: the tool in the spindle, with its offset in force, has touched the setter
-    /// at this machine position. `None` forgets the reference, so the next tool that is measured sets it.
+    /// Sets the reference of the tool setter: the tool in the spindle, with its offset in force, touched the setter at
+    /// this machine position. `None` forgets the reference; the next measured tool then sets it.
     pub fn set_tool_reference(&mut self, place: Option<PerAxis<Coordinate, N>>) {
         let height = |of: &PerAxis<Coordinate, N>| of.get(TOOL_AXIS).unwrap_or(Coordinate::ZERO);
         self.measured.set_reference(place.map(|place| height(&place) - height(&self.offsets.tool_length)));
@@ -221,8 +221,8 @@ impl<const N: usize> Interpreter<N> {
         self.measured.reference()
     }
 
-    /// Assumes, in check mode, that M6 has measured the tool. If no tool has been measured before, Z is then at the
-    /// height of G30, or at its present height if that is higher.
+    /// Assumes, in check mode, that M6 has measured the tool. For the first measured tool, Z is then at the height of
+    /// G30, or at its present height if that is higher.
     pub fn assume_measured(&mut self) {
         if !self.measured.assumed && self.measured.is_first() {
             let height = self.offsets.stored(StoredOffset::G30).get(TOOL_AXIS);
@@ -231,8 +231,8 @@ impl<const N: usize> Interpreter<N> {
         self.measured.assumed = true;
     }
 
-    /// Returns the measured offset of tool `number` if this tool is in the spindle. The measurement gives only the
-    /// offset along Z; the offsets along the other axes come from the tool table.
+    /// Returns the measured offset of tool `number`; `None` if it is not in the spindle or not measured. The
+    /// measurement gives only the offset along Z; the tool table gives the offsets along the other axes.
     pub(super) fn measured_offset(&self, number: u32) -> Option<PerAxis<Coordinate, N>> {
         let active = self.offsets.tool_length.get(TOOL_AXIS).filter(|_| self.measured.assumed);
         let length = active.or(self.measured.offset()).filter(|_| number == self.spindle_tool && number != 0)?;
@@ -269,7 +269,7 @@ impl<const N: usize> Interpreter<N> {
         (self.spindle_tool, self.modal.tool) = (tool, tool);
     }
 
-    /// Sets the machine position when the machine is not at the end of the most recently committed line: after a reset,
+    /// Sets the machine position. Called when the machine is not at the end of the last committed line: after a reset,
     /// a probing move, a cancelled jog or homing.
     pub fn set_position(&mut self, position: PerAxis<Coordinate, N>) {
         self.position = position;
@@ -290,12 +290,12 @@ impl<const N: usize> Interpreter<N> {
         self.cycle.level + along(&self.offsets.tool_length, self.cycle.plane.axes().linear)
     }
 
-    /// Returns the modal state at the end of all committed lines.
+    /// Returns the modal state at the end of all committed lines, even of lines that were only checked in check mode.
     pub fn modal(&self) -> &Modal {
         &self.modal
     }
 
-    /// Returns the modal state of the machine: in check mode, the modal state from before check mode.
+    /// Returns the modal state that the machine has: in check mode, the one from before check mode.
     pub fn acting_modal(&self) -> &Modal {
         self.before_check.as_ref().map_or(&self.modal, |before| &before.modal)
     }
@@ -318,9 +318,9 @@ impl<const N: usize> Interpreter<N> {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// Returns the machine position of the work zero. Reports use it as the work offset: a reported work position is
-    /// the distance of the tool from this zero, along the machine's axes. Includes the angle of the coordinate system
-    /// but not G68. In Grbl's dialect there are no rotations.
+    /// Returns the machine position of the work zero, which reports use as the work offset: a reported work position is
+    /// the distance of the tool from this point, along the machine's axes. The angle of the coordinate system is
+    /// included, G68 is not. In Grbl's dialect there are no rotations.
     pub fn work_zero(&self, dialect: Dialect) -> PerAxis<Coordinate, N> {
         match dialect {
             Dialect::Grbl => self.work_offset(),
@@ -348,7 +348,7 @@ impl<const N: usize> Interpreter<N> {
         self.offsets.set_angle(system, angle);
     }
 
-    /// Converts a machine position to the program's coordinates.
+    /// Converts a machine position to the coordinates that the program would write for it, with rotation and scaling.
     pub fn to_program(&self, place: &PerAxis<Coordinate, N>) -> PerAxis<Coordinate, N> {
         let offsets = &self.offsets;
         let mut program = place.zip(&self.work_offset(), |place, offset| place - offset);
@@ -363,8 +363,8 @@ impl<const N: usize> Interpreter<N> {
         program
     }
 
-    /// Converts machine coordinates in a rotated plane to program coordinates. For the most recent position that the
-    /// program gave, returns the coordinates as the program wrote them, without the rounding of the rotation.
+    /// Converts machine coordinates in a rotated plane to program coordinates. If `machine` is the most recent position
+    /// that the program gave, returns the coordinates as written, without the rounding of the rotation.
     pub(super) fn in_program(&self, rotated: RotatedPlane, machine: [Coordinate; 2]) -> [Coordinate; 2] {
         match self.reached {
             Some(reached) if reached.rotated == rotated && reached.machine == machine => reached.program,

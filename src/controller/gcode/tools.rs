@@ -9,8 +9,8 @@ use crate::units::Coordinate;
 /// Maximum number of tools in the tool table.
 pub const TOOLS: usize = 32;
 
-/// Bit in the number of an entry that a program has set in check mode. Such an entry hides the entry of the same tool
-/// without the bit.
+/// Bit in the number of an entry that a program has set in check mode. While this entry exists, it is used instead of
+/// the tool's entry without the bit.
 const CHECKED: u32 = 1 << 31;
 
 /// Entry of the tool table.
@@ -23,7 +23,7 @@ pub struct Tool<const N: usize> {
 }
 
 impl<const N: usize> Tool<N> {
-    /// Whether the entry is used, and was not set in check mode.
+    /// Whether the entry is kept over power-off: it is not free, and was not set in check mode.
     pub fn is_stored(&self) -> bool {
         self.number != 0 && self.number & CHECKED == 0
     }
@@ -48,19 +48,20 @@ impl<const N: usize> ToolTable<N> {
         self.0.iter().all(|tool| tool.number == 0)
     }
 
-    /// Returns the index of a tool's entry, or of the first free entry.
+    /// Returns the index of a tool's entry, or of the first free entry; `None` if the table is full.
     pub fn slot(&self, number: u32) -> Option<usize> {
         self.find(number).or_else(|| self.find(0))
     }
 
-    /// Replaces the entry at index `slot`.
+    /// Replaces the entry at index `slot`. Does nothing if the index is too large.
     pub fn put(&mut self, slot: usize, tool: Tool<N>) {
         if let Some(entry) = self.0.get_mut(slot) {
             *entry = tool;
         }
     }
 
-    /// Returns the offset of a tool; `None` for an unknown tool. Tool 0 (no tool) has the offset 0.
+    /// Returns the offset of a tool, in check mode the one set there; `None` for an unknown tool. Tool 0 (no tool) has
+    /// the offset 0.
     pub fn offset(&self, number: u32) -> Option<PerAxis<Coordinate, N>> {
         if number == 0 {
             return Some(PerAxis::all(Coordinate::ZERO));
@@ -101,7 +102,6 @@ pub(super) struct Measured {
 }
 
 impl Measured {
-    /// Nothing is measured: there is no reference and no offset.
     pub(super) const NOTHING: Self = Self { reference: None, offset: None, assumed: false };
 
     /// Returns the offset of the tool in the spindle, if it has been measured.
@@ -119,7 +119,6 @@ impl Measured {
         self.reference
     }
 
-    /// Sets the reference; `None` forgets it.
     pub(super) fn set_reference(&mut self, reference: Option<Coordinate>) {
         self.reference = reference;
     }
@@ -130,8 +129,9 @@ impl Measured {
     }
 
     /// Records that a tool touched the setter at the machine coordinate `place` while the offset `active` was in force.
-    /// Returns the offset of the tool, and whether it is the first measured tool. With these offsets, the tips of all
-    /// measured tools have the same work coordinates at the same point. The first tool gets the offset `active`.
+    /// Returns the offset of the tool, and `true` for the first measured tool. The first tool gets the offset `active`.
+    /// Later tools get offsets with which the tips of all measured tools have the same work coordinates at the same
+    /// point.
     pub(super) fn touched(&mut self, place: Coordinate, active: Coordinate) -> (Coordinate, bool) {
         let is_first = self.is_first();
         let reference = *self.reference.get_or_insert(place - active);

@@ -5,7 +5,8 @@ use crate::axes::{Axis, PerAxis};
 use crate::error::Error;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal, Duration};
 
-/// Converts a number that selects something, such as the number of a tool. It must be whole.
+/// Converts the value of a word that must be a whole number, such as the number of a tool. Digits after the point are
+/// an error.
 pub(super) fn whole(value: Decimal) -> Result<i32, Error> {
     let number = value.truncate();
     if Decimal::from_int(number) == value { Ok(number) } else { Err(Error::IntegerRequired) }
@@ -27,12 +28,11 @@ pub(super) fn nearest(units: i128) -> Coordinate {
     Coordinate(units.clamp(i64::MIN.into(), i64::MAX.into()) as i64)
 }
 
-/// Returns X and Y of a position.
 pub(super) fn in_xy<const N: usize>(place: &PerAxis<Coordinate, N>) -> [Coordinate; 2] {
     [along(place, Axis::X), along(place, Axis::Y)]
 }
 
-/// Returns an error unless all coordinates are within the range that the controller computes with.
+/// Fails if a coordinate is beyond ±50 m, the range in which the controller computes.
 pub(super) fn reachable<const N: usize>(place: &PerAxis<Coordinate, N>) -> Result<(), Error> {
     if place.iter().all(|coordinate| coordinate.in_range()) { Ok(()) } else { Err(Error::InvalidTarget) }
 }

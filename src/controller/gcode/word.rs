@@ -24,7 +24,8 @@ pub(super) struct Word {
     pub places: u8,
 }
 
-/// The letter of a word that assigns a parameter (`#1=5`). The assignment does not affect the other words of its line.
+/// The letter under which `Words` returns an assignment to a parameter (`#1=5`). The other words of the line still see
+/// the old value.
 pub(super) const ASSIGNMENT: u8 = b'#';
 
 /// Iterator over the words of a line; ends at the first error.
@@ -85,7 +86,7 @@ impl<const N: usize> Iterator for Words<'_, N> {
     }
 }
 
-/// A set of letters.
+/// A set of capital letters, one bit for each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Letters(u32);
 
@@ -113,7 +114,7 @@ impl Letters {
         self.0 & Self::bit(letter) != 0
     }
 
-    /// Whether any of the letters is in the set.
+    /// Whether the two sets have a letter in common.
     pub const fn has_any(self, others: Letters) -> bool {
         self.0 & others.0 != 0
     }
@@ -122,7 +123,6 @@ impl Letters {
         self.0 |= Self::bit(letter);
     }
 
-    /// Removes the letters of the other set from this one.
     pub fn remove(&mut self, other: Letters) {
         self.0 &= !other.0;
     }
@@ -132,7 +132,6 @@ impl Letters {
         Letters(self.0 & others.0)
     }
 
-    /// Whether the set has no letters.
     pub const fn is_empty(self) -> bool {
         self.0 == 0
     }
@@ -196,7 +195,7 @@ pub enum Group {
     ModalCall,
 }
 
-/// Returns the modal group of the word `G` or `M` with a number, in a dialect.
+/// Returns the modal group of a G or M word, such as G54.1. `letter`: `G` or `M`.
 ///
 /// # Errors
 /// The error with which a line is refused because the dialect or the build lacks this word.
@@ -209,7 +208,7 @@ pub fn group_of(letter: u8, number: Decimal, dialect: Dialect) -> Result<Group, 
     }
 }
 
-/// A set of modal groups.
+/// A set of modal groups, one bit for each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Groups(u32);
 
@@ -243,7 +242,6 @@ impl Groups {
         Ok(())
     }
 
-    /// Whether the group is in the set.
     pub const fn has(self, group: Group) -> bool {
         self.0 & (1 << group as u32) != 0
     }
@@ -293,7 +291,7 @@ pub(super) enum NonModal {
     LocalOffset,
 }
 
-/// How a word sets the tool length offset.
+/// A word that sets the tool length offset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ToolLength {
     /// G49: the offset becomes 0.
@@ -306,7 +304,7 @@ pub(super) enum ToolLength {
     Add,
 }
 
-/// A G word by its meaning: G54.1 and G154 are the same.
+/// The meaning of a G word. Different words can have the same meaning: G54.1 and G154, for example.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum GWord {
     NonModal(NonModal),
@@ -339,13 +337,13 @@ pub(super) enum GWord {
     SystemByNumber,
     /// G8, G103, G187, with the number of the word. On other controls these words switch the look-ahead.
     LookAhead(u8),
-    /// A word without effect in the check: G97 (S in revolutions per minute) and G15 (no polar coordinates) select the
-    /// only mode that exists; `computed` has executed G67.
+    /// A word that needs no action, with its group. G97 (S in revolutions per minute) and G15 (no polar coordinates)
+    /// select the only mode that exists. G67 has already been executed, by `computed`.
     AsItIs(Group),
 }
 
 impl GWord {
-    /// Returns how a G code uses the axis words of its line. The code need not be a valid one.
+    /// Returns the command by which a G code would use the axis words of its line. The code need not be a valid one.
     pub fn claim(code: Code, dialect: Dialect) -> Claim {
         match (code.whole, code.hundredths) {
             // G43, G43.2 and G49 use no axis words, so the same line can also move: many programs begin with `G0 G49
@@ -395,8 +393,7 @@ impl GWord {
             (54, 10) | (154, 0) => GWord::SystemByNumber,
             (8 | 103 | 187, 0) => GWord::LookAhead(code.whole),
             (95, 0) => GWord::FeedMode(FeedMode::PerRevolution),
-            // The polar coordinates that G15 ends do not exist. The modal call that G67 ends belongs to `computed`,
-            // which has already ended it.
+            // G15 ends polar coordinates, which do not exist. G67 ends a modal call; `computed` has already done that.
             (15, 0) => GWord::AsItIs(Group::Polar),
             (67, 0) => GWord::AsItIs(Group::ModalCall),
             _ => return None,
@@ -417,8 +414,8 @@ impl GWord {
         Self::extended(code).map(Ok)
     }
 
-    /// Returns the word of a code. As in Grbl, the error for an unknown fraction is [`Error::UnsupportedCommand`] if
-    /// any word with this whole part has a fraction, otherwise [`Error::IntegerRequired`].
+    /// Returns the word of a code. The errors for an unknown fraction are those of Grbl: [`Error::UnsupportedCommand`]
+    /// for G38.9, because other words of G38 have a fraction, and [`Error::IntegerRequired`] for G1.5.
     pub fn of(code: Code, dialect: Dialect) -> Result<GWord, Error> {
         let more = dialect != Dialect::Grbl;
         if more && let Some(word) = Self::beyond_grbl(code) {
@@ -498,7 +495,6 @@ impl GWord {
         }
     }
 
-    /// Returns the modal group of the word.
     pub fn group(self) -> Group {
         match self {
             GWord::NonModal(_) => Group::NonModal,
@@ -523,7 +519,7 @@ impl GWord {
     }
 }
 
-/// An M word by its meaning: M0 and M60 are the same.
+/// The meaning of an M word. M0 and M60 have the same meaning, and so have M2 and M30.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum MWord {
     /// M0, M60.
@@ -557,7 +553,7 @@ pub(super) enum MWord {
 }
 
 impl MWord {
-    /// Returns the M word that a code means in the dialect; an error if there is none.
+    /// Returns the meaning of an M word in the dialect; an error if the dialect or the build lacks the word.
     pub fn of(code: Code, dialect: Dialect) -> Result<MWord, Error> {
         let more = dialect != Dialect::Grbl;
         match code.hundredths {
@@ -590,7 +586,6 @@ impl MWord {
         })
     }
 
-    /// Returns the modal group of the word.
     pub fn group(self) -> Group {
         match self {
             MWord::Pause | MWord::OptionalPause | MWord::End => Group::Flow,

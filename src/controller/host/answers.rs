@@ -53,7 +53,8 @@ impl<const N: usize> Controller<N> {
 
     /// Sends the message of a line that is executed. `comment`: a mark, then the message. With the mark
     /// [`WITH_VALUES`], parameters in the message are replaced by their values. Sends nothing in an alarm, or if the
-    /// line would exceed the travel. When the message is sent, moves queued before the line can still be running.
+    /// line would exceed the travel. Moves that were queued before the line can still be running when the message is
+    /// sent.
     pub(crate) fn send_comment(&mut self, comment: &[u8]) {
         if let Some((mark, written)) = comment.split_first() {
             self.tell_message(*mark, written);
@@ -76,7 +77,7 @@ impl<const N: usize> Controller<N> {
         self.line.keep_message(text);
     }
 
-    /// Sends a notice, a message about a word of the program. Each notice is sent once for each program.
+    /// Sends a notice (a message about a word of the program), unless it has already been sent for this program.
     #[inline(never)]
     pub(crate) fn tell_notice(&mut self, notice: Notice) {
         if self.line.take_unsent(notice) {
@@ -84,7 +85,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Reports the subprogram that the program waits for, if any.
+    /// If the program waits for a subprogram, reports its number.
     #[inline(never)]
     pub(crate) fn tell_awaited(&mut self) {
         if let Some(number) = self.m.interpreter.awaited_subprogram() {
@@ -92,10 +93,10 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Sends the error of a line that is not executed, or not completely.
+    /// Sends the error of a line of which nothing, or only a part, is executed.
     pub(crate) fn refuse(&mut self, error: Error) {
-        // With line checksums, an error makes all later lines of the host fail. The error of a startup line must not,
-        // because the host has not sent this line.
+        // With line checksums, an error makes all later lines of the host fail. A startup line does not come from the
+        // host, so its error must not do that.
         if !self.m.replies.is_echoing() {
             self.m.lines.fail(error);
         }
@@ -105,9 +106,9 @@ impl<const N: usize> Controller<N> {
         self.say(|out| reply_texts::error(out, error.code()));
     }
 
-    /// Sends the explanation of an error, before the error itself. Sends nothing in Grbl's dialect, because Grbl has no
-    /// explanations. Sends nothing for a startup line either, because its answer must be one line, and nothing to a
-    /// host that has disconnected.
+    /// Sends the explanation of an error, before the error itself. Sends nothing in these cases: in Grbl's dialect,
+    /// because Grbl has no explanations; for a startup line, because its answer must be one line; to a host that has
+    /// disconnected.
     #[cold]
     #[inline(never)]
     fn tell_reason(&mut self, error: Error) {
@@ -160,8 +161,8 @@ impl<const N: usize> Controller<N> {
         self.say(|out| reply_texts::message(out, "Lines are not checked any more"));
     }
 
-    /// Reports once which inputs caused the alarm, at which position and at which line (`line`: N word, 0 = none).
-    /// Sends nothing in Grbl's dialect.
+    /// Reports which inputs caused the alarm, and where: the position, and the line number `line` (N word, 0 = none).
+    /// Each alarm is reported once; in Grbl's dialect, none is.
     pub(crate) fn tell_trip(&mut self, line: u32) {
         if let Some(tripped) = self.m.inputs.take_tripped()
             && self.dialect() != Dialect::Grbl
@@ -188,8 +189,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Sends the welcome line. Messages that each host gets only once may be sent again from here on, because a new
-    /// host has not received them.
+    /// Sends the welcome line. A new host has not received the messages that each host gets only once, such as that of
+    /// damaged settings, so they are due again.
     pub(crate) fn greet(&mut self) {
         self.m.records.host_greeted();
         if self.speaks_grblhal() {
@@ -204,9 +205,9 @@ impl<const N: usize> Controller<N> {
         self.m.settings_lock.host_greeted();
     }
 
-    /// Reports conditions that no status report shows to a host that takes over. Most of these messages repeat those
-    /// that the previous host got. A wait that was not reported to the previous host, such as a dwell, is reported to
-    /// this one. Sends nothing in Grbl's dialect, because Grbl has only one host.
+    /// Tells a host that takes over about conditions that no status report shows. Most of these messages repeat what
+    /// the previous host was told. A wait, such as a dwell, is reported to this host even if the previous one was not
+    /// told. Sends nothing in Grbl's dialect, because Grbl has only one host.
     #[inline(never)]
     pub(crate) fn tell_inherited(&mut self) {
         // Only the full image has these texts.
@@ -284,20 +285,19 @@ impl<const N: usize> Controller<N> {
         self.say(|out| reply_texts::message(out, "First tool measured: send ~ if it set work zero, else reset"));
     }
 
-    /// Reports whether single block is on.
     pub(crate) fn tell_single_block(&mut self) {
         let message = if self.line.is_single_block() { "Single block on" } else { "Single block off" };
         self.say(|out| reply_texts::message(out, message));
     }
 
-    /// Sends the report requested by `?`, if there is room for it.
+    /// Sends the status report if `?` has requested one and the output queue has room for it.
     pub(crate) fn answer_status(&mut self) {
         if self.m.replies.take_status() {
             self.report_status();
         }
     }
 
-    // Cold, because reports are made only a few times per second, but `answer_status` runs before each output.
+    // Cold, because a report is made only a few times per second, while `answer_status` is called before each output.
     #[cold]
     #[inline(never)]
     fn report_status(&mut self) {
@@ -311,8 +311,8 @@ impl<const N: usize> Controller<N> {
         let of_grblhal = if self.speaks_grblhal() {
             let full = self.m.replies.take_full_status();
             let mut fields = self.grblhal_fields(full, spindle);
-            // A host shows the values of these fields until another report has the fields. So the first report after a
-            // change must have them.
+            // Between the reports with these fields, a host shows the old values. So the first report after a change
+            // must have the fields.
             let (place, wait) = self.m.replies.note_fields(&mut fields);
             (show_offset, show_overrides) = (show_offset | full | place, show_overrides | full | wait);
             [Some(fields); FULL_IMAGE as usize]

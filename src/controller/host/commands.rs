@@ -1,5 +1,6 @@
-//! Executes `$` commands: settings, unlock, homing, check mode, sleep, defaults, startup lines and macros, and the
-//! start of a listing. A command that the present state forbids is refused before anything changes.
+//! Executes `$` commands: settings, unlock, homing, check mode, sleep, defaults, startup lines and macros. For a
+//! command with a long answer, such as `$$`, this file only starts the listing, and `listings` sends its lines. A
+//! command that the present state forbids is refused before anything changes.
 
 use crate::axes::{Axis, AxisMask};
 use crate::dispatch::Controller;
@@ -31,7 +32,7 @@ const SPINDLE_MINIMUM: u16 = Key::SpindleMinimum.number();
 const STEP_PULSE: u16 = Key::StepPulse.number();
 const ZERO_AT_PULL_OFF: u16 = Key::ZeroAtPullOff.number();
 
-/// Time between the answer to `$REBOOT` or `$DFU` and the restart.
+/// Time between the answer to `$REBOOT` or `$DFU` and the restart, so that the answer can reach the host.
 const REBOOT_DELAY: Duration = Duration::millis(100);
 
 impl<const N: usize> Controller<N> {
@@ -114,7 +115,8 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Switches line checksums on or off. The answer has a checksum after `$LC=ON`, and none after `$LC=OFF`.
+    /// Switches line checksums on (`$LC=ON`, `session` is `Some`) or off (`$LC=OFF`). The switch acts before the
+    /// answer: the `ok` to `$LC=ON` has a checksum already, and the `ok` to `$LC=OFF` has none.
     fn check_lines(&mut self, session: Option<&[u8]>) {
         if let Some(session) = session {
             self.m.lines.begin_check(session);
@@ -138,10 +140,9 @@ impl<const N: usize> Controller<N> {
         self.fall_asleep();
     }
 
-    /// Answers, and restarts the board after `REBOOT_DELAY`, so that the answer can reach the host. Refused while the
-    /// spindle, the coolant or another output is on, because a restart switches all outputs off, and the boot loader
-    /// drives no outputs at all. `$REBOOT` is also refused in an alarm that the restart would clear (homing is off),
-    /// because only `$X` or `$H` may end an alarm.
+    /// Answers, and restarts the board after `REBOOT_DELAY`. Refused while the spindle, the coolant or another output
+    /// is on: a restart switches all outputs off, and the boot loader drives no outputs at all. With homing off,
+    /// `$REBOOT` is also refused in an alarm. The restart would clear the alarm, but only `$X` or `$H` may end one.
     fn reboot(&mut self, into_loader: bool) -> Result<(), Error> {
         self.must_hold_nothing()?;
         if into_loader && !self.m.settings_lock.has_loader() {
@@ -166,8 +167,8 @@ impl<const N: usize> Controller<N> {
         if !matches!(self.state, State::Normal) {
             return Err(Error::NotIdle);
         }
-        // The line is executed before it is stored. An M2 in it would end the program, and with the program the open
-        // subroutine, loop or condition.
+        // The line is executed before it is stored. An M2 in it would end the host's program, and with it an open
+        // subroutine, loop or condition. So the line is refused while one of these is open.
         if self.m.interpreter.is_within_block() {
             return Err(Error::NotIdle);
         }
@@ -192,8 +193,9 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Returns an error while the controller holds a program for later execution or records a subprogram. The command
-    /// would run other lines in between, or change the meaning of the held lines.
+    /// Returns an error while the controller holds a program for later execution or records a subprogram. Commands such
+    /// as `$H` or `$RST` call this function first: they would run between the held lines, or change what these lines
+    /// mean.
     fn must_hold_nothing(&self) -> Result<(), Error> {
         if self.m.interpreter.is_held() { Err(Error::NotIdle) } else { Ok(()) }
     }
@@ -243,9 +245,9 @@ impl<const N: usize> Controller<N> {
         if accepted? != 0.0 {
             match number {
                 DOOR_FITTED if self.m.inputs.pins().door => return Err(Error::DoorOpen),
-                // These settings are refused while their input is active, because only an input that becomes active has
-                // an effect. A button that is pressed already would cause no alarm after the change, and a door that is
-                // open already would cause no stop.
+                // The door and the reset button have an effect only when their input *becomes* active. A door that is
+                // open already would cause no stop after the change, and a pressed button no alarm. So the setting is
+                // refused while its input is active.
                 RESET_IS_EMERGENCY_STOP if self.m.inputs.pins().reset => return Err(Error::EmergencyStop),
                 _ => {}
             }
@@ -258,8 +260,8 @@ impl<const N: usize> Controller<N> {
         if self.dialect() != dialect {
             self.m.interpreter.change_dialect();
             self.end_check();
-            // Rotations also turn the G92 offset, but have no effect in Grbl's dialect. So the change of dialect can
-            // change the work offset.
+            // A rotated coordinate system also turns the G92 offset, but Grbl's dialect ignores rotations. So a change
+            // of dialect can change the work offset.
             self.m.replies.offset_changed();
             self.apply_overrides();
         }
@@ -267,8 +269,9 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Sets a setting to an accepted value, hands the value to the store, and carries out the other effects of the
-    /// change, except those of a change of dialect. The caller waits until the value is stored.
+    /// Sets a setting to a value that has been accepted, hands the value to the store, and carries out the other
+    /// effects of the change. The effects of a change of dialect are left to the caller. The caller also waits until
+    /// the value is stored.
     fn change_setting(&mut self, number: u16, value: Decimal) -> Result<(), Error> {
         let before = self.m.settings.by_number(number);
         let soft_limits = self.m.settings.is_on(Key::SoftLimits);
@@ -285,8 +288,8 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Updates the values that depend on a changed setting, and stores the setting. `soft_limits`: whether soft limits
-    /// were on before the change.
+    /// Updates the values that depend on a changed setting, and stores the setting. `soft_limits`: `true` if soft
+    /// limits were on before the change.
     fn follow_setting(&mut self, number: u16, soft_limits: bool) {
         self.reconfigure();
         // With another resolution (steps/mm), the present step counts stand for another position.
@@ -300,9 +303,9 @@ impl<const N: usize> Controller<N> {
         self.m.records.save_setting(number, &self.m.settings);
     }
 
-    /// Marks the position as untrusted if the changed setting switches homing on, or if the same position of the
-    /// machine now has other coordinates than after homing. The machine must then be homed again. After a change of
-    /// resolution or kinematics, also ends a series of canned cycles.
+    /// Marks the position as untrusted after the change of setting `number`, so that the machine must be homed again.
+    /// That is done if the change has switched homing on, or has given the present position of the machine other
+    /// coordinates. After a change of resolution or kinematics, also ends a series of canned cycles.
     fn rename_places(&mut self, number: u16) {
         let to_negative = AxisMask(self.m.settings.whole(Key::HomingDirection) as u8);
         let moves_places = AxisKey::Resolution.axis(number).is_some() || number == KINEMATICS;
@@ -361,8 +364,8 @@ impl<const N: usize> Controller<N> {
             let unlocked = "Caution: Unlocked";
             let lost = "The position may be lost: home before using machine coordinates";
             let is_lost = !self.m.reference.is_trusted() && self.dialect() != Dialect::Grbl;
-            // ioSender takes a message that follows `Caution: Unlocked` for the reason of the alarm, so nothing may
-            // follow it.
+            // ioSender shows the message that follows `Caution: Unlocked` as the reason of the alarm. So with `$900=3`,
+            // that text is sent last.
             let told = if self.speaks_grblhal() { [lost, unlocked] } else { [unlocked, lost] };
             for text in told.into_iter().filter(|text| is_lost || *text != lost) {
                 self.say(|out| reply_texts::message(out, text));

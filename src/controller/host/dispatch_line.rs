@@ -1,6 +1,6 @@
-//! Dispatches received lines. The intake collects bytes; a complete line is a `$` command, a jog or a line of a
-//! program, and each is passed on or refused with an error. A jog that arrives while another jog brakes waits until the
-//! machine is at rest.
+//! Dispatches received lines. The intake (`protocol::intake`) collects their bytes. A complete line is a `$` command, a
+//! jog or a line of a program; this file passes the line on or refuses it with an error. A jog that arrives while
+//! another jog brakes waits until the machine is at rest.
 
 use crate::dispatch::Controller;
 use crate::error::Error;
@@ -17,8 +17,8 @@ use crate::units::Instant;
 use crate::view::dialect;
 use crate::work::task::{Answer, Caller, Task};
 
-/// A mark and the message of a line. The mark is [`WITH_VALUES`] if parameters in the message are replaced by their
-/// values, otherwise [`AS_WRITTEN`].
+/// The message in a line's comment, such as `(MSG, text)`, after one byte, the mark. The mark is [`WITH_VALUES`] if
+/// parameters in the message are replaced by their values, as in `(PRINT, #1)`. Otherwise the mark is [`AS_WRITTEN`].
 type Comment = heapless::Vec<u8, { line_filter::MESSAGE_LENGTH + 1 }>;
 
 impl<const N: usize> Controller<N> {
@@ -28,15 +28,16 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns whether the next byte must be dropped: it was received before a reset or a stop, or the machine is in a
-    /// state that only a reset ends, and that reset is still to come.
+    /// Returns whether `byte`, the next line byte, must be dropped. A byte is dropped if it was received before a reset
+    /// or a stop. In a state that only a reset ends (such as sleep), a byte is also dropped if it was received before
+    /// that reset, even if the reset is still to come.
     pub fn is_old(&self, byte: LineByte) -> bool {
         if self.state.waits_for_reset() {
             return !self.m.stops.is_awaited() && !self.m.lines.is_ahead(byte);
         }
         if byte.byte == HOST_CHANGED {
-            // A `HOST_CHANGED` precedes the bytes of the next host. At an open door, where lines wait, it is processed
-            // at once if nothing of the previous host is in progress.
+            // A `HOST_CHANGED` comes before the bytes of the next host. At an open door, lines wait, but this byte is
+            // processed at once if nothing of the previous host is in progress.
             let waits = matches!(self.state, State::Door(_)) && !self.m.lines.holds();
             return waits && matches!(self.task, Task::None | Task::Startup(_, None));
         }
@@ -81,8 +82,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Processes a line of the host's program that has no message, in the buffer in which it was received: nothing is
-    /// copied.
+    /// Processes a line of the host's program that has no message. The line is read in the intake's buffer, so nothing
+    /// is copied.
     fn line_of_program(&mut self) {
         let (text, dialect) = (self.m.lines.text(), dialect(&self.m.settings));
         let checked = match self.m.interpreter.direct(text, &[], self.m.lines.lines_read()) {
@@ -144,8 +145,8 @@ impl<const N: usize> Controller<N> {
             self.say(|out| reply_texts::message(out, "Received bytes lost"));
         }
         if taken.pushed != Pushed::More {
-            // Realtime commands take effect before the lines received after them, so the report of a `?` precedes the
-            // answer.
+            // The report of a `?` that came before the end of this line precedes the answer to the line, because
+            // realtime commands take effect before later lines.
             self.answer_status();
         }
         match taken.pushed {
@@ -160,8 +161,8 @@ impl<const N: usize> Controller<N> {
             }
             Pushed::Complete => self.complete(),
         }
-        // A line that has become a `Task::Job` has not changed any output yet. After any other line, outputs may have
-        // changed and must be compared again.
+        // A line that has become a `Task::Job` has not changed any output yet. Any other line may have, so the outputs
+        // must be compared with those last sent.
         if !matches!(self.task, Task::Job(_)) {
             self.m.pins.disturb();
         }
@@ -170,7 +171,7 @@ impl<const N: usize> Controller<N> {
     /// Executes the line that the intake has completed, or makes it wait if it is a jog that must wait.
     #[inline(never)]
     fn complete(&mut self) {
-        // Filled in place: a returned value would be copied with its whole capacity.
+        // The buffers are filled in place. If a function returned them, it would copy their whole capacity.
         let (mut text, mut comment) = (heapless::Vec::<u8, { line_filter::LENGTH }>::new(), Comment::new());
         let _ = text.extend_from_slice(self.m.lines.text());
         self.read_comment(&mut comment);
@@ -189,8 +190,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Answers a line with checksum that is not executed: it is damaged, empty, was received before, or follows a line
-    /// that was refused for its content. The host sends it again if necessary.
+    /// Answers a line with a checksum that is not executed. Such a line is damaged or empty, was received before, or
+    /// follows a line that was refused for its content. The host sends the line again if necessary.
     fn answer_invalid(&mut self, verdict: Verdict) {
         self.m.lines.clear();
         match self.m.lines.failed() {
@@ -211,8 +212,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns whether a jog must wait: if it was sent after a jog cancel, it starts when the machine has stopped, from
-    /// the position reached.
+    /// Returns whether the line is a jog that must wait. A jog that was sent after a jog cancel waits while the
+    /// cancelled jog brakes. It then starts from the position at which the machine has stopped.
     fn must_wait(&self, line: &[u8]) -> bool {
         line.starts_with(b"$J=")
             && matches!(self.state, State::Jog { cancelling: true })
@@ -247,7 +248,8 @@ impl<const N: usize> Controller<N> {
             }
             // A tape mark, which Grbl's dialect does not have.
             Some(b'%') if self.dialect() != Dialect::Grbl => self.tape_mark(line, comment),
-            // Refused, because the message would be sent now, and not when the stored line is executed.
+            // A startup line or macro with a message is refused: the message would be sent now, and not when the line
+            // is executed.
             Some(b'$') if !comment.is_empty() && keeps_line(line) => Err(Error::InvalidStatement),
             Some(b'$') => self.system(line).map(|()| self.send_comment(comment)),
             Some(_) if self.state.is_alarm() || matches!(self.state, State::Jog { .. }) => Err(Error::Locked),
@@ -265,8 +267,8 @@ impl<const N: usize> Controller<N> {
             // A sender may send requests such as `$G` all the time, so they do not end the host's pause that
             // `has_rested` measures.
             Some(b'$') => true,
-            // If the host has paused long enough for another program, a line without words does not end the pause,
-            // because the next program can begin with comments.
+            // If the host has paused long enough for another program to begin, an empty line does not end the pause,
+            // because that program can begin with comments.
             None => rested,
             _ => false,
         };
@@ -296,8 +298,9 @@ impl<const N: usize> Controller<N> {
         self.line.explain(&mut self.m.interpreter, words, dialect, error, is_jog);
     }
 
-    /// Refuses a line of a program: reports the error, refuses the block being recorded, which lacks this line, and
-    /// stops at the error if the settings require it.
+    /// Refuses a line of a program, and reports the error. If a subroutine or loop is being recorded, it lacks this
+    /// line now, so it is refused, too. Stops the job if `$901` is on, or if the line would have asked the operator for
+    /// another tool (`asks_for_tool`).
     fn refuse_program_line(&mut self, error: Error, asks_for_tool: bool) {
         self.refuse(error);
         self.m.interpreter.line_refused(error);
@@ -318,7 +321,8 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Handles a line of the host's program: first its O words, which Grbl's dialect does not have.
+    /// Handles a line of the host's program: first its O words (subroutines, loops, conditions), then its G-code.
+    /// Grbl's dialect has no O words.
     fn program_line(&mut self, line: &[u8], comment: &[u8]) -> Result<(), Error> {
         let direction = match self.dialect() {
             Dialect::Grbl => Direction::Check,
@@ -346,8 +350,8 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Finishes a line that has no G-code to execute now. The line has only a message, belongs to a condition, was
-    /// skipped or recorded, or starts a subroutine or loop.
+    /// Finishes a line that has no G-code to execute now: it has only a message, belongs to a condition, was skipped or
+    /// recorded, or starts a subroutine or loop.
     #[inline(never)]
     fn directed(&mut self, direction: Direction, comment: &[u8]) {
         match direction {

@@ -1,5 +1,5 @@
-//! Answers hosts like grblHAL (`$900=3`): executes grblHAL's `$` commands, and takes values for settings that are masks
-//! in grblHAL.
+//! Answers hosts as grblHAL does (`$900=3`): executes grblHAL's `$` commands, and converts values of the settings that
+//! are masks in grblHAL.
 
 use crate::axes::Axis;
 use crate::dispatch::Controller;
@@ -12,7 +12,8 @@ use crate::units::{DECIMAL_ONE, Decimal};
 use crate::work::task::{Listing, Task};
 
 impl<const N: usize> Controller<N> {
-    /// Executes a command that Grbl and Oxmill lack. Such a command is allowed in idle or alarm.
+    /// Executes a command that exists only with `$900=3`. The caller has checked that the present state allows the
+    /// command: `$LEV`, `$LIM` and `$PINSTATE` are always allowed, the others only in idle or alarm.
     #[inline(never)]
     pub(crate) fn grblhal_command(&mut self, command: Command) -> Result<(), Error> {
         match command {
@@ -38,7 +39,8 @@ impl<const N: usize> Controller<N> {
                 if !self.measures_tools() {
                     return Err(Error::InvalidStatement);
                 }
-                // Without a probe contact there is no position to refer to, and an earlier reference stays.
+                // Without a probe contact there is no position for the reference. A reference that was set before
+                // stays.
                 let (place, true) = self.m.probe.result() else { return Err(Error::InvalidStatement) };
                 self.m.interpreter.set_tool_reference(Some(place));
                 self.say_ok();
@@ -78,7 +80,7 @@ impl<const N: usize> Controller<N> {
         Ok(())
     }
 
-    /// Sends the state of each input and each output of programs.
+    /// Answers `$PINSTATE`: sends one line for each input and output of programs (M62 to M66).
     fn say_program_pins(&mut self) {
         let [outputs, inputs] = self.m.settings_lock.program_pins();
         let pins = self.m.inputs.pins().program;
@@ -105,7 +107,8 @@ impl<const N: usize> Controller<N> {
         self.toggle(Key::OptionalStop, ["Optional stop off", "Optional stop on"]);
     }
 
-    /// Switches a setting on or off without storing it, and reports its new state.
+    /// Switches a setting on or off until power-off, without storing it. Sends the message of its new state: `states`
+    /// has the message for off, then the one for on.
     fn toggle(&mut self, key: Key, states: [&'static str; 2]) {
         let is_on = !self.m.settings.is_on(key);
         self.m.settings.restore(key.number(), if is_on { 1.0 } else { 0.0 });
@@ -113,10 +116,13 @@ impl<const N: usize> Controller<N> {
         self.say(|out| reply_texts::message(out, if is_on { on } else { off }));
     }
 
-    /// Converts a value that a host writes to a setting that is a mask in grblHAL. Returns the value of the setting
-    /// here, and the value of `$932` if the mask has a bit for it. The value may lack bits whose function is always on
-    /// here. In the mask of homing (`$22`), the bits other than the first have no effect while homing is off. If a host
-    /// will therefore read back another value than it wrote, a message gives that other value.
+    /// Converts `value`, which a host with `$900=3` writes to setting `number`. Two settings are masks of bits in
+    /// grblHAL, but single values here; for any other setting, the value stays as it is. Returns the value of the
+    /// setting here. Also returns the value of `$932` if the mask has a bit for it, as the mask of `$22` has.
+    ///
+    /// Some functions are always on here, so their bits are read back as set. For example, after `$22=1` a host reads
+    /// `$22=199`. While homing is off, only the lowest bit of `$22` has an effect. If a host will read another value
+    /// than it wrote, a message gives the value that it will read.
     ///
     /// # Errors
     /// [`Error::SettingOutOfRange`] for a bit that has no function here, after a message that names the bit.

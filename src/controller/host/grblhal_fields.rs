@@ -11,7 +11,7 @@ use crate::work::task::{Stage, Task};
 const HOMING_REQUIRED: u8 = 11;
 
 impl<const N: usize> Controller<N> {
-    /// Returns whether M6 waits for the operator.
+    /// Returns whether a tool change (M6) waits for the operator.
     pub(crate) fn waits_for_tool(&mut self) -> bool {
         let Task::Job(job) = self.task else { return false };
         matches!(self.state, State::Hold(_))
@@ -22,7 +22,8 @@ impl<const N: usize> Controller<N> {
             }
     }
 
-    /// Returns the fields that only grblHAL's reports have.
+    /// Returns the fields that only status reports with `$900=3` have. `full`: `true` if the host has requested all
+    /// fields (0x87).
     pub(crate) fn grblhal_fields(&mut self, full: bool, spindle: SpindleDirection) -> GrblHalFields {
         let is_homing_on = self.m.settings.is_on(Key::Homing);
         let reference = self.m.reference;

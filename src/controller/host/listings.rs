@@ -73,9 +73,9 @@ impl<const N: usize> Controller<N> {
         true
     }
 
-    /// Sends the row of tool `number`. As in grblHAL, a tool without stored offsets has a row, too, because gSender
-    /// looks up the tool in the spindle after a probe contact. If that tool has a higher number than the last tool
-    /// listed, and no stored offsets, its row follows at the end.
+    /// Sends the row of tool `number`, 1 to [`TOOLS`]. As in grblHAL, a tool without stored offsets has a row, too,
+    /// because gSender looks up the tool in the spindle after a probe contact. That tool can have a number above
+    /// [`TOOLS`] and no stored offsets. In that case its row follows the last one.
     fn list_tool_of_grblhal(&mut self, number: u32, form: PlaceForm) {
         let entries = self.m.interpreter.tools().entries();
         let stored = |number| entries.iter().find(|tool| tool.is_stored() && tool.number == number);
@@ -167,7 +167,7 @@ impl<const N: usize> Controller<N> {
         is_there
     }
 
-    /// Returns the limits that narrow the ranges of the settings.
+    /// Returns the limits of this board and dialect, which narrow the ranges in the table of settings.
     fn limits(&self) -> Limits {
         Limits {
             least_pulse_tenths: self.m.settings_lock.least_pulse_tenths(),

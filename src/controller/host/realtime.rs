@@ -23,8 +23,8 @@ impl<const N: usize> Controller<N> {
                 self.finish_stop();
                 self.release_held();
             }
-            // Grbl ignores 0x19. In Grbl's dialect the byte only advances the epoch, because the serial task has
-            // advanced the epoch of later line bytes (see `LineByte`).
+            // Grbl ignores 0x19. But the serial task has counted a new epoch for the line bytes after it (see
+            // `LineByte`), so the controller counts this epoch, too.
             Realtime::Stop if self.dialect() == Dialect::Grbl => {
                 self.m.lines.advance_epoch();
                 self.release_held();
@@ -44,8 +44,8 @@ impl<const N: usize> Controller<N> {
                 if matches!(self.state, State::Jog { cancelling: false }) {
                     self.cancel_jog();
                 }
-                // The machine enters `State::Jog` only when the jog has been queued. So a jog that has been read but
-                // still waits for room in the look-ahead is dropped here.
+                // A jog that has been read can still wait for room in the look-ahead. The state is not `State::Jog`
+                // until the jog has been queued, so such a jog is dropped here.
                 self.task.forget_jog();
                 self.release_held();
             }
@@ -165,8 +165,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Ends the jog of a host that has disconnected or is silent. `is_fault`: if the laser is on when the jog has
-    /// ended, the controller reacts to the loss of the host as `$928` selects.
+    /// Ends the jog of a host that has disconnected or is silent. `is_fault`: `true` if the loss of the host is a
+    /// fault. In that case, if the laser is still on after the jog, the controller reacts as `$928` selects.
     fn end_jog_of_no_host(&mut self, is_fault: bool) {
         self.m.lines.heartbeat_mut().set_left_jog(is_fault);
         self.cancel_jog();

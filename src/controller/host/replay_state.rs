@@ -25,9 +25,10 @@ impl<const N: usize> Controller<N> {
         self.state.is_alarm()
     }
 
-    /// Returns the state at rest if [`Controller::stand`] can restore it on a machine with the same stored records: no
-    /// offsets except the stored ones, no open subroutine, loop or condition, all outputs off, no override, and no
-    /// active input except the probe and the at-speed signal.
+    /// Returns the state of the machine if a replay can begin from it, otherwise `None`. The machine must be at rest,
+    /// with all outputs off, no override, and no active input except the probe and the at-speed signal. No offset may
+    /// be active except stored ones, and no subroutine, loop or condition may be open. [`Controller::stand`] can
+    /// restore such a state on a machine with the same stored records.
     pub fn standing(&self) -> Option<Standing> {
         let locked = match self.state {
             State::Normal => false,
@@ -59,9 +60,9 @@ impl<const N: usize> Controller<N> {
         })
     }
 
-    /// Puts a machine that is at rest and unlocked into this state, for a replay: its position, the tool in the
-    /// spindle, and whether the position is trusted. For the modal state, the caller then sends the G-code line
-    /// `standing.words`. Locks the machine if `lock` is set.
+    /// Puts a machine that is at rest and unlocked into the state `standing`, for a replay. Restores its position, the
+    /// tool in the spindle, and whether the position is trusted. The caller then restores the modal state: it sends the
+    /// G-code line `standing.words`. `lock`: locks the machine.
     pub fn stand(&mut self, standing: &Standing, lock: bool) {
         let place =
             PerAxis::from_axis(|axis: Axis| standing.place.get(axis.index()).copied().unwrap_or(Coordinate::ZERO));
@@ -95,7 +96,8 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// Returns the modal state as a line of G-code, in mm; `None` if a line of these words cannot express it.
+/// Returns the modal state as a line of G-code, in mm; `None` if such a line cannot express it, for example another
+/// motion mode than G0 and G1.
 fn words(modal: &Modal) -> Option<heapless::Vec<u8, 64>> {
     let said = Modal {
         motion: modal.motion,

@@ -1,10 +1,10 @@
 //! Settings that make motion impossible on this board, such as a rate beyond its step rate. After each change of a
 //! setting, this file searches for such a setting and names it to the host.
 //!
-//! Such a setting locks motion. If there are several, the first one that [`Settings::unrunnable`] finds is named to the
-//! host: after the `ok` to the change that caused the lock, and before the first `error:9` to a line that would move.
-//! The name is not repeated after that. Otherwise a sender that restores one setting after the other, or streams a job
-//! into a locked machine, would get the name at each line.
+//! Such a setting locks motion. Its name is sent to the host twice: after the `ok` to the change that caused the lock,
+//! and before the first `error:9` to a line that would move. If there are several such settings, the first one that
+//! [`Settings::unrunnable`] finds is named. Later lines do not repeat the name, because a sender that streams a job
+//! into a locked machine, or restores its settings one by one, would get it after each line.
 
 use crate::dispatch::Profile;
 use crate::settings::{Key, Settings};
@@ -20,7 +20,6 @@ pub(crate) struct SettingsLock {
     oscillator_mhz: u8,
     /// The board has a fault: motion stays locked until the next start.
     has_board_fault: bool,
-    /// Step rates of the board.
     rates: StepRates,
     has_second_motor: bool,
     has_at_speed: bool,
@@ -31,7 +30,7 @@ pub(crate) struct SettingsLock {
     revision: Option<u32>,
     /// The setting that locks motion, if any.
     setting: Option<u16>,
-    /// The setting that locked motion at the last call of `name_after_change`.
+    /// The setting that locked motion at the last call of `name_after_change`; `None` if motion was not locked.
     named: Option<u16>,
     /// The setting has been named before the error of a refused line, so later refused lines do not name it again.
     named_at_line: bool,
@@ -79,7 +78,6 @@ impl SettingsLock {
         self.has_board_fault = true;
     }
 
-    /// Returns whether a fault of the board locks motion.
     pub(crate) fn has_board_fault(&self) -> bool {
         self.has_board_fault
     }
@@ -114,7 +112,7 @@ impl SettingsLock {
         self.rates.least_pulse_tenths
     }
 
-    /// Returns the setting that locks motion, if any.
+    /// Returns the number of the setting that locks motion; `None` if no setting does.
     pub(crate) fn setting<const N: usize>(&mut self, settings: &Settings<N>) -> Option<u16> {
         let (rates, has_second_motor, has_at_speed) = (self.rates, self.has_second_motor, self.has_at_speed);
         self.examine(settings.revision(), || {
@@ -123,8 +121,8 @@ impl SettingsLock {
         })
     }
 
-    /// Returns the setting that locks motion. Calls `unrunnable` to determine this setting only if `revision` has
-    /// changed since the previous call, that is, after a change of any setting.
+    /// Returns the setting that locks motion. Calls `unrunnable`, which finds this setting, only if `revision` differs
+    /// from the previous call, that is, after a change of any setting.
     fn examine(&mut self, revision: u32, unrunnable: impl FnOnce() -> Option<u16>) -> Option<u16> {
         if self.revision != Some(revision) {
             let setting = unrunnable();
@@ -135,16 +133,17 @@ impl SettingsLock {
         self.setting
     }
 
-    /// Returns the setting to be named to the host after setting `changed` got a new value, if any. If a setting locks
-    /// motion, it is named in two cases: it is `changed` itself, or at the previous call another setting or none locked
-    /// motion. Call `Self::setting` first.
+    /// Returns the setting to name to the host after the change of setting `changed`; `None` if there is nothing to
+    /// name. The setting that locks motion is named if it is `changed` itself, or if it did not lock motion at the
+    /// previous call. Call `Self::setting` first, because that call finds the locking setting.
     pub(crate) fn name_after_change(&mut self, changed: u16) -> Option<u16> {
         let named = core::mem::replace(&mut self.named, self.setting);
         self.setting.filter(|setting| *setting == changed || named != Some(*setting))
     }
 
-    /// Returns the setting to be named to the host before the error of a refused line, if any. The setting that locks
-    /// motion is named only at the first refused line since it locked motion, or since a host was greeted.
+    /// Returns the setting to name to the host before the error of a refused line; `None` if it need not be named. The
+    /// setting that locks motion is named once: at the first refused line after it locked motion, or after a host was
+    /// greeted.
     pub(crate) fn name_at_line(&mut self) -> Option<u16> {
         let named_before = core::mem::replace(&mut self.named_at_line, true);
         self.setting.filter(|_| !named_before)

@@ -9,9 +9,9 @@ use crate::protocol::system::Restore;
 use crate::settings::{Key, Settings};
 use crate::units::{Coordinate, Duration, Instant};
 
-/// Maximum length of a stored startup line or build info.
+/// Maximum length of a stored startup line, macro line or build info, in bytes.
 pub(crate) const STORED_TEXT: usize = 80;
-/// A stored text.
+/// The text of a startup line, a macro line or the build info.
 pub(crate) type StoredText = heapless::Vec<u8, STORED_TEXT>;
 
 // Keys of stored records. The key of a setting is its number (0 to 999). All keys that one `$RST` forgets form one
@@ -68,7 +68,7 @@ pub(crate) struct Records {
 }
 
 impl Records {
-    /// No stored texts, and no changes.
+    /// Creates the records at power-up, without texts and changes. `has_store`: the board has a settings flash.
     pub(crate) const fn new(has_store: bool) -> Self {
         Self {
             has_store,
@@ -143,13 +143,13 @@ impl Records {
         !self.stores.is_empty()
     }
 
-    /// Returns the next change for the store.
+    /// Removes and returns the oldest change that waits to be handed to the store.
     pub(crate) fn next_store(&mut self) -> Option<Store> {
         self.stores.pop_front()
     }
 
-    /// Counts an answer of the store. Returns true if no more answers are awaited and at least one of the answered
-    /// changes could not be stored.
+    /// Counts an answer of the store. `stored`: `true` if the change was stored. At the last awaited answer, returns
+    /// `true` if at least one of the changes could not be stored.
     pub(crate) fn answered(&mut self, stored: bool) -> bool {
         self.unstored = self.unstored.saturating_sub(1);
         self.failed |= !stored;
@@ -183,7 +183,7 @@ impl Records {
         self.hand_over(Store::Remove { from: keys.start, until: keys.end });
     }
 
-    /// Stores the new value of a setting.
+    /// Stores the value that setting `number` has in `settings`. The dialect has a key of its own.
     pub(crate) fn save_setting<const N: usize>(&mut self, number: u16, settings: &Settings<N>) {
         self.save_setting_as(if number == DIALECT { KEY_DIALECT } else { number }, settings);
     }
@@ -196,7 +196,7 @@ impl Records {
 
     /// Stores the value of `$20` (soft limits) that belongs to a new value of `$22` (homing), unless the stored value
     /// can stay (see [`Settings::soft_limits_before_homing`]). Call it before the new `$22` is stored. `were_on`:
-    /// whether soft limits were on before `$22` was changed.
+    /// `true` if soft limits were on before `$22` was changed.
     pub(crate) fn save_soft_limits_before_homing<const N: usize>(&mut self, settings: &Settings<N>, were_on: bool) {
         if let Some(value) = settings.soft_limits_before_homing(were_on) {
             self.save(SOFT_LIMITS, &value.to_le_bytes());
@@ -215,8 +215,8 @@ impl Records {
         } else {
             StoredOffset::all().position(|o| o == offset).map(|index| KEY_OFFSETS + index as u16)
         };
-        // X, Y and Z are always written, A, B and C only up to the last one that is not 0. So a machine with three axes
-        // has the same records in every build.
+        // X, Y and Z are always written; A, B and C only up to the last one that is not 0. So a machine that uses three
+        // axes has the same records in every build.
         let places = position.0.iter().rposition(|value| *value != Coordinate::ZERO).map_or(0, |last| last + 1);
         for value in position.iter().take(places.max(LINEAR)) {
             let _ = bytes.extend_from_slice(&value.0.to_le_bytes());
@@ -278,13 +278,13 @@ impl Records {
         self.validated = line;
     }
 
-    /// Stores the executed line as the startup line with this number.
+    /// Stores the line that [`Records::validate`] has kept, as the startup line with this index.
     pub(crate) fn save_validated(&mut self, index: usize) {
         let line = self.validated.clone();
         self.save_startup_line(index, line);
     }
 
-    /// Stores a macro line (`$M=`).
+    /// Stores a macro line (`$M=`). If the line is empty, its record is removed.
     pub(crate) fn save_macro(&mut self, index: usize, line: &StoredText) {
         let key = KEY_MACROS + index as u16;
         if line.is_empty() {

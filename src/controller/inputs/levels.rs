@@ -41,8 +41,8 @@ pub struct InputLevels {
 /// Changes from one message of the inputs task to the next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InputChange {
-    /// Number of times that armed inputs, which stop the step task directly (see [`armed`]), have done so since the
-    /// previous message.
+    /// Number of times that armed inputs (see [`armed`]) have stopped the step task directly since the previous
+    /// message.
     pub stops: u8,
     /// Inputs that have become active since the previous message, and inputs that have stopped the step task directly
     /// since then, even if they are inactive again.
@@ -63,7 +63,7 @@ impl InputLevels {
         last_event: Signals::NONE,
     };
 
-    /// Applies changed settings.
+    /// Applies changed settings: which inputs are fitted, their polarity and their resistors.
     pub fn configure<const N: usize>(&mut self, settings: &Settings<N>) {
         self.signals = fitted(self.pins, settings);
         self.wiring = wiring_by(settings);
@@ -95,8 +95,8 @@ impl InputLevels {
         &self.signals
     }
 
-    /// Returns the control inputs and limit switches that became active most recently, all in the same message of the
-    /// inputs task.
+    /// Returns the control inputs and limit switches that became active most recently (`$LEV`). All of them came in one
+    /// message of the inputs task.
     pub fn last_event(&self) -> &Signals {
         &self.last_event
     }
@@ -133,19 +133,19 @@ impl InputLevels {
         (tripped != Signals::NONE).then_some(tripped)
     }
 
-    /// Records an emergency as the cause of the alarm that follows.
+    /// Records emergency stop, driver fault or both as the cause of the alarm that follows.
     pub fn trip_emergency(&mut self, stop: bool, fault: bool) {
         self.tripped = Signals { emergency_stop: stop, driver_fault: fault, ..Signals::NONE };
     }
 
-    /// Records limit switches as the cause of the alarm that follows. `awaited`: the machine is already stopping for a
-    /// limit switch, so the switches are added to those recorded for that alarm.
+    /// Records limit switches as the cause of the alarm that follows. `awaited`: `true` if the machine is already
+    /// stopping for a limit switch. In that case the switches are added to those recorded before.
     pub fn trip_limits(&mut self, switches: u8, awaited: bool) {
         let limits = if awaited { self.tripped.limits | switches } else { switches };
         self.tripped = Signals { limits, ..Signals::NONE };
     }
 
-    /// Requests a view of the pins, or the clearing of their noise counts.
+    /// Requests a view of the pins; with `clear_noise`, requests the clearing of their noise counts instead.
     pub fn ask_view(&mut self, clear_noise: bool) {
         if !clear_noise {
             self.view = None;
@@ -186,8 +186,9 @@ pub fn hard_limits<const N: usize>(settings: &Settings<N>) -> u8 {
     limits_of(settings) & with_ends.0 | second_switch(settings)
 }
 
-/// Returns the inputs that stop the step task directly. Outside of homing, an input is left out if the settings demand
-/// braking for it. During homing, limit switches are left out, and all other inputs are included.
+/// Returns the inputs that stop the step task directly: hard limits, reset, emergency stop and driver fault. Outside of
+/// homing, an input is left out if the settings demand braking for it. During homing, only the limit switches are left
+/// out.
 pub fn armed<const N: usize>(settings: &Settings<N>, homing: bool) -> u32 {
     let at_once = |alarm| homing || Reaction::to(alarm, settings).is_at_once();
     let switches = if !homing && at_once(Alarm::HardLimit) { u32::from(hard_limits(settings)) } else { 0 };
@@ -200,8 +201,8 @@ pub fn armed<const N: usize>(settings: &Settings<N>, homing: bool) -> u32 {
         | u32::from(fault) << input::DRIVER_FAULT
 }
 
-/// Returns the axes of these limit switches as a mask, bit 0 for X. The switch of a second motor belongs to the axis of
-/// that motor.
+/// Returns the axes of these limit switches as a mask, bit 0 for X. The switch of a second motor counts for the axis
+/// that this motor drives.
 pub fn axes_of_switches<const N: usize>(switches: u8, settings: &Settings<N>) -> u8 {
     match settings.ganged_axis() {
         Some(axis) if switches & SECOND_SWITCH != 0 => switches & !SECOND_SWITCH | AxisMask::NONE.with(axis).0,
@@ -227,7 +228,6 @@ fn fitted<const N: usize>(pins: Signals, settings: &Settings<N>) -> Signals {
     }
 }
 
-/// Returns polarity and resistors of the inputs.
 fn wiring_by<const N: usize>(s: &Settings<N>) -> InputWiring {
     let probe = |key| u32::from(s.is_on(key)) << input::PROBE;
     let all = u32::from(limits_of(s) | SECOND_SWITCH);

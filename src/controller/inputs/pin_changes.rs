@@ -54,8 +54,8 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Reacts to emergency stop and driver fault, if they have become active. An emergency stop switches spindle and
-    /// coolant off before the step task has answered, even if motion still has to brake. A driver fault does so only if
-    /// the reaction that `$926` selects stops motion at once and switches the spindle off.
+    /// coolant off before the step task has answered, even if motion still has to brake. A driver fault switches them
+    /// off this early only if its reaction (`$926`) stops motion at once and switches the spindle off.
     fn emergency(&mut self, came: &Signals, stopped: &mut Stopped) {
         if came.driver_fault {
             // The driver may have lost steps.

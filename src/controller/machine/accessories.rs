@@ -1,6 +1,7 @@
-//! Spindle or laser, coolant, overrides and the digital outputs of programs, as the program and the operator have set
-//! them. Also whether the spindle is suspended (in a hold or a door), whether it is up to speed, and whether it has
-//! lost its speed during a job. Only the state is kept here; the module `outputs` sets the outputs from it.
+//! State of the accessories as the program and the operator have set them: spindle or laser, coolant, overrides and the
+//! digital outputs of programs. Also records whether the spindle is suspended (in a hold or at an open door), is up to
+//! speed, or has lost its speed during a job. This file only keeps the state; the module `outputs` sets the outputs
+//! from it.
 //!
 //! ```text
 //!  S, M3, M4, M5 ──▶ program ──▶ override ──▶ [suspended?] ──▶ power of the output
@@ -15,7 +16,7 @@ use crate::messages::{Coolant, SpindleDirection};
 use crate::settings::{Key, Settings};
 use crate::units::{Duration, Instant};
 
-/// Spindle, coolant and overrides.
+/// Spindle or laser, coolant, overrides and digital outputs, as the program and the operator have set them.
 #[derive(Clone, Copy, Debug)]
 pub struct Accessories {
     overrides: Overrides,
@@ -36,10 +37,10 @@ pub struct Accessories {
 /// Monitors the at-speed input of the spindle during a job.
 #[derive(Clone, Copy, Debug)]
 struct SpeedWatch {
-    /// Direction and power at the previous check; `None` if the speed was not monitored before.
+    /// Direction and power at the previous check; `None` if the speed was not monitored then.
     given: Option<(SpindleDirection, u16)>,
-    /// Deadline for the spindle to reach a new speed. When the input reports that the speed has been reached, the
-    /// deadline is moved to the current time.
+    /// Time by which the spindle must have reached a new speed. Moved to the current time when the input reports that
+    /// the speed has been reached.
     settled_at: Instant,
     /// The input has reported, since the speed was changed, that the spindle is not at speed.
     has_changed: bool,
@@ -85,12 +86,12 @@ impl Accessories {
         *self = Accessories { digital, ..Accessories::OFF };
     }
 
-    /// Returns the digital outputs of the program.
+    /// Returns the digital outputs of the program (M62 to M65), with the changes that wait for a motion.
     pub fn digital(&self) -> &DigitalOutputs {
         &self.digital
     }
 
-    /// Returns the digital outputs of the program, so that the caller can change them.
+    /// Returns the digital outputs of the program, for a change by M62 to M65 or at the beginning of a block.
     pub fn digital_mut(&mut self) -> &mut DigitalOutputs {
         &mut self.digital
     }
@@ -108,9 +109,9 @@ impl Accessories {
         differ
     }
 
-    /// Returns whether the overrides have changed since this function was last called, so that motion must apply them.
-    /// All changes between two calls count as one. Motion plans the whole look-ahead again to apply them, which takes
-    /// about a millisecond, so applying a burst of override commands one at a time would starve the step queue.
+    /// Returns whether the overrides have changed since the previous call, so that motion must apply them. All changes
+    /// between two calls count as one. Each time, motion plans the whole look-ahead again, which takes about a
+    /// millisecond. If a burst of override commands were applied one by one, the step queue would run empty.
     pub fn take_overrides_due(&mut self) -> bool {
         core::mem::take(&mut self.overrides_due)
     }
@@ -125,7 +126,7 @@ impl Accessories {
         self.direction != SpindleDirection::Off
     }
 
-    /// Returns whether the program has the spindle on, with S0.
+    /// Returns whether the program has the spindle on, but with a speed of 0 (S0).
     pub fn is_on_without_speed(&self) -> bool {
         self.is_on() && self.speed == 0.0
     }
@@ -187,8 +188,8 @@ impl Accessories {
         self.stops_at_rest = true;
     }
 
-    /// Call when the machine has come to rest. Returns whether this stops the spindle, as requested by
-    /// [`Accessories::stop_at_rest`].
+    /// Suspends the spindle if [`Accessories::stop_at_rest`] has requested it, and returns whether it has. Called when
+    /// the machine has come to rest.
     pub fn apply_stop_at_rest(&mut self) -> bool {
         let stops = core::mem::take(&mut self.stops_at_rest);
         self.suspended |= stops;
@@ -216,7 +217,8 @@ impl Accessories {
         !self.waits_for_speed(settings) || input == (settings.whole(Key::AtSpeed) == 1)
     }
 
-    /// Returns whether the spindle is up to speed. `until`: when its spin-up time ends.
+    /// Returns how far a spindle that was switched on has come. `until`: when its spin-up time ends. From then on, the
+    /// at-speed input must report the speed within the time of `$916`. `input`: level of this input.
     pub fn spun_up<const N: usize>(&self, until: Instant, now: Instant, input: bool, settings: &Settings<N>) -> SpinUp {
         if now < until {
             SpinUp::Waits
@@ -249,8 +251,9 @@ impl Accessories {
         self.watch = SpeedWatch::NONE;
     }
 
-    /// Returns whether the spindle has been below speed for longer than `$929` while a job is `at_work`. After a change
-    /// of direction or `power`, the spindle first has the time of `$916` to reach its speed.
+    /// Returns whether the spindle has been below its speed for longer than `$929`. `at_work`: `true` during a job;
+    /// otherwise the result is always `false`. After a change of direction or `power`, the spindle first has the time
+    /// of `$916` to reach its speed.
     pub fn has_lost_speed<const N: usize>(
         &mut self,
         at_work: bool,
@@ -285,9 +288,10 @@ impl Accessories {
         self.watch.fault_at
     }
 
-    /// Returns the power of the output while no segment sets it. A laser with constant power (M3) stays on between feed
-    /// motions if `burns_at_rest`; with scaled power (M4) it is off at zero speed. `running`: power of the move that is
-    /// being handed to the step task, or else of the next move, if there is one. `percent`: the override.
+    /// Returns the power of the output, 0 to 65535, while no segment sets it. A laser with constant power (M3) stays on
+    /// between feed motions if `burns_at_rest` returns `true`. With scaled power (M4), it is off at zero speed.
+    /// `percent`: the spindle override. `running`: returns the power of the move that is being handed to the step task,
+    /// or else of the next move; `None` without a move.
     pub fn resting_power<const N: usize>(
         &self,
         settings: &Settings<N>,

@@ -8,11 +8,11 @@
 //! group 2. The block to X1 has mark 1, so P0 and P1 switch on when it begins. The block to X2 has mark 2, so P0
 //! switches off when it begins.
 
-/// Maximum number of groups. A group is the changes that wait for the same motion. If a change needs one more group,
-/// its G-code line waits until a motion has begun and the changes of its group have been made.
+/// Maximum number of groups. A group is the changes that wait for the same motion. If all groups are in use, a line
+/// that needs another one waits until a motion begins and its group becomes free.
 const GROUPS: usize = 8;
-/// Number of bits of a mark, the number that ties a group of changes to a block of motion. Marks wrap, so their range
-/// must be more than twice `GROUPS`: otherwise the mark of an earlier block could be taken for that of a later one.
+/// Number of bits of a mark, the number that ties a group of changes to a block of motion. Marks wrap at 32. Their
+/// range must be more than twice `GROUPS`, so that the mark of an earlier block is never taken for that of a later one.
 const MARK_BITS: u32 = 5;
 const MARKS: u8 = (1 << MARK_BITS) - 1;
 
@@ -21,7 +21,7 @@ const MARKS: u8 = (1 << MARK_BITS) - 1;
 struct DueTogether {
     /// Outputs that change.
     mask: u8,
-    /// Outputs of `mask` that switch on; the others of `mask` switch off.
+    /// Outputs of `mask` that switch on. The other outputs of `mask` switch off.
     on: u8,
 }
 
@@ -29,7 +29,7 @@ struct DueTogether {
 #[derive(Clone, Copy, Debug)]
 pub struct DigitalOutputs {
     levels: u8,
-    /// Mark up to which the changes of all groups have been made or dropped.
+    /// Mark of the last group whose changes have been made or dropped.
     done: u8,
     /// Groups of changes that wait for a motion, in the order of the motions. The first `count` are in use.
     waiting: [DueTogether; GROUPS],
@@ -43,7 +43,7 @@ impl DigitalOutputs {
     pub const OFF: Self =
         Self { levels: 0, done: 0, waiting: [DueTogether { mask: 0, on: 0 }; GROUPS], count: 0, open: false };
 
-    /// Levels of the outputs, bit 0 for P0.
+    /// Returns the levels of the outputs, bit 0 for P0.
     pub fn levels(&self) -> u8 {
         self.levels
     }
@@ -63,12 +63,11 @@ impl DigitalOutputs {
         self.open || idle || usize::from(self.count) < GROUPS
     }
 
-    /// Changes an output when the next motion begins. Returns the mark that blocks queued from here on must carry: the
-    /// change is made when the first of them begins. `idle`: no motion is queued.
+    /// Changes an output when the next motion begins. Returns the mark that the blocks queued after this call must
+    /// carry. When the first of them begins, the change is made. `idle`: no motion is queued.
     pub fn set_with_motion(&mut self, number: u32, on: bool, idle: bool) -> u8 {
         let change = DueTogether::of(number, on);
-        // If no motion is queued, all waiting groups wait for the next motion, so the change is added to the last
-        // group.
+        // If no motion is queued, all groups wait for the next motion. So the change can be added to the last group.
         let joins = self.count > 0 && (self.open || idle);
         if !joins && usize::from(self.count) < GROUPS {
             self.count += 1;
@@ -92,7 +91,8 @@ impl DigitalOutputs {
         (self.done + self.count) & MARKS
     }
 
-    /// Call when a motion has been queued: later changes wait for the next motion, and so start a new group.
+    /// Closes the last group when a motion has been queued: a later change waits for the next motion, so it starts a
+    /// new group.
     pub fn motion_follows(&mut self) {
         self.open = false;
     }
@@ -117,7 +117,7 @@ impl DigitalOutputs {
     }
 
     /// Makes the changes whose motion has begun and drops the others, because the queued motion was dropped. `mark`:
-    /// the mark of the block that began last. Blocks queued from here on carry this mark, too.
+    /// the mark of the block that began last. Blocks queued after this call carry the same mark until the next change.
     pub fn forget_waiting(&mut self, mark: u8) {
         self.begun(mark);
         self.count = 0;

@@ -3,14 +3,14 @@
 
 use crate::units::{Duration, Instant};
 
-/// `$1` that keeps the drivers on all the time.
+/// Value of `$1` with which the drivers have current all the time.
 const ALWAYS_ON: u32 = 255;
 
 /// Whether the drivers have current, and until when.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Drivers {
     on: bool,
-    /// Time at which the motor current is switched off after the last motion; `None` if that is not due.
+    /// When the current is switched off; `None` if no delay is running.
     off_at: Option<Instant>,
 }
 
@@ -23,13 +23,13 @@ impl Drivers {
         self.on || idle_delay == ALWAYS_ON
     }
 
-    /// Returns the time at which the motor current is switched off, if no motion starts before; `None` if it stays as
-    /// it is.
+    /// Returns when the motor current is switched off, if no motion starts before; `None` if no delay is running.
     pub fn off_at(&self) -> Option<Instant> {
         self.off_at
     }
 
-    /// Switches the current on for a motion, and cancels a delayed switch-off. Returns whether that changes anything.
+    /// Switches the current on for a motion, and cancels a delayed switch-off. Returns `false` if the current was on
+    /// and no switch-off was due.
     pub fn switch_on(&mut self) -> bool {
         let changes = !self.on || self.off_at.is_some();
         *self = Drivers { on: true, off_at: None };

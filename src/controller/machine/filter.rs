@@ -19,11 +19,12 @@ impl Filter {
         Filter { level: 0, count: [0; 3], rejected: 0 }
     }
 
-    /// Takes a sample and returns the filtered levels.
+    /// Takes a sample of all inputs, one bit each, and returns their filtered levels.
     pub fn sample(&mut self, raw: u32) -> u32 {
         let differs = raw ^ self.level;
         let [a, b, c] = self.count;
-        // These inputs have a counter of 7 and differ again: eight samples in a row differ from the level.
+        // Inputs whose counter is 7 and that differ again: this is the eighth sample in a row that differs from the
+        // level.
         let enough = a & b & c & differs;
         let carry = a & b;
         self.rejected = (a | b | c) & !differs;

@@ -1,5 +1,5 @@
 //! The parts of the machine besides motion: spindle and coolant, drivers, inputs, overrides, and whether the position
-//! can be trusted (its reference). They do not use states, lines or the host.
+//! can be trusted (its reference). They do not depend on the controller's states, on G-code lines or on the host.
 
 pub mod accessories;
 pub mod digital;

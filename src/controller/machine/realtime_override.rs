@@ -31,7 +31,8 @@ impl Overrides {
     /// Everything as programmed.
     pub const NONE: Overrides = Overrides { feed: 100, rapid: 100, spindle: 100 };
 
-    /// Returns the overrides in force: 100 % for those that the program has disabled (M49, M50, M51).
+    /// Returns the overrides in force. `feed_held`, `spindle_held`: `true` if the program has disabled this override
+    /// (M49 to M51), so that it counts as 100 %.
     #[must_use]
     pub fn acting(mut self, feed_held: bool, spindle_held: bool) -> Overrides {
         if feed_held {

@@ -38,13 +38,14 @@ impl Reference {
         *self = Reference { trusted: false, homed: AxisMask::NONE };
     }
 
-    /// Sets the reference to that of a recording, for a replay. A recording does not list the homed axes.
+    /// Sets whether the position is trusted, as a replay finds it in a recording. No axis counts as homed, because a
+    /// recording does not list the homed axes.
     pub fn assume(&mut self, trusted: bool) {
         *self = Reference { trusted, homed: AxisMask::NONE };
     }
 
-    /// Marks `axes` as homed. The position is trusted once the axes of all `cycles` (masks of axes) are homed. Axes
-    /// that were homed one at a time count together. An axis that is in no cycle counts as homed.
+    /// Marks `axes` as homed. The position is trusted once all axes that are in one of the `cycles` (masks of axes)
+    /// have been homed, together or one at a time. An axis that is in no cycle need not be homed.
     pub fn mark_homed(&mut self, axes: AxisMask, mut cycles: impl Iterator<Item = u8>) {
         self.homed = AxisMask(self.homed.0 | axes.0);
         self.trusted |= !axes.is_empty() && cycles.all(|cycle| cycle & !self.homed.0 == 0);

@@ -1,6 +1,6 @@
-//! From pin levels to input signals: applies polarity and filter to each sample and reports changes. When an armed
-//! input (such as a limit switch or the emergency stop) becomes active, the step task is stopped at once. Used by the
-//! inputs task, so it does not depend on the controller's speed.
+//! From pin levels to input signals: applies polarity and filter to each sample, and reports changes. When an armed
+//! input (such as a limit switch or the emergency stop) becomes active, the step task is stopped at once. The inputs
+//! task does this work, so a busy controller delays no stop.
 //!
 //! ```text
 //!  pin ──▶ polarity ──▶ filter ──┬──▶ Sensed ──▶ control
@@ -25,7 +25,7 @@ pub struct Inputs {
     armed: u32,
     sensed: Sensed,
     active: u32,
-    /// `sensed` may have changed since it was last sent to `control`.
+    /// `sensed` may differ from what was last sent to `control`.
     changed: bool,
 }
 
@@ -36,7 +36,8 @@ impl Default for Inputs {
 }
 
 impl Inputs {
-    /// Levels are unknown and nothing trips until polarity and arming are set by [`Inputs::wire`].
+    /// Creates the inputs with unknown levels. No input stops the step task until [`Inputs::wire`] has set polarity and
+    /// arming.
     pub const fn new() -> Self {
         Inputs {
             filter: Filter::new(),
@@ -55,7 +56,7 @@ impl Inputs {
         self.armed = wiring.armed;
     }
 
-    /// Takes a sample of the pins (bit set = low). Returns whether the step task must be stopped.
+    /// Takes a sample of the pins; a bit is set while its pin is low. Returns whether the step task must be stopped.
     pub fn sample(&mut self, low: u32) -> bool {
         let Some(wiring) = self.wiring else { return false };
         self.settling = self.settling.saturating_sub(1);
@@ -63,8 +64,8 @@ impl Inputs {
         self.take_levels(active)
     }
 
-    /// Takes filtered levels. Returns whether an armed input (hard limit, emergency stop) has become active, which
-    /// stops the step task at once.
+    /// Stores filtered levels. Returns whether an armed input (hard limit, emergency stop) has become active, so that
+    /// the step task must be stopped at once.
     fn take_levels(&mut self, active: u32) -> bool {
         let changed = active ^ self.active;
         if changed == 0 {
@@ -92,7 +93,7 @@ impl Inputs {
     }
 
     /// Returns whether [`Inputs::sensed`] may have changed since the last [`Inputs::mark_sent`]. Called for each
-    /// sample; usually false.
+    /// sample; usually `false`.
     pub fn has_changed(&self) -> bool {
         self.changed
     }

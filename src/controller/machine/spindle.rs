@@ -17,13 +17,13 @@ pub struct SpindleRange {
 }
 
 impl SpindleRange {
-    /// Reads the range from the settings.
+    /// Reads the range from the settings `$30` and `$31`.
     pub fn of<const N: usize>(settings: &Settings<N>) -> SpindleRange {
         SpindleRange { maximum: settings.value(Key::SpindleMaximum), minimum: settings.value(Key::SpindleMinimum) }
     }
 
-    /// Returns power (0 to 65535) and actual speed (rpm) for a programmed speed under an override in percent. A speed
-    /// outside the range is replaced by the nearer end of the range; 0 is off.
+    /// Returns the power (0 to 65535) and the actual speed (rpm) for a programmed speed (rpm) under an override in
+    /// percent. A speed outside the range is replaced by the nearer end of the range. A speed of 0 is off.
     pub fn output(&self, programmed: f32, percent: u8) -> (u16, f32) {
         let speed = programmed * f32::from(percent) / 100.0;
         if speed <= 0.0 {
@@ -38,8 +38,8 @@ impl SpindleRange {
         }
     }
 
-    /// Returns `power` as changed by an override in percent. Not inlined, because most outputs need no override, and
-    /// the constants of this calculation would occupy registers that the caller would have to save.
+    /// Returns `power` as changed by an override in percent. Not inlined: most outputs need no override, and the caller
+    /// would have to save registers for the constants of this calculation.
     #[inline(never)]
     pub fn overridden(&self, power: u16, percent: u8) -> u16 {
         self.output(self.speed_of(power), percent).0

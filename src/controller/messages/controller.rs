@@ -9,7 +9,7 @@ use super::step::{StepEvent, ToStep};
 /// An event for the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event<const N: usize> {
-    /// A realtime command.
+    /// A realtime command from the host, such as 0x18 or `?`.
     Realtime(Realtime),
     /// A byte of a line. Must be passed only while `wants_line()` is true.
     Line(LineByte),
@@ -19,15 +19,15 @@ pub enum Event<const N: usize> {
     Signals(Sensed),
     /// The answer to [`Output::ReadPins`].
     Pins(PinView),
-    /// The change of the latest [`Output::Store`] is complete in flash.
+    /// The change of the latest [`Output::Store`] is in flash.
     Stored,
     /// The change of the latest [`Output::Store`] could not be written.
     StoreFailed,
     /// A host has opened the port.
     Connected,
     /// The host whose lines are read has closed the port or is unplugged. Not every link can detect this. Carries the
-    /// count (wrapping) of such events since power-up. Lines of the disconnected host that are still to be read, up to
-    /// the [`HOST_CHANGED`](super::HOST_CHANGED) with this count, are not answered.
+    /// count (wrapping) of such events since power-up. Lines of this host that have not been read yet are not answered.
+    /// They end at the [`HOST_CHANGED`](super::HOST_CHANGED) with the same count.
     Disconnected(u16),
 }
 
@@ -44,7 +44,7 @@ pub struct Observed {
     pub rx_free: u16,
     /// Line bytes received and not yet read, including those for which the queue has no room.
     pub received: u16,
-    /// Bytes received since power-up (wrapping), without commands. A change is a sign of life from the host.
+    /// Bytes received since power-up (wrapping), without commands. A change shows that the host is not silent.
     pub activity: u16,
 }
 
@@ -62,11 +62,11 @@ pub struct Room {
 // A tag of 32 bits makes the compiler copy a message word by word.
 #[repr(u32)]
 pub enum Output {
-    /// A message for the step task.
+    /// A message for the step task. Needs [`Room::step`].
     Step(ToStep),
-    /// Text for the host.
+    /// Text for the host. Needs [`Room::reply`].
     Reply(Chunk),
-    /// [`Output::Reply`] and [`Output::Worked`] in one: text for the host, and there is more to do.
+    /// Text for the host, and there is more to do: [`Output::Reply`] and [`Output::Worked`] in one.
     Answer(Chunk),
     /// New levels for the slow pins.
     Pins(SlowOutputs),
@@ -77,17 +77,17 @@ pub enum Output {
     Stop,
     /// Reads the inputs; answered by [`Event::Pins`].
     ReadPins {
-        /// Whether to clear the noise counters ([`PinView::noise`]) and send no answer, instead of reading the inputs.
+        /// `true`: clears the noise counters ([`PinView::noise`]) and sends no answer. `false`: reads the inputs.
         clear_noise: bool,
     },
     /// Requests the next item of the `$REC` listing. The pump passes the item to `Controller::recorded`.
     ReadRecording {
-        /// Whether to start again with the first item.
+        /// `true`: starts again with the first item.
         first: bool,
     },
-    /// A change of the settings store, which `Controller::next_store` returns; answered by [`Event::Stored`] or
-    /// [`Event::StoreFailed`].
+    /// A change of the settings store is ready; the pump gets it from `Controller::next_store`. Answered by
+    /// [`Event::Stored`] or [`Event::StoreFailed`].
     Store,
-    /// A piece of internal work was done, and there is more to do: call `output` again.
+    /// The controller has done a piece of its work and has more to do: call `output` again.
     Worked,
 }

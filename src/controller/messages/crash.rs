@@ -37,7 +37,7 @@ pub enum CrashKind {
 }
 
 impl CrashKind {
-    /// All kinds. A kind's index is its number in a recording and in the RAM that survives a reset.
+    /// All kinds. The index of a kind is its number in a recording, and in the report in RAM that survives a reset.
     pub const ALL: [CrashKind; 7] = [
         CrashKind::Panic,
         CrashKind::Fault,
@@ -60,7 +60,7 @@ pub struct Crash {
     pub place: [i32; 3],
     /// N word of the running line (0 = none), as last recorded by the control task.
     pub line: u32,
-    /// When `place` and `line` were recorded: microseconds since power-up (wrapping).
+    /// Time at which `place` and `line` were recorded: microseconds since power-up (wrapping).
     pub moment: u32,
 }
 

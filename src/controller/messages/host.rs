@@ -5,8 +5,8 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs, reason = "Grbl's own names; bytes in protocol::realtime")]
 pub enum Realtime {
-    /// 0x18. The serial task has already made the step task stop: that request does not wait in the queue with this
-    /// command.
+    /// 0x18. The serial task has already requested the stop of the step task, so that the stop does not wait in the
+    /// queue with this command.
     Reset,
     /// 0x19, as in grblHAL: brakes and discards the queue, but keeps position and modal state.
     Stop,
@@ -50,27 +50,27 @@ impl Realtime {
     }
 }
 
-/// Marks a change of hosts, in place of a byte of a line: the unfinished line is void, because its host has
-/// disconnected or is no longer the active host, whose lines are read (`protocol::active_host`). No host can send this
-/// byte in a line, because 0x18 is a command. The mark's `epoch` is the count (wrapping) of hosts that have
-/// disconnected so far, as in [`Event::Disconnected`](super::Event::Disconnected).
+/// Value of a [`LineByte`] that marks a change of hosts and belongs to no line. The unfinished line before it is void:
+/// its host has disconnected, or is no longer the active host, whose lines are read (`protocol::active_host`). No host
+/// can send this value in a line, because 0x18 is a command. The mark's `epoch` is the count (wrapping) of hosts that
+/// have disconnected so far, as in [`Event::Disconnected`](super::Event::Disconnected).
 pub const HOST_CHANGED: u8 = 0x18;
 
 /// A byte of a line and its epoch: the count (wrapping) of resets, stops and jog cancels that were passed to `control`
-/// before the byte. The queues for commands and for line bytes have no mutual order, so the epoch shows whether a byte
-/// was sent before a reset and must be dropped, or after it and must be kept.
+/// before the byte. Commands and line bytes wait in separate queues. The epoch shows their order: a byte sent before a
+/// reset must be dropped, and a byte sent after it must be kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LineByte {
-    /// The byte.
+    /// The byte as received, or [`HOST_CHANGED`].
     pub byte: u8,
-    /// The epoch in which the byte was received.
+    /// The number of resets, stops and jog cancels (wrapping) before the byte.
     pub epoch: u16,
     /// Bytes before this byte were lost, so its line is refused.
     pub damaged: bool,
 }
 
-/// serial -> control: consecutive line bytes of one epoch. Several bytes share a message, because one message per byte
-/// would cost more than reading the byte.
+/// serial -> control: consecutive line bytes of one epoch (see [`LineByte`]). One message carries several bytes,
+/// because a message for each byte would cost more than reading the byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LineBytes {
     epoch: u16,
@@ -112,7 +112,7 @@ impl LineBytes {
         true
     }
 
-    /// Appends undamaged bytes as far as there is room, but none if they are of another epoch. Returns how many were
+    /// Appends undamaged bytes as far as there is room. Bytes of another epoch are not appended. Returns how many were
     /// appended.
     #[inline]
     pub fn extend(&mut self, epoch: u16, bytes: &[u8]) -> usize {

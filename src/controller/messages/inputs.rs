@@ -1,7 +1,7 @@
 //! Messages of the inputs task: the bit of each input, the levels of all inputs, and which of them have stopped the
 //! step task.
 
-/// Bit of [`Signals::limits`] for the switch at the second motor of an axis that has two.
+/// Bit of [`Signals::limits`] for the limit switch at the second motor of a ganged axis (an axis with two motors).
 pub const SECOND_SWITCH: u8 = 1 << 6;
 
 /// Number of each input's bit in a word of inputs. Limit switches have bits 0 to 6, as in [`Signals::limits`].
@@ -107,12 +107,13 @@ impl Signals {
 /// inputs -> control: levels, and stops caused by armed inputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sensed {
-    /// The current levels.
+    /// The filtered levels when the message was sent.
     pub signals: Signals,
-    /// Number of stops of the step task by armed inputs ([`Wiring::armed`](super::Wiring::armed)) since power-up
-    /// (wrapping).
+    /// Number of stops of the step task (wrapping) that armed inputs ([`Wiring::armed`](super::Wiring::armed)) have
+    /// caused since power-up.
     pub trips: u8,
-    /// Inputs that caused such stops since the previous message, bits as in [`input`]; they may be inactive again.
+    /// Inputs that have stopped the step task since the previous message, bits as in [`input`]. They may be inactive
+    /// again.
     pub tripped: u32,
 }
 
@@ -123,6 +124,7 @@ pub struct PinView {
     pub fitted: u32,
     /// Pins that are low, before polarity and filter.
     pub low: u32,
-    /// Changes of each pin that the filter has rejected since power-up or the last clearing (saturating).
+    /// For each pin, the number of changes that the filter has rejected since power-up or the last clearing
+    /// (saturating).
     pub noise: [u16; input::COUNT],
 }

@@ -26,21 +26,21 @@ pub use recording::{Noted, Recorded, Standing, Stopping};
 pub use step::{AxisSteps, INTERVAL_FRACTION_BITS, Segment, StepEvent, ToStep, UNITS_PER_STEP};
 pub use store::{Record, STORE_DAMAGED, Store};
 
-/// Depth of serial -> control, realtime commands. `control` empties it in each turn of its loop. It holds the commands
-/// of 5 ms at 115,200 baud, even if the host sends nothing but commands. Full: the link waits if it can. On a plain
-/// UART, resets, holds and the door are kept as marks (`protocol::deferred::DeferredCommands`), and other commands are
-/// reported as lost.
+/// Depth of the queue serial -> control for realtime commands. `control` empties it in each turn of its loop. At
+/// 115,200 baud, the queue holds 5 ms of input, even if the host sends only commands. Full: the link waits if it can.
+/// On a plain UART, resets, holds and the door are kept as marks (`protocol::deferred::DeferredCommands`), and other
+/// commands are reported as lost.
 pub const REALTIME_DEPTH: usize = 64;
 /// Number of line bytes that fit between serial and control, as reported by `Bf:`. Full: reception is paused if the
 /// link has back-pressure (USB, QEMU; see `protocol::link`). On a plain UART the byte is dropped, and the next byte is
 /// marked ([`LineByte::damaged`]).
 pub const LINES_DEPTH: usize = 255;
-/// Depth of serial -> control, in messages of line bytes. [`LINES_DEPTH`] bytes fit however they arrive (see
-/// `protocol::byte_channel`), even with a jog cancel after each line: the shortest jog, `$J=X1F9` with its end, has 8
-/// bytes. One more slot is for a message that is about to be sent.
+/// Depth of the queue serial -> control for line bytes, in messages ([`LineBytes`]). [`LINES_DEPTH`] bytes always fit
+/// (see `protocol::byte_channel`). In the worst case, a jog cancel after each line cuts the messages short, to 8 bytes
+/// each: the shortest jog is `$J=X1F9` with its end. One more slot is for a message that is about to be sent.
 pub const LINE_MESSAGES: usize = LINES_DEPTH.div_ceil(8) + MOST_PARTIAL + 1;
 /// Maximum number of messages that are sent before they are full, counted since the queue was last empty. Messages that
-/// are cut short by a new epoch (see [`LineByte`]) do not count.
+/// a new epoch (see [`LineByte`]) cuts short do not count.
 pub const MOST_PARTIAL: usize = 4;
 /// Depth of control -> step. Full: `control` keeps the message until the step task has made room. Normally the queue is
 /// not full, because `control` limits the queued time (see `QUEUED_TIME_MS` in `motion`).

@@ -13,7 +13,7 @@ pub enum SpindleDirection {
     CounterClockwise,
 }
 
-/// Coolant outputs.
+/// Coolant outputs; `true` is on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Coolant {
     /// M8.
@@ -29,10 +29,10 @@ pub struct SlowOutputs {
     pub spindle: SpindleDirection,
     /// Spindle power, 0 (off) to 65535 (full).
     pub power: u16,
-    /// In laser mode: while the step task is busy, the power of its segments
-    /// ([`Segment::power`](super::Segment::power)) is used instead of `power`.
+    /// `true` in laser mode: while the step task is busy, the power comes from its segments
+    /// ([`Segment::power`](super::Segment::power)), and `power` is not used.
     pub power_from_segments: bool,
-    /// Levels of the coolant outputs.
+    /// Coolant outputs for flood (M8) and mist (M7).
     pub coolant: Coolant,
     /// Motor drivers on.
     pub drivers: bool,
@@ -66,7 +66,7 @@ pub struct Wiring {
     pub ganged: u8,
     /// `$906`, direction of the second motor inverted.
     pub ganged_invert: bool,
-    /// Which of the two motors make steps. Changes only at rest.
+    /// Motors of the ganged axis that make steps. Changes only at rest.
     pub ganged_motors: GangedMotors,
 }
 
@@ -93,8 +93,8 @@ pub enum GangedMotors {
     /// Both motors: always, except during squaring.
     #[default]
     Both,
-    /// The motor on the axis' own pins.
+    /// Only the motor on the axis' own pins, during squaring.
     First,
-    /// The second motor.
+    /// Only the second motor, during squaring.
     Second,
 }

@@ -19,7 +19,7 @@ pub struct Standing {
     pub locked: bool,
     /// G20 is active. `words` are in millimetres even then.
     pub inches: bool,
-    /// The tool in the spindle.
+    /// Number of the tool in the spindle.
     pub tool: u32,
     /// Inputs that are active, as in [`input`](super::input).
     pub active: u32,
@@ -58,7 +58,7 @@ pub enum Noted {
     /// Bytes of a line: all of them, or a part of a long line. The time of the entry is the time at which the line
     /// ended.
     Host(heapless::Vec<u8, { Noted::HOST_BYTES }>),
-    /// More bytes were waiting when the end of the previous line was taken.
+    /// When the end of the previous line was taken from the queue, more bytes were waiting.
     More,
     /// A realtime command, by its byte.
     Command(u8),
@@ -88,20 +88,20 @@ pub enum Noted {
         /// Hash of all blocks since the last stop.
         blocks: u32,
     },
-    /// A state from which a replay can begin.
+    /// The machine is at rest, in a state from which a replay can begin.
     Standing {
         /// State of the machine at rest.
         standing: Standing,
-        /// As in [`Noted::Rest`].
+        /// Hash of all blocks since the last stop.
         blocks: u32,
     },
     /// The recorded run of the firmware has ended, for example by a failure.
     Ended {
         /// Kind of failure, if known.
         crash: Option<CrashKind>,
-        /// See [`Crash::place`](super::Crash::place).
+        /// Machine position in micrometres at the end: see [`Crash::place`](super::Crash::place).
         place: [i32; 3],
-        /// See [`Crash::line`](super::Crash::line).
+        /// N word of the line that ran at the end, 0 = none: see [`Crash::line`](super::Crash::line).
         line: u32,
     },
 }
@@ -109,7 +109,7 @@ pub enum Noted {
 impl Noted {
     /// Maximum number of bytes of a line in an entry. A longer line is divided into several entries.
     pub const HOST_BYTES: usize = 60;
-    /// Recorded in place of the number of a [`CrashKind`] if no crash is known.
+    /// Recorded if no crash is known, in place of the number of a [`CrashKind`].
     pub const NO_CRASH: u8 = u8::MAX;
 }
 
@@ -130,6 +130,6 @@ pub enum Recorded {
     Begin(u64),
     /// An entry and its time.
     Noted(u64, Noted),
-    /// End of the recording.
+    /// The last item: the recording has no more entries.
     End,
 }

@@ -11,7 +11,7 @@ pub enum ToStep {
         /// Steps of A, B, C.
         steps_by_axis: [AxisSteps; 3],
     },
-    /// A straight move. The following segments are pieces of this move. It takes effect with the first of these
+    /// A straight move. The segments that follow are its pieces. The step task begins the move with the first of these
     /// segments.
     Block {
         /// Steps of X, Y, Z.
@@ -19,18 +19,18 @@ pub enum ToStep {
         /// Bit set = axis moves in negative direction; bit 0 is X.
         directions: u8,
     },
-    /// The block just sent was interrupted for a detour (parking). The block continues after this many units of
-    /// progress (see [`Segment`]) instead of at its start.
+    /// Follows the [`ToStep::Block`] of a block that a detour (parking) has interrupted. The block goes on where it was
+    /// interrupted, and not at its start.
     Reenter {
-        /// Number of units of the block that are already done.
+        /// Number of units of progress (see [`Segment`]) of the block that were done before the detour.
         units: u32,
     },
     /// A piece of the current block.
     Segment(Segment),
-    /// Checks the probe at each tick (see [`Segment`]) from now on. When the probe becomes active (`Some(true)`) or
-    /// inactive (`Some(false)`), the position is latched and reported with [`StepEvent::Probed`], the queue is
-    /// discarded, and the step task brakes on its own. After that the step task takes no message until it has been
-    /// stopped and resumed. `None` ends the watch.
+    /// Starts or ends a watch of the probe. During the watch, the step task reads the probe at each tick (see
+    /// [`Segment`]). When the probe has the awaited level, the step task reports the position with
+    /// [`StepEvent::Probed`], discards the queue and brakes on its own. It then takes no message until it has been
+    /// stopped and resumed.
     Watch {
         /// Level of the probe input for which the step task waits: `Some(true)` for active, `Some(false)` for inactive.
         /// `None` ends the watch.
@@ -38,10 +38,10 @@ pub enum ToStep {
         /// Deceleration for braking, in units of progress (see [`Segment`]) per square of a step-clock tick.
         braking: f32,
     },
-    /// Lets the step task run again after a stop. Everything queued before this message is discarded. `stops` is the
-    /// count of stops known to `control`. If the step task has been stopped again since, it stays stopped.
+    /// Lets the step task run again after a stop. Everything queued before this message is discarded. If the step task
+    /// has been stopped again in the meantime, its count differs from `stops`, and it stays stopped.
     Resume {
-        /// Value of [`StepEvent::Stopped::stops`] that this message answers.
+        /// Number of the latest stop known to `control`: [`StepEvent::Stopped::stops`].
         stops: u16,
     },
 }
@@ -54,11 +54,12 @@ impl ToStep {
     }
 }
 
-/// The part of one axis in a block: its number of steps, and how far the true ends of the move are from whole steps.
+/// The steps of one axis in a block: their number, and how far the true start and end of the move are from whole steps.
 ///
-/// A line begins and ends on whole steps. A chord of an arc is stepped between its true ends, because rounding them to
-/// whole steps would bend the arc. The distance of a true end from the rounded end is given in sevenths of a step,
-/// positive in the direction of motion (for an axis without steps: in positive direction).
+/// A line begins and ends on whole steps. A chord of an arc does not, because rounding its ends to whole steps would
+/// bend the arc. The distance of a true end from the rounded end is given in sevenths of a step, positive in the
+/// direction of motion (for an axis without steps: in positive direction). Example: `with_ends(100, 2, 0)` has 100
+/// steps, and the true start is 2/7 of a step beyond the whole step at which the axis starts.
 ///
 /// Packed into one word: steps in the lower 26 bits, then three bits for each end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -66,23 +67,23 @@ impl ToStep {
 pub struct AxisSteps(u32);
 
 impl AxisSteps {
-    /// The number of steps of an axis in a block is less than 2 to this power.
+    /// The number of steps of an axis in a block is less than 2^26.
     pub const STEP_BITS: u32 = 26;
-    /// Number of parts of a step. [`AxisSteps::start`] and [`AxisSteps::end`] are given in these parts. Odd, so that
-    /// zero is in the middle of the values -3 to 3.
+    /// A step has 7 parts, and [`AxisSteps::start`] and [`AxisSteps::end`] are numbers of these parts. The number is
+    /// odd, so that 0 is in the middle of the values -3 to 3.
     pub const PARTS: u32 = 7;
     /// Maximum distance of the true start or end of a move from a whole step, in sevenths of a step.
     pub const FARTHEST: i32 = 3;
     const STEPS: u32 = (1 << Self::STEP_BITS) - 1;
 
-    /// A move between whole steps.
+    /// Creates the steps of an axis that starts and ends on whole steps.
     #[inline]
     pub const fn on_steps(steps: u32) -> AxisSteps {
         AxisSteps(steps & Self::STEPS)
     }
 
-    /// A move whose true ends are not on whole steps. `start` and `end`: true end minus rounded end, in sevenths of a
-    /// step, at most [`AxisSteps::FARTHEST`] in either direction.
+    /// Creates the steps of an axis whose true start and end are not on whole steps. `start`, `end`: true position
+    /// minus rounded position, in sevenths of a step, at most [`AxisSteps::FARTHEST`] in either direction.
     #[inline]
     pub const fn with_ends(steps: u32, start: i32, end: i32) -> AxisSteps {
         AxisSteps(steps & Self::STEPS | (start as u32 & 7) << Self::STEP_BITS | (end as u32) << (Self::STEP_BITS + 3))
@@ -94,15 +95,15 @@ impl AxisSteps {
         self.0 & Self::STEPS
     }
 
-    /// Returns the distance from the whole step at which this axis starts to the true start of the move, in sevenths of
-    /// a step, positive in the direction of motion.
+    /// Returns the true start of the move minus the whole step at which this axis starts, in sevenths of a step.
+    /// Positive is in the direction of motion.
     #[inline]
     pub const fn start(self) -> i32 {
         (self.0 << 3) as i32 >> (Self::STEP_BITS + 3)
     }
 
-    /// Returns the distance from the whole step at which this axis ends to the true end of the move, in sevenths of a
-    /// step, positive in the direction of motion.
+    /// Returns the true end of the move minus the whole step at which this axis ends, in sevenths of a step. Positive
+    /// is in the direction of motion.
     #[inline]
     pub const fn end(self) -> i32 {
         self.0 as i32 >> (Self::STEP_BITS + 3)
@@ -121,9 +122,10 @@ impl AxisSteps {
     }
 }
 
-/// A sequence of ticks with evenly changing intervals. At a tick, axes can make a step; the much shorter ticks of the
-/// step clock only measure time. The unit of progress within a block is 1/16 of a step of its dominant axis, the axis
-/// with the most steps ([`UNITS_PER_STEP`]); a tick advances `UNITS_PER_STEP >> level` units.
+/// A sequence of ticks with evenly changing intervals. At each tick, axes can make a step. (The much shorter ticks of
+/// the step clock only measure time.) Progress in a block is counted in units of 1/16 step of the dominant axis, the
+/// axis with the most steps ([`UNITS_PER_STEP`]). A tick advances `UNITS_PER_STEP >> level` units: with `level` 2 that
+/// is 4 units, so 4 ticks make a step.
 ///
 /// Packed, because with padding to four bytes a [`ToStep`] would have 20 bytes. The CPU loads unaligned words as fast
 /// as aligned ones.

@@ -1,7 +1,8 @@
 //! Messages to the settings store: a record of bytes under a key, and a change of records.
 
 /// Key of the record by which a damaged store reports that other records may be lost. The record has no value. The
-/// store repeats it at each power-up until the controller removes it, when the operator has confirmed the settings.
+/// store reports it at each power-up, until the operator has confirmed the settings and the controller removes the
+/// record.
 pub const STORE_DAMAGED: u16 = 65_534;
 
 /// A record of the settings store: a key and up to 100 bytes.
@@ -22,7 +23,7 @@ pub enum Store {
     Remove {
         /// First key.
         from: u16,
-        /// First key that is kept.
+        /// First key after the range; its record stays.
         until: u16,
     },
 }

@@ -1,6 +1,6 @@
 //! An arc or helix as a chain of chords, computed one at a time. Centre, radius and sweep are computed from exact
-//! integers. A direction vector in 2^-30 fixed point is rotated from chord to chord and kept at length 1. Each full
-//! turn starts with the exact direction again, so the error does not grow over many turns.
+//! integers. From chord to chord, a direction vector in 2^-30 fixed point is rotated and brought back to length 1. Each
+//! full turn starts with the exact direction again, so the error does not grow over many turns.
 
 use super::trapezoid::square_root;
 use crate::axes::{Axis, PerAxis};
@@ -9,7 +9,7 @@ use crate::units::{Coordinate, integer_root, wide_to_f32};
 /// Fraction bits of the direction vector.
 pub(super) const UNIT_BITS: u32 = 30;
 pub(super) const UNIT: i64 = 1 << UNIT_BITS;
-/// Maximum angle, rad, between the start and the end of an arc that counts as a full circle, as in Grbl.
+/// Maximum angle, rad, between start and end of an arc that counts as a full circle, as in Grbl.
 const FULL_CIRCLE: f32 = 5.0e-7;
 const TURN: f32 = core::f32::consts::TAU;
 /// Maximum half angle of a chord (45 degrees), even if the tolerance allows more, so that tiny circles stay round.
@@ -19,7 +19,7 @@ pub(super) const LEAST_TOLERANCE: f32 = 0.0001;
 /// Maximum number of chords in a turn: an f32 can count that far exactly.
 const MOST_CHORDS: f32 = 16_000_000.0;
 
-/// Curvature of a curve along a chord.
+/// How sharply a curve bends along one of its chords, and in which plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Curvature {
     /// Radius of the curve in space, mm; infinite if it is straight or unknown.
@@ -43,7 +43,7 @@ pub struct ArcGeometry<const N: usize> {
     pub offset_0: Coordinate,
     /// Distance from the start to the centre along `axis_1`.
     pub offset_1: Coordinate,
-    /// Whether the arc is clockwise.
+    /// `true`: the arc turns clockwise, from `axis_1` towards `axis_0`.
     pub clockwise: bool,
     /// Number of full turns at the beginning of the arc. The rest, of at most one turn, is called the plain arc.
     pub turns: u32,
@@ -54,12 +54,12 @@ pub struct ArcGeometry<const N: usize> {
 pub struct Arc<const N: usize> {
     geometry: ArcGeometry<N>,
     centre: [Coordinate; 2],
-    /// Direction from the centre to the start, where each full turn ends.
+    /// Direction from the centre to the start of the arc. Each full turn ends in this direction, too.
     first: [i32; 2],
     /// Direction from the centre to the end of the previous chord.
     unit: [i32; 2],
-    /// Sine of a chord's angle (signed), in fixed point with `turn_bits` fraction bits. The smaller the angle, the more
-    /// fraction bits fit, so that the sum of thousands of tiny angles is exact enough.
+    /// Sine of a chord's angle (signed), in fixed point with `turn_bits` fraction bits. A smaller angle leaves room for
+    /// more fraction bits, so that the sum of thousands of tiny angles is exact enough.
     sine: i32,
     /// 1 - cosine of a chord's angle, in the same fixed point.
     versine: i32,
@@ -73,9 +73,9 @@ pub struct Arc<const N: usize> {
     chords_of_turn: u32,
     /// Number of chords in the plain arc.
     chords: u32,
-    /// Full turns left, the present one included.
+    /// Number of full turns left, including the present one.
     turns_left: u32,
-    /// Angle of a full turn as a share of the angle of the whole arc.
+    /// Angle of a full turn, divided by the angle of the whole arc.
     turn_share: f32,
     /// Angle of the plain arc, rad.
     sweep: f32,
@@ -83,9 +83,9 @@ pub struct Arc<const N: usize> {
     present: u32,
     /// Number of chords completed in the present turn, or in the plain arc.
     done: u32,
-    /// Share of the whole arc before the present turn.
+    /// Part of the whole arc, 0 to 1, before the present turn.
     share_before: f32,
-    /// Share of the whole arc that each chord of the present turn, or of the plain arc, covers.
+    /// Part of the whole arc, 0 to 1, that one chord of the present turn, or of the plain arc, covers.
     share: f32,
 }
 
@@ -150,8 +150,8 @@ fn sine(angle: f32) -> f32 {
     /// Fraction bits of x² (`square`) and of sin x / x (`factor`).
     const BITS: u32 = 61;
     const ONE: u64 = 1 << BITS;
-    /// Fraction bits that the factor keeps for the last multiplication, so that its product with the mantissa fits an
-    /// `i64`.
+    /// The factor keeps this number of fraction bits for the last multiplication. More would make its product with the
+    /// mantissa too large for an `i64`.
     const FACTOR_BITS: u32 = 39;
     let product = |a: u64, b: u64| ((u128::from(a) * u128::from(b)) >> BITS) as u64;
     let bits = angle.abs().to_bits().min(QUARTER_BITS);
@@ -208,16 +208,16 @@ impl<const N: usize> ArcGeometry<N> {
 }
 
 impl<const N: usize> Arc<N> {
-    /// Prepares the chords (Grbl: arc segments), as many as the arc tolerance (`$12`, mm) requires: no chord deviates
-    /// from the arc by more than `tolerance`.
+    /// Prepares the chords (Grbl: arc segments) of an arc. Their number is such that no chord deviates from the arc by
+    /// more than `tolerance` (`$12`, mm).
     pub fn new(geometry: &ArcGeometry<N>, tolerance: f32) -> Self {
         let of = |place: &PerAxis<Coordinate, N>, axis| place.get(axis).unwrap_or(Coordinate::ZERO);
         let Plain { centre, first, start_radius, end_radius, sweep } = geometry.plain();
         let turns = geometry.turns as f32 * TURN;
         let angle = if geometry.clockwise { sweep - turns } else { sweep + turns };
 
-        // A chord with half angle h deviates from its arc by r·(1 - cos h), the sagitta. `half` is the h whose sagitta
-        // equals the tolerance.
+        // A chord with half angle h deviates from an arc of radius r by r·(1 - cos h). `half` is the h for which this
+        // deviation equals the tolerance.
         let radius = Coordinate(start_radius.max(end_radius)).to_mm();
         let tolerance = tolerance.max(LEAST_TOLERANCE);
         let half = if tolerance < radius {
@@ -321,22 +321,23 @@ impl<const N: usize> Arc<N> {
     #[inline(always)]
     fn turn(&mut self) {
         let [x, y] = self.unit;
-        // A chord of 90 degrees is √2 long, so each sum of products below (in 2^-60 fixed point) is at most 2^60 × √2.
-        // With `half` added it stays below 2^61, so the shifted result fits in 32 bits.
+        // Why the result fits in 32 bits: the vector has length 1, and a chord spans 90 degrees at most, so the chord
+        // is at most √2 long. Each sum of products below (in 2^-60 fixed point) is then at most 2^60 × √2. With `half`
+        // added it stays below 2^61.
         let beyond = self.turn_bits - UNIT_BITS;
         let half = i64::from(1_u32 << beyond) << (UNIT_BITS - 1);
         let rounded = |sum: i64| ((sum + half) >> UNIT_BITS) as i32 >> beyond;
         let x_turned = x - rounded(product(x, self.versine) + product(y, self.sine));
         let y_turned = y + rounded(product(x, self.sine) - product(y, self.versine));
-        // One Newton step towards length 1.
+        // Corrects the length to 1 by one Newton step. `excess` is about the length minus 1.
         let square = product(x_turned, x_turned) + product(y_turned, y_turned);
         let excess = ((square - UNIT * UNIT) >> (UNIT_BITS + 1)) as i32;
         let share = |part: i32| ((product(part, excess) + UNIT / 2) >> UNIT_BITS) as i32;
         self.unit = [x_turned - share(x_turned), y_turned - share(y_turned)];
     }
 
-    /// Returns the point of the arc in the direction `unit` from the centre. `share`: the share of the whole arc before
-    /// this point. It determines the radius (on a spiral) and the positions of the other axes.
+    /// Returns the point of the arc in the direction `unit` from the centre. `share`: part of the whole arc before this
+    /// point, 0 to 1. It determines the radius (on a spiral) and the positions of the other axes.
     #[inline(always)]
     fn point(&self, share: f32) -> PerAxis<Coordinate, N> {
         let [x, y] = self.unit;
@@ -361,7 +362,8 @@ impl<const N: usize> Arc<N> {
         self.length
     }
 
-    /// Returns the ratio of the path length of all axes (a degree counts as a millimetre) to that of X, Y and Z.
+    /// Returns the length of the arc in all axes (a degree counts as a millimetre), divided by its length in X, Y and
+    /// Z. At least 1; 1 if no rotary axis moves.
     pub fn rotary_stretch(&self) -> f32 {
         let (mut linear, mut rotary) = (0.0, 0.0);
         let ways = self.geometry.target.zip(&self.geometry.start, |to, from| (to - from).to_mm());
@@ -381,13 +383,13 @@ impl<const N: usize> Arc<N> {
         square_root(1.0 + rotary / (linear + along * along))
     }
 
-    /// Returns the number of chords left, those of the full turns included.
+    /// Returns the number of chords left, including the chords of full turns.
     pub fn chords_left(&self) -> u64 {
         u64::from(self.turns_left) * u64::from(self.chords_of_turn) + u64::from(self.chords) - u64::from(self.done)
     }
 
-    /// Returns the curvature in space. On a helix the radius exceeds that of the circle; on a spiral it is the mean
-    /// radius. The radius is infinite if the arc has only one chord.
+    /// Returns the curvature in space. On a helix, the radius is greater than that of the circle. On a spiral, it is
+    /// the mean of the radii at both ends. If the arc has only one chord, the radius is infinite.
     pub fn curvature(&self) -> Curvature {
         Curvature { radius: self.curve_radius, axes: [self.geometry.axis_0, self.geometry.axis_1] }
     }
@@ -407,8 +409,8 @@ mod tests {
         #[test]
         fn the_sine_is_that_of_f64(angle in prop_oneof![-WIDEST * 2.0..WIDEST * 2.0, -1.0e-3_f32..1.0e-3, -1.0e-7_f32..1.0e-7]) {
             let exact = f64::from(angle).sin() as f32;
-            // Before its only rounding, `sine` has a relative error of about 2^-39. So if the exact sine is that near
-            // to the middle between two neighbouring `f32` values, `sine` may round to the other one.
+            // Before its only rounding, `sine` has a relative error of about 2^-39. If the exact sine is almost midway
+            // between two neighbouring `f32` values, this error can make `sine` round to the other one.
             prop_assert!(sine(angle).to_bits().abs_diff(exact.to_bits()) <= 1, "{angle}: {} {exact}", sine(angle));
         }
 

@@ -1,5 +1,5 @@
-//! The limits of the axes (rate, acceleration, jerk), and the limits that follow from them for a direction of motion:
-//! the maximum speed, acceleration and jerk at which no axis exceeds its own limit.
+//! The limits of the axes (rate, acceleration, jerk). From them, for a direction of motion: the maximum speed,
+//! acceleration and jerk at which no axis exceeds its own limit.
 
 use super::MotionSettings;
 use super::junction::TurnRule;
@@ -14,9 +14,9 @@ const GREATEST_SPEED: f32 = 1.0e5;
 const LEAST_ACCELERATION: f32 = 1.0e-3;
 /// Upper bound of an axis' acceleration setting, mm/s², far beyond any machine's.
 pub(super) const GREATEST_ACCELERATION: f32 = 1.0e7;
-/// Lower bound of the share of the acceleration that curves are allowed to take.
+/// Lower bound of the curve share setting: the part of the acceleration that curves may take, 1 for all of it.
 const LEAST_CURVE_SHARE: f32 = 0.01;
-/// Upper bound of the share of the acceleration that curves are allowed to take.
+/// Upper bound of the curve share setting.
 const GREATEST_CURVE_SHARE: f32 = 100.0;
 /// Upper bound of the junction deviation setting, mm.
 const GREATEST_DEVIATION: f32 = 1.0e3;
@@ -24,8 +24,8 @@ const GREATEST_DEVIATION: f32 = 1.0e3;
 const LEAST_JERK: f32 = 1.0;
 /// Upper bound of an axis' jerk setting, mm/s³; also the value for an axis without a limit.
 const GREATEST_JERK: f32 = 1.0e10;
-/// Minimum time in which the maximum acceleration is built up, s. It is as long as several segments: the acceleration
-/// is constant within a segment, so a single one cannot build it up gradually.
+/// Minimum time, s, in which the maximum acceleration is built up. It spans several segments, because the acceleration
+/// is constant within a segment.
 const LEAST_EASE: f32 = 0.004;
 
 /// Limits `value` to a range; NaN becomes `least`.
@@ -33,12 +33,11 @@ pub(super) fn bounded(value: f32, least: f32, greatest: f32) -> f32 {
     if value > least { lesser(value, greatest) } else { least }
 }
 
-/// Limits a speed to the valid range, mm/s.
 fn bounded_speed(speed: f32) -> f32 {
     bounded(speed, LEAST_SPEED, GREATEST_SPEED)
 }
 
-/// Returns the displacement of each axis as a share of the path's length.
+/// Returns the size of each axis' displacement, divided by the path's length.
 #[inline]
 pub(super) fn shares<const N: usize>(way: &PerAxis<f32, N>, length: f32) -> [f32; N] {
     way.0.map(|part| part.abs() / length)
@@ -55,7 +54,6 @@ pub(super) struct AxisLimits<const N: usize> {
     least_feed: f32,
     /// Maximum jerk of each axis, mm/s³.
     jerk: [f32; N],
-    /// Whether any axis has a jerk limit.
     jerk_limited: bool,
 }
 
@@ -101,7 +99,7 @@ impl<const N: usize> AxisLimits<N> {
         self.along_shares(&shares(way, length))
     }
 
-    /// Like [`AxisLimits::along`], from the [`shares`] of the axes.
+    /// Does the same as [`AxisLimits::along`], but takes the [`shares`] of the axes.
     #[inline]
     pub(super) fn along_shares(&self, shares: &[f32; N]) -> (f32, f32) {
         let mut acceleration = GREATEST_ACCELERATION;
@@ -118,8 +116,8 @@ impl<const N: usize> AxisLimits<N> {
         (acceleration, limit)
     }
 
-    /// Returns the maximum jerk along a straight path, mm/s³. `shares`: displacement of each axis per path length;
-    /// `acceleration`: maximum acceleration along the path.
+    /// Returns the maximum jerk along a straight path, mm/s³. `shares`: displacement of each axis divided by the path's
+    /// length. `acceleration`: maximum acceleration along the path, mm/s².
     #[inline]
     pub(super) fn jerk_along(&self, shares: &[f32; N], acceleration: f32) -> f32 {
         let mut jerk = acceleration / LEAST_EASE;
@@ -133,7 +131,7 @@ impl<const N: usize> AxisLimits<N> {
         jerk
     }
 
-    /// Returns the minimum of the accelerations of the axes that move (whose share is not 0).
+    /// Returns the lowest acceleration limit of the axes that move (whose share is not 0), mm/s².
     #[inline(never)]
     pub(super) fn least_acceleration(&self, shares: &[f32; N]) -> f32 {
         let moving = shares.iter().zip(self.turns.acceleration).filter(|(part, _)| **part != 0.0);

@@ -1,6 +1,6 @@
-//! The geometry of path blending (G64 P Q): merges short moves that stay within the tolerance into one, and cuts off
-//! corners by a polygon around a circle that touches both moves. Holds back up to two moves for this.
-//! [`super::rounding`] decides when the held moves are queued.
+//! The geometry of path blending (G64 P Q). Short moves are merged into one if they stay within the tolerance. A corner
+//! is cut off by a polygon around a circle that touches both of its moves. For this, up to two moves are held back;
+//! [`super::rounding`] decides when they are queued.
 //!
 //! ```text
 //!              C                      M
@@ -12,9 +12,10 @@
 //!     a corner cut off         a merged move
 //! ```
 //! A merged move (A to M') passes all points between its ends, such as M, at a distance of at most Q, half of P, or the
-//! junction deviation, whichever is least. Each point is compared with the point of the line that has the same position
-//! on the main axis, the one with the longest displacement. So each point allows a range of slopes for each of the
-//! other axes. Only the intersection of these ranges is kept: two numbers per axis for any number of points.
+//! junction deviation, whichever is least. The main axis is the one with the longest displacement. Each point is
+//! compared with the point of the line that has the same position on the main axis, so it allows a range of slopes for
+//! each of the other axes. Only the intersection of these ranges is stored: two numbers per axis for any number of
+//! points.
 //!
 //! A corner C, where the path turns by t, is cut off by a straight piece. This piece and both moves touch a circle of
 //! radius r. So C has the distance e = r·(1/cos(t/2) - 1) from the piece, and d = e / sin(t/2) from the ends of the
@@ -22,11 +23,13 @@
 //! point of the piece is farther from the moves than e, and the rest of each move stays straight. So tool and
 //! programmed path stay within P of each other.
 //!
-//! Instead of one turn by t, the path makes two turns by t/2, for which the rule for turns ([`super::junction`]) allows
-//! a higher speed v. The piece between them has the length L that the axes need for this speed: v² - v·J = a·L/t, with
-//! the acceleration a and the speed J that the rule allows at the unchanged corner. From this L follows the radius r,
-//! because L = 2·r·tan(t/4). The radius is smaller if the maximum e or d requires it. If the turns by t/2 limit the
-//! speed more than the maximum e and d do, and t exceeds 1.2 rad, four turns by t/4 replace the two turns.
+//! Instead of one turn by t, the path makes two turns by t/2. For these, the rule for turns ([`super::junction`])
+//! allows a higher speed v. The axes need a piece of the length L between the two turns: v² - v·J = a·L/t. Here a is
+//! the acceleration, and J is the speed that the rule allows at the unchanged corner. The radius r follows from L,
+//! because L = 2·r·tan(t/4). A smaller radius is used if the maximum e or d requires it.
+//!
+//! Four turns by t/4 replace the two turns if t exceeds 1.2 rad and the turns by t/2 limit the speed more than the
+//! maximum e and d do.
 //!
 //! Two kinds of turns are not cut off:
 //! * Turns of 0.25 to 0.6 rad: the two halves would count as a bend ([`super::curvature`]), for which the speed J of a
@@ -43,16 +46,16 @@ use crate::axes::{LINEAR, PerAxis};
 use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
-/// Maximum number of moves that are held back: the move before a corner and the move after it. Further moves can still
-/// be merged with the second one.
+/// Maximum number of moves that are held back: the move before a corner and the move after it. The second one can still
+/// grow by merging.
 const HELD: usize = if FULL_IMAGE { 2 } else { 0 };
 /// Maximum length of a merged move, mm. A look-ahead of 512 such moves (2.56 m) exceeds any braking distance. Without a
 /// limit, a move could be held back for ever.
 const MOST_MERGED: f32 = 5.0;
-/// Maximum share of a move that is cut off at each of its corners. With this share, the rest of a move is about as long
-/// as the pieces that cut off its corners, so a polygon becomes one with twice as many sides.
+/// Maximum share of a move that is cut off at each of its corners. Half of a move remains between two corners. So a
+/// polygon becomes a polygon with twice as many sides, of about equal lengths.
 const MOST_OF_A_MOVE: f32 = 0.25;
-/// q² of a turn by two radians, where q = 2·sin(t/2) for a turn by t: sharper corners are not cut off.
+/// q² of a turn by two radians, with q = 2·sin(t/2) for a turn by t. Sharper corners are not cut off.
 const SHARPEST2: f32 = 2.832;
 /// q² of a turn by 1.2 rad. Only larger turns get four vertices.
 const LARGE_FOR_FOUR2: f32 = 1.275;
@@ -85,8 +88,8 @@ impl Tolerance {
     }
 }
 
-/// The range of each axis' slope relative to the main axis (the one with the longest distance), within which a straight
-/// line passes all points of a merged move closely enough.
+/// Slopes that a merged move may have. For each axis, the range of its slope relative to the main axis (the one with
+/// the longest displacement) in which the line passes all merged points closely enough.
 #[derive(Clone, Copy, Debug)]
 struct Slopes<const N: usize> {
     main: usize,
@@ -95,8 +98,8 @@ struct Slopes<const N: usize> {
 }
 
 impl<const N: usize> Slopes<N> {
-    /// Creates the slopes for a single move, without any restriction. When another move is merged with it,
-    /// [`Slopes::pass`] adds the end of the first move as a point.
+    /// Creates the slopes for a single move, without any restriction. Before another move is merged with this one,
+    /// [`Slopes::pass`] adds the end of this one as a point.
     fn to(way: &[f32; N]) -> Self {
         let (mut main, mut reach) = (0, 0.0_f32);
         for (axis, part) in way.iter().enumerate() {
@@ -114,8 +117,8 @@ impl<const N: usize> Slopes<N> {
         (along * self.reach > 0.0 && along.abs() >= self.reach.abs()).then_some(along)
     }
 
-    /// Restricts the slopes so that the line passes the point at the displacement `way` from its start at a distance of
-    /// at most `within` in each axis.
+    /// Restricts the slopes so that the line passes near a point: at a distance of at most `within` (mm) in each axis.
+    /// `way`: displacement from the start of the line to the point, mm.
     fn pass(&mut self, way: &[f32; N], within: f32) {
         let Some(along) = self.along(way) else { return };
         self.reach = along;
@@ -128,7 +131,8 @@ impl<const N: usize> Slopes<N> {
         }
     }
 
-    /// Returns whether the straight line from the start to `way` passes all added points closely enough.
+    /// Returns whether the straight line from its start to `way` passes all points added by [`Slopes::pass`] closely
+    /// enough.
     fn allow(&self, way: &[f32; N]) -> bool {
         let Some(along) = self.along(way) else { return false };
         let share = 1.0 / along;
@@ -136,7 +140,7 @@ impl<const N: usize> Slopes<N> {
     }
 }
 
-/// A move that is not queued yet: the next move may be merged with it, or the corner between both cut off.
+/// A move that is not queued yet, because the next move may be merged with it, or the corner between the two cut off.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HeldMove<const N: usize> {
     /// Programmed start.
@@ -204,7 +208,7 @@ impl Corner {
     }
 
     /// Returns the circle for cutting off the corner at the speed `fast`, mm/s. The new path stays within `deviation`
-    /// (mm) of the moves, and leaves the first move at most `back` (mm) before the corner. `None` if the machine can
+    /// (mm) of the moves. It leaves the first move at most `back` (mm) before the corner. `None` if the machine can
     /// pass the unchanged corner at this speed.
     fn fillet<const N: usize>(&self, fast: f32, deviation: f32, back: f32, rule: &TurnRule<N>) -> Option<Fillet> {
         if self.jump >= fast {
@@ -222,9 +226,9 @@ impl Corner {
         Some(Fillet { four: true, ..self.with(eighth, 3.0, fast, deviation, back, rule).0 })
     }
 
-    /// Returns the circle, and whether `deviation` and `back` limit its radius, and so the speed, more than the turns
-    /// at the vertices do. `tangent`: tangent of half the turn at a vertex; `pieces`: number of pieces between the
-    /// vertices.
+    /// Returns the circle, and whether its radius is limited by `deviation` and `back`. If it is, they limit the speed
+    /// more than the turns at the vertices do. `tangent`: tangent of half the turn at a vertex. `pieces`: number of
+    /// pieces between the vertices.
     fn with<const N: usize>(
         &self,
         tangent: f32,
@@ -290,13 +294,13 @@ fn length<const N: usize>(way: &[f32; N]) -> f32 {
 }
 
 impl<const N: usize> HeldMove<N> {
-    /// Creates a held move from `start`.
+    /// Creates a held move. `start`: its programmed start. `number`: line number for its block.
     pub(super) fn new(start: PerAxis<Coordinate, N>, m: &Move<N>, number: u32) -> Self {
         Self { start, m: *m, number, merged: false, slopes: Slopes::to(&way(&start, &m.target)) }
     }
 
     /// Returns whether a move has the same speed, power, line number and tolerance as this one. Only such moves are
-    /// merged, so that reports and outputs stay the same.
+    /// merged, because reports and outputs must not change by merging.
     fn is_like(&self, m: &Move<N>) -> bool {
         self.m.speed == m.speed
             && self.m.power == m.power
@@ -313,8 +317,9 @@ impl<const N: usize> HeldMove<N> {
             return false;
         }
         let mut slopes = self.slopes;
-        // The deviations in the linear axes other than the main one are perpendicular, so their squares add up. Moves
-        // of axes that are not linear have no tolerance (`Tolerance::EXACT`), so they are not merged.
+        // The line may deviate in up to two linear axes besides the main one. These deviations are perpendicular, so
+        // their squares add up, and each axis gets a part of the tolerance. Moves of other axes are not merged: their
+        // tolerance is `Tolerance::EXACT`.
         let within = m.tolerance.merging / square_root((N.min(LINEAR) - 1).max(1) as f32);
         slopes.pass(&way(&self.start, &self.m.target), within);
         if !slopes.allow(&whole) {
@@ -336,7 +341,7 @@ impl<const N: usize> HeldMove<N> {
         self.m.tolerance.path - if self.merged { self.m.tolerance.merging } else { 0.0 }
     }
 
-    /// Returns whether the piece between two positions is the whole move.
+    /// Returns whether `from` and `to` are the ends of the whole move, so that nothing of it was cut off.
     pub(super) fn is_whole(&self, from: &PerAxis<Coordinate, N>, to: &PerAxis<Coordinate, N>) -> bool {
         self.start == *from && self.m.target == *to
     }
@@ -369,7 +374,7 @@ impl<const N: usize> Blend<N> {
         self.held.iter().flatten()
     }
 
-    /// Returns the end of the last held move.
+    /// Returns the end of the last held move; `None` if no move is held.
     pub(super) fn end(&self) -> Option<PerAxis<Coordinate, N>> {
         self.moves().last().map(|held| held.m.target)
     }

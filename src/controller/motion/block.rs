@@ -1,6 +1,6 @@
-//! A [`Block`]: one straight move with all data for planning and stepping, in 68 bytes for three axes. A `2` at the end
-//! of a name means squared (`entry2` is an entry speed squared). Also computes the speed of a block under overrides,
-//! and its acceleration in bends.
+//! A [`Block`]: one straight move with all data for planning and stepping, in 68 bytes for three axes. Also computes
+//! the speed of a block under overrides, and its acceleration in bends. A `2` at the end of a name means squared:
+//! `entry2` is the square of an entry speed.
 
 use super::jerk::Bounds;
 use super::trapezoid::{greater, lesser, square_root};
@@ -17,9 +17,9 @@ pub(super) const SCALE_POWER: u8 = 4;
 /// change of outputs to the block.
 pub(super) const MARK_SHIFT: u32 = 3;
 
-/// The dominant axis of a block must have fewer steps than this. At 16 units per step, the block then has less than
-/// 2^30 units. The countdown to an axis' next step (`dda`) is between minus and plus this number, so it fits a signed
-/// 32-bit number.
+/// The dominant axis of a block (the one with the most steps) must have fewer steps than this. At 16 units per step,
+/// the block then has less than 2^30 units. The countdown to an axis' next step (`dda`) stays between -2^30 and 2^30,
+/// so it fits a signed 32-bit number.
 pub(super) const MAX_STEPS: u32 = 1 << AxisSteps::STEP_BITS;
 
 /// Override factors for programmed feeds and for rapids.
@@ -49,16 +49,17 @@ pub struct Block<const N: usize> {
     pub(super) limit: f32,
     /// Maximum entry speed² that the corner before the block allows, regardless of nominal speeds.
     pub(super) corner2: f32,
-    /// Maximum entry speed²: the least of `corner2` and of the nominal speeds² of this block and the block before.
+    /// Maximum entry speed²: the lowest of `corner2`, this block's nominal speed² and the previous block's nominal
+    /// speed².
     pub(super) max_entry2: f32,
     /// Planned entry speed², from which the machine can stop within the rest of the queue. With a jerk limit: the
-    /// speed² of the anchor that `ramp` leads to.
+    /// planned speed² at the end of `ramp`.
     pub(super) entry2: f32,
     /// Maximum jerk along the path at which no axis exceeds its limit, mm/s³. Unused without a jerk limit.
     pub(super) jerk: f32,
     /// Ramp from the entry to the next anchor; only with a jerk limit.
     pub(super) ramp: Ramp,
-    /// The bend that the block is part of. The bend takes a share of `acceleration` that grows with the speed.
+    /// The bend that the block is part of. The faster the block, the more of `acceleration` the bend takes.
     pub(super) curve: CurveLoad,
     pub(super) power: u16,
     pub(super) directions: u8,
@@ -86,12 +87,12 @@ pub(super) struct CurveLoad {
     acceleration: u16,
 }
 
-/// Minimum share of the acceleration that remains for braking in a bend, so that the machine can always brake. Because
+/// Minimum share of the acceleration that is left for braking in a bend, so that the machine can always brake. Because
 /// of this minimum, the accelerations along and across the path together can exceed the limit by up to 3 %.
 const LEAST_BRAKING: f32 = 0.25;
 
-/// Factor that covers rounding errors of a speed²: in a bend, rounding can lower an entry speed² by one bit although
-/// the exit speed² rises. That can happen in this block and in each later one.
+/// Margin for rounding errors in [`Block::is_surely_capped`]. In a bend, rounding can lower an entry speed² by one bit
+/// although the exit speed² rises. The errors of this block and of all later ones can add up.
 const CAP_MARGIN: f32 = 0.999;
 
 /// Share of the maximum entry speed² at which [`Block::bounds`] computes how much acceleration a bend leaves for a
@@ -128,7 +129,8 @@ impl CurveLoad {
         if other.is_tighter(self) { other } else { self }
     }
 
-    /// Returns whether this bend allows a lower speed than `other`. Positive numbers are ordered like their bits.
+    /// Returns whether this bend allows a lower speed than `other`. Comparing the bits is enough, because positive
+    /// `f32` values have the order of their bits.
     #[inline]
     pub(super) fn is_tighter(self, other: Self) -> bool {
         self.below > other.below
@@ -169,8 +171,8 @@ impl CurveLoad {
         if self.is_none() { along } else { self.left_in_bend(along, speed2) }
     }
 
-    /// Not inlined, so that most callers share one copy of [`CurveLoad::left_of`], to save flash. The reverse pass and
-    /// the running block use an inlined copy instead.
+    /// Not inlined: most callers share this copy of [`CurveLoad::left_of`], which saves flash. Only the reverse pass
+    /// and the running block inline it.
     #[inline(never)]
     fn left_in_bend(self, along: f32, speed2: f32) -> f32 {
         self.left_of(along, speed2)
@@ -190,8 +192,8 @@ impl CurveLoad {
 pub(super) struct Ramp {
     /// Distance to the anchor, mm; 0: this entry is an anchor itself.
     pub distance: f32,
-    /// Maximum speed² with which a ramp to the anchor can begin. From a higher speed, the machine would pass an entry
-    /// before the anchor too fast.
+    /// Maximum speed² at which a ramp to the anchor can begin. From a higher speed, the machine would be too fast at an
+    /// entry before the anchor.
     pub ceiling2: f32,
     /// The lowest acceleration and the lowest jerk that the blocks up to the anchor allow. Each number is the upper
     /// half of an `f32`, so it is rounded down, by 0.8 % at most.
@@ -260,8 +262,8 @@ impl<const N: usize> Block<N> {
         self.curve.left(self.acceleration, speed2)
     }
 
-    /// Returns the maximum entry speed² from which the machine can brake to an exit speed² within the block, regardless
-    /// of the entry's cap (`max_entry2`).
+    /// Returns the maximum entry speed² from which the machine can brake to the exit speed² `exit2` within the block.
+    /// Does not apply `max_entry2`.
     #[inline(always)]
     pub(super) fn braking_entry2(&self, exit2: f32) -> f32 {
         let along = self.acceleration;
@@ -275,16 +277,16 @@ impl<const N: usize> Block<N> {
         lesser(self.max_entry2, self.braking_entry2(exit2))
     }
 
-    /// Returns whether the entry stays at its cap, in spite of rounding errors, when the exit speed rises. `reach2` is
-    /// the current [`Block::braking_entry2`].
+    /// Returns whether the entry speed² stays at `max_entry2` when the exit speed rises, in spite of rounding errors.
+    /// `reach2`: the current [`Block::braking_entry2`].
     #[inline]
     pub(super) fn is_surely_capped(&self, reach2: f32) -> bool {
         CAP_MARGIN * reach2 >= self.max_entry2
     }
 
-    /// Returns whether a higher exit speed can lower the possible entry speed. In a bend, the exit speed determines how
-    /// much deceleration is left; as it rises, the entry speed² can fall by more than the exit speed² rises. The test
-    /// assumes the maximum slope of [`CurveLoad::left`]: the slope at the minimum share.
+    /// Returns whether a higher exit speed can lower the possible entry speed. In a bend, less deceleration is left at
+    /// a higher exit speed, so the entry speed² can fall by more than the exit speed² rises. The test assumes the
+    /// steepest slope of [`CurveLoad::left`], which is where the share falls to [`LEAST_BRAKING`].
     #[inline]
     pub(super) fn is_steep(&self) -> bool {
         let acceleration = greater(self.acceleration, self.curve.acceleration());
@@ -294,7 +296,7 @@ impl<const N: usize> Block<N> {
     /// Returns the bounds on changes of speed in the block.
     ///
     /// In a bend, the acceleration bound is the acceleration that the bend leaves at nine tenths of the maximum entry
-    /// speed², because a ramp needs its maximum acceleration about half way up, below that speed.
+    /// speed². A ramp needs its maximum acceleration about half way up, and its speed is lower there.
     #[inline]
     pub(super) fn bounds(&self) -> Bounds {
         let acceleration = self.acceleration_at(RAMP_SHARE * self.max_entry2);

@@ -1,35 +1,35 @@
-//! Carries over the time of moves that are too short for a step. Their length is carried over to the next block
-//! ([`super::path_end`]), so their time must be, too.
+//! A move can be so short that no motor makes a step. Such a move makes no block: its length is added to the next
+//! block ([`super::path_end`]). This file adds the time of the move to that block, too.
 //!
-//! If all of these moves and the block's own move have the same feed, the block keeps this feed. If feeds differ
+//! If the moves without a step and the block's own move all have the same feed, the block keeps this feed. Otherwise
 //! (another F, a rotary axis that turns more or less, inverse time), the block gets the speed at which it takes the
 //! total time of all its moves.
 
 use super::Speed;
 use super::trapezoid::{greater, lesser};
 
-/// Maximum time by which preceding moves without a step prolong a feed move, s. If the feed move itself takes longer
-/// than this, it is prolonged by its own duration at most.
+/// Limit, s, of the time that moves without a step add to the feed move after them. The limit is this value or the
+/// feed move's own duration, whichever is longer.
 const MOST_SLOWED_S: f32 = 0.05;
 
-/// The programmed time of moves without a step whose length is carried over to the next block. Meaningless while no
-/// length is carried over.
+/// Programmed time of the moves that have made no step since the last block. Their length is carried over to the next
+/// block, and so is this time. Meaningless while no length is carried over.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CarriedTime {
-    /// Duration of these moves, s; negative if the last block was longer than its moves; NaN (unknown) if there are
-    /// rapids among them.
+    /// Duration of the moves without a step, s. Negative: the last block was longer than its moves, and this much of
+    /// its time is to be subtracted from the next block. NaN: unknown, because a rapid is among the moves.
     seconds: f32,
-    /// The common feed of the carried length, mm/s; 0: several feeds, or rapids.
+    /// Feed that all moves without a step have in common, mm/s; 0: their feeds differ, or one of them is a rapid.
     feed: f32,
 }
 
-/// The lengths of a block, of its own move, and of the moves carried over to it.
+/// Length of a block, and of the moves that it consists of: its own move, and earlier moves that made no step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BlockWay {
     /// Length of the block's own move, mm.
     pub own: f32,
-    /// Length carried over to the block, mm: that of preceding moves without a step. If negative, it is the length that
-    /// the last block had in excess of its moves.
+    /// Total length of the preceding moves without a step, mm. Negative: the last block was longer than its moves by
+    /// this amount.
     pub carried: f32,
     /// Length of the block, mm. Greater than `own` + `carried` if this sum would be too short for the block's steps.
     pub length: f32,
@@ -47,7 +47,8 @@ fn time_and_feed(speed: Speed, own: f32) -> (f32, f32) {
 impl CarriedTime {
     pub(super) const NONE: Self = Self { seconds: 0.0, feed: 0.0 };
 
-    /// Adds a move of length `own` that makes no step. `carried`: length carried over before this move.
+    /// Adds a move of length `own`, mm, that makes no step. `carried`: length, mm, that was carried over before this
+    /// move; 0 begins a new sum.
     pub(super) fn add(&mut self, speed: Speed, own: f32, carried: f32) {
         let (seconds, feed) = time_and_feed(speed, own);
         if carried == 0.0 {
@@ -58,8 +59,8 @@ impl CarriedTime {
         }
     }
 
-    /// Returns the speed of a block whose own move has `speed`. If the block is longer than its moves, the time for the
-    /// excess length is carried over to the next block as a negative time.
+    /// Returns the speed of a block. `speed`: speed of the block's own move. If the block is longer than its moves,
+    /// the time for the excess length is carried over to the next block as a negative time.
     #[inline]
     pub(super) fn take(&mut self, speed: Speed, way: BlockWay) -> Speed {
         let BlockWay { own, carried, length } = way;
@@ -69,12 +70,14 @@ impl CarriedTime {
         *self = Self { seconds: -extra / feed, feed };
         let seconds = match speed {
             Speed::Feed(_) if before.feed != feed && !before.seconds.is_nan() => {
-                // If the last block was too long, the negative time does not make this block faster than its feed.
+                // `before.seconds` is negative if the last block was longer than its moves. The bound `least` keeps
+                // the present block from becoming faster than its feed.
                 let (least, most) = (lesser(carried / feed, 0.0), greater(alone, MOST_SLOWED_S));
                 alone + greater(lesser(before.seconds, most), least) + extra / feed
             }
             Speed::Duration(_) => {
-                // The block takes the duration of its move, whatever its length, so nothing is carried over.
+                // A move with a duration takes this duration even if its block is longer, so no negative time is
+                // carried over.
                 *self = Self::NONE;
                 alone + greater(before.seconds, 0.0)
             }

@@ -14,7 +14,6 @@ const LONGEST_BRAKING: f32 = (1_u32 << 30) as f32;
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(super) struct ProbeLatch {
-    /// Whether a probe is watched.
     pub(super) is_watching: bool,
     /// The probe state that counts as contact; `true`: active.
     watched: bool,
@@ -23,7 +22,6 @@ pub(super) struct ProbeLatch {
 }
 
 impl ProbeLatch {
-    /// No probe is watched.
     pub(super) const OFF: Self = Self { is_watching: false, watched: false, is_unnoted: false };
 
     /// Begins to watch for a state of the probe (`true`: active) that counts as contact; `None` ends watching.
@@ -33,7 +31,8 @@ impl ProbeLatch {
         self.watched = probe == Some(true);
     }
 
-    /// Returns whether the probe has the watched state for the first time. If so, ends watching.
+    /// Returns `true` at the first tick at which the probe has the watched state, and then ends watching. `active`:
+    /// state of the probe at this tick.
     #[inline(always)]
     pub(super) fn detect(&mut self, active: bool) -> bool {
         let touched = self.is_watching && self.watched == active;
@@ -45,8 +44,8 @@ impl ProbeLatch {
     }
 }
 
-/// The running block and its progress at a contact. The position is computed from them later, so that the tick at which
-/// the probe makes contact only has to copy this state.
+/// Copy of the running block and its progress, made when the probe makes contact. The position is computed from the
+/// copy later, so that this tick takes little time.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(super) struct Contact<const N: usize> {
@@ -63,13 +62,13 @@ impl<const N: usize> Contact<N> {
     }
 }
 
-/// Returns the interval, in fixed point, of the next tick in the deceleration after a contact; `None` when braking is
-/// complete. `interval`: interval of the present tick, in the same fixed point; `braking`: units per squared step-clock
-/// tick.
+/// Returns the interval of the next tick while the machine brakes after a contact; `None` when braking is complete.
+/// Intervals are fixed-point numbers of step-clock ticks. `interval`: interval of the present tick; `braking`:
+/// deceleration in units per squared step-clock tick.
 ///
 /// A tick that advances u units in the interval T has the speed v = u/T. With the deceleration a (`braking`), v² falls
-/// by 2·a·u from tick to tick. So the next interval is T / √(1 - 2k), where k = a·T²/u. It is computed by the first
-/// terms of its series. The ramp ends with the tick that would reduce v² to 0.
+/// by 2·a·u from tick to tick. So the next interval is T / √(1 - 2k), where k = a·T²/u. The code uses the first terms
+/// of the series of this formula. The ramp ends with the tick that would reduce v² to 0.
 #[inline(always)]
 pub(super) fn braked_interval(interval: u32, units_per_tick: u32, braking: f32) -> Option<u32> {
     let ticks = interval as f32 / (1 << INTERVAL_FRACTION_BITS) as f32;

@@ -1,9 +1,10 @@
-//! The block that the step generator is running ([`Course`]): rates, threshold and length in units (16 for each step of
-//! the axis with the most steps), and the exact start of each axis between two steps.
+//! The block that the step generator is running ([`Course`]). The length of a block is counted in units: 16 units for
+//! each step of the axis with the most steps. Each axis has a countdown to its next step, which falls by the axis'
+//! rate with each unit (see `dda`).
 //!
-//! The position is not updated at each tick, because that would take time. When it is needed, it is computed exactly
-//! from the units that the block has advanced and from each axis' remainder until its next step. The arithmetic is that
-//! of `measure`.
+//! The position is not updated at each tick, because that would take time. When a position is needed, it is computed
+//! exactly from the units that the block has advanced and from each axis' countdown. `measure` explains the
+//! arithmetic.
 
 use super::measure::{Measure, advance, inverse, parts_beyond, signed_add, steps_and_rest};
 use crate::axes::PerAxis;
@@ -17,17 +18,17 @@ pub(super) struct Course<const N: usize> {
     /// Offset of each axis' exact start from the nearest full step, in parts of a step: a full step has `threshold`
     /// parts. Negative numbers are wrapped.
     pub(super) beyond: [u32; N],
-    /// Amount by which each unit reduces an axis' remainder until its next step.
+    /// For each axis, how much its countdown to the next step falls with each unit; a whole step is `threshold`.
     pub(super) rates: [u32; N],
     pub(super) threshold: u32,
     /// Length of the block in units: 16 for each step of the axis with the most steps.
     pub(super) total: u32,
-    /// Units after which the block is re-entered, because it was left there for other moves; 0 = at its start.
+    /// Units of the block that were complete when other moves (such as parking) interrupted it. The block continues
+    /// after these units; 0: it begins at its start.
     pub(super) entered: u32,
     pub(super) directions: u8,
     /// Position at the start of the block.
     pub(super) base: [i32; N],
-    /// Position at the end of the block.
     pub(super) end: [i32; N],
 }
 
@@ -43,17 +44,19 @@ impl<const N: usize> Course<N> {
         end: [0; N],
     };
 
-    /// Returns each axis' remainder until its next step at the start of the block: half a step, less the offset of the
-    /// exact start.
+    /// Returns each axis' countdown to its next step at the start of the block: half a step, less the offset of the
+    /// exact start. A whole step is `threshold`.
     #[inline(always)]
     fn first(&self) -> [u32; N] {
         self.beyond.map(|beyond| (self.threshold / 2).wrapping_sub(beyond))
     }
 
-    /// Returns the position after `units`, from the axes' remainders `left`. The following holds exactly: steps taken ×
-    /// threshold = rate × units + left - first remainder. So the number of steps, which is below 2^32, needs no
-    /// division: the right side is shifted right by as many bits as the threshold has trailing zeros, and then
-    /// multiplied by the inverse of the threshold's odd part, modulo 2^32.
+    /// Returns the position after `units` of the block. `left`: each axis' countdown to its next step at that point.
+    ///
+    /// The number of steps n that an axis has taken satisfies n · threshold = rate · units + `left` - `first`, where
+    /// `first` is the countdown at the start of the block. This division by the threshold leaves no remainder, and n
+    /// is below 2^32. So the code replaces the division: it shifts right by the trailing zeros of the threshold, then
+    /// multiplies by the inverse of the threshold's odd part, modulo 2^32.
     #[inline(never)]
     pub(super) fn position(&self, left: &[u32; N], units: u32) -> PerAxis<i32, N> {
         let Course { rates, threshold, directions, base, .. } = self;
@@ -73,7 +76,7 @@ impl<const N: usize> Course<N> {
         PerAxis(position)
     }
 
-    /// Returns a block without steps, for a machine at rest at a position.
+    /// Returns a block without steps, for a machine that rests at the position `base`.
     pub(super) const fn rest_at(base: [i32; N]) -> Self {
         Self { base, end: base, ..Self::NOWHERE }
     }
@@ -87,7 +90,8 @@ impl<const N: usize> Course<N> {
         for (bit, ((end, base), axis_steps)) in self.end.iter_mut().zip(base).zip(steps_by_axis).enumerate() {
             *end = signed_add(base, axis_steps.steps(), directions >> bit & 1 != 0);
         }
-        // Makes the compiler finish this loop before the next one, for the same reason as in `dda::step_axes`.
+        // Makes the compiler finish this loop before the next one: interleaved, the two loops would need more
+        // registers than the hardware saves on an interrupt.
         compiler_fence(Ordering::SeqCst);
         let measure = Measure::of(steps_by_axis);
         self.threshold = measure.threshold;
@@ -106,7 +110,7 @@ impl<const N: usize> Course<N> {
         }
     }
 
-    /// Moves the block to another start position, because the previous block was left before its end.
+    /// Moves the block, so that it starts at `position`. Needed if the previous block was left before its end.
     pub(super) fn begin_from(&mut self, position: [i32; N]) {
         for ((base, end), position) in self.base.iter_mut().zip(self.end.iter_mut()).zip(position) {
             *end = end.wrapping_sub(*base).wrapping_add(position);
@@ -114,8 +118,9 @@ impl<const N: usize> Course<N> {
         }
     }
 
-    /// Continues a block that was left after `entered` units: sets `left` to the axes' remainders until their next step
-    /// at that point, and moves the start of the block so that the current position is the one after these units.
+    /// Prepares a block to continue after `entered` units, where other moves interrupted it. Sets `left` to each axis'
+    /// countdown to its next step at that point. Shifts the start and the end of the block so that the present
+    /// position of the machine is the point after `entered` units.
     #[cold]
     pub(super) fn enter_midst(&mut self, left: &mut [u32; N]) {
         let Course { rates, threshold, entered, directions, .. } = *self;

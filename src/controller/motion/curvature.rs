@@ -1,12 +1,14 @@
-//! Determines how fast the machine can follow a path that turns, by one rule for every turn, from a single corner to a
-//! long curve of short chords. The path is divided into spans on several scales. Each new span is compared with the
-//! spans before it, and each `Bend` found limits speed and acceleration of the blocks on it. Turns that can come from
-//! the rounding of the program's coordinates are ignored.
+//! Determines how fast the machine can follow a path that turns. One rule serves for every turn, from a single corner
+//! to a long curve of short chords. The path is divided into spans: parts of at least a certain length, each with the
+//! direction from its start to its end. Each new span is compared with the spans before it. If the direction has
+//! turned, a `Bend` limits the speed and the acceleration of the blocks on the turn. Turns that can come from the
+//! rounding of the program's coordinates are ignored.
 //!
-//! A path that turns by an angle t within a length L requires a change of velocity of v·q in the time L/v, where q =
-//! 2·sin(t/2) is the length of the difference of the unit vectors. The axes' acceleration provides a·L/v of this
-//! change. The junction deviation d permits an additional jump of the velocity by J·q. This jump is the same for the
-//! whole turn, however the turn is distributed over L:
+//! Suppose that a path turns by the angle t (rad) within the length L (mm), and is followed at the speed v (mm/s). The
+//! velocity vector then changes by v·q in the time L/v. Here q = 2·sin(t/2) is the length of the difference of the
+//! unit vectors before and after the turn. The axes' acceleration a provides a·L/v of this change. The junction
+//! deviation d (mm) permits an additional jump of the velocity by J·q. The jump is the same for the whole turn,
+//! however the turn is distributed over L. So v is limited as follows:
 //!
 //! ```text
 //!   1        between two single pieces             v² - v·J = a·L/t      J² = a·d·s / (1 - s), s = cos(t/2)
@@ -14,18 +16,18 @@
 //!     '---.  a corner: L = 0                       v        = J
 //!          \ 3
 //! ```
-//! The first form is exact if both ends are single pieces, because these turn only at their ends. The direction of a
-//! span of several pieces is that of the path in its middle; the second form is stricter, and tends to v² = a·R on a
-//! long curve.
+//! Form 1 is exact if both ends are single pieces (straight moves), because these turn only at their ends. A span of
+//! several pieces has the direction of the path in its middle, so form 2 is used. It is stricter, and tends to v² =
+//! a·R on a long curve of radius R.
 //!
-//! The program's points are rounded to the resolution of its coordinates (one digit, the value of the last decimal
-//! place): each point can be off by half a digit on each axis. That can turn a span of length l by at most 1.5 digits /
-//! l, and this much of q is ignored (`noise`). So a straight line with rounded points counts as straight, and a program
-//! with a finer resolution loses no speed.
+//! The program's coordinates are rounded. A digit is the value of their last decimal place, such as 0.001 mm, and each
+//! point can be off by half a digit on each axis. That can turn a span of length l by at most 1.5 digits / l. This
+//! angle (`noise`) is subtracted from each turn, so a straight line with rounded points counts as straight. The finer
+//! the resolution of a program, the smaller is this allowance.
 //!
-//! If the resolution is coarse, short spans are unreliable; in long spans, short turns disappear. So the path is
-//! measured on several scales at once. On each scale it is divided into spans of at least the scale's length, and a new
-//! span is compared with the last [`HISTORY`] spans before it. A piece longer than the scale is a span of its own; the
+//! Short spans are unreliable if the resolution is coarse. Long spans hide short turns. So the path is measured on
+//! several scales at once. Each scale has its own minimum length of a span, and each new span is compared with the
+//! last [`HISTORY`] spans of the same scale. A piece longer than the minimum length is a span of its own; the
 //! unfinished span before it ends where the piece starts.
 
 use super::axis_limits::GREATEST_ACCELERATION;
@@ -40,10 +42,11 @@ use crate::image::FULL_IMAGE;
 use crate::lent::Lent;
 use crate::units::Coordinate;
 
-/// Number of scales. The lengths of their spans are powers of two from [`SHORTEST`] to 32 mm. On the longest scale, a
-/// span and the [`HISTORY`] spans before it cover more than a radian of a bend of R = 100 mm.
+/// Number of scales. Each scale divides the path into spans of a different minimum length: powers of two, from
+/// [`SHORTEST`] to 32 mm. On the longest scale, a span and the [`HISTORY`] spans before it cover 160 mm, more than a
+/// radian of a bend with a radius of 100 mm.
 pub(super) const SCALES: usize = 14;
-/// Minimum length of a span on the finest scale, mm. It doubles from each scale to the next.
+/// Minimum length of a span on the finest scale, mm. The minimum doubles from each scale to the next.
 const SHORTEST: f32 = 1.0 / 256.0;
 /// Returns the minimum length of the spans of a scale, mm.
 #[inline]
@@ -52,36 +55,38 @@ fn scale_length(scale: usize) -> f32 {
 }
 
 /// Returns the number of scales (the finest ones) on which a straight piece of this length, mm, is long enough to be a
-/// span of its own. Compares binary exponents.
+/// span of its own: 1 from 1/256 mm on, 2 from 1/128 mm on. Compares binary exponents.
 #[inline]
 fn scales_within(length: f32) -> usize {
     let exponent = |length: f32| (length.to_bits() >> 23) as usize;
     (exponent(length) + 1).saturating_sub(exponent(SHORTEST)).min(SCALES)
 }
 
-/// Whether limits that the machine cannot exceed anyway are skipped, to save time. The small image has no room for the
-/// checks that find them: it computes all limits, except those that the first check of [`Span::limit_after`] excludes.
-/// The steps are the same (`tests/jobs.rs`).
+/// `true`: limits that the machine cannot exceed anyway are skipped, to save time. The small image has no room for the
+/// checks that find such limits. So it computes all limits, except those that the first check of [`Span::limit_after`]
+/// excludes. Both images make the same steps (`tests/jobs.rs`).
 const LEAVES_OUT: bool = FULL_IMAGE;
 /// Number of previous spans that a new one is compared with.
 const HISTORY: usize = 4;
 const _: () = assert!(HISTORY.is_power_of_two(), "the indices of a ring wrap");
 /// Sideways error that rounding of the coordinates can cause at the two ends of a span together, in digits (values of
-/// the last decimal place). Half a digit on each of two axes shifts a point by 0.71 digits, on each of three axes by
-/// 0.87; 1.5 is between the sums for two points, 1.41 and 1.73.
+/// the last decimal place). Half a digit on each axis shifts a point by 0.71 digits if two axes move, by 0.87 digits
+/// if three move. For two points that is 1.41 or 1.73 digits; 1.5 lies between.
 pub(super) const DIGITS_ASIDE: f32 = 1.5;
-/// Minimum ratio of a span's chord to its path. Below it the span does not count as the chord of a bend. Half a circle
-/// has 2/π = 0.64.
+/// Minimum ratio of a span's straight length to its path length. Below this ratio the span has no useful direction,
+/// and is not compared with others. Half a circle has 2/π = 0.64.
 const STRAIGHTNESS: f32 = 0.6;
-/// q² of 0.61 rad. A larger turn need not be a bend: it can be a corner between straight pieces, where the machine is
-/// faster than on a bend.
+/// q² (see the head of this file) of a turn of 0.61 rad. A larger turn need not be a bend: it can be a corner between
+/// straight pieces, where the machine is faster than on a bend.
 const LARGE_TURN2: f32 = 0.36;
-/// A large turn over several spans counts as a bend, not as a corner between straight pieces, only if its first and its
-/// last turn from span to span each have at least this share of its q².
+/// Share of q² that decides between bend and corner for a turn above [`LARGE_TURN2`] over several spans. Such a turn
+/// consists of smaller turns from span to span. It counts as a bend only if the first and the last of these each have
+/// at least this share of the q² of the whole turn.
 const ENDS2: f32 = 1.0 / 36.0;
-/// Maximum radius of a large turn, as a multiple of the junction deviation, up to which [`ENDS2`] alone decides whether
-/// the turn counts as a bend. The radius is the turn's path length L divided by its angle t. Beyond this radius, the J²
-/// of the smaller turns from span to span is negligible compared with a·L/t.
+/// Limit of the radius of a large turn, as a multiple of the junction deviation. Below it, [`ENDS2`] alone decides
+/// whether the turn counts as a bend. Above it, the middle turn must be even, too ([`EVEN2`]). The radius is L/t: path
+/// length divided by angle. Above the limit, the J² of the smaller turns from span to span is negligible compared with
+/// a·L/t.
 const VAGUE: f32 = 72.0;
 /// Of three consecutive turns, the middle one is no corner if its q² is less than this multiple of the lower q² of the
 /// other two.
@@ -89,31 +94,32 @@ const EVEN2: f32 = 9.0;
 /// Maximum q² (0.25 rad) of a turn between two spans from which a radius of curvature is computed. The radius of a
 /// larger turn would only be a mean over a long distance.
 const LARGEST_FOR_RADIUS2: f32 = 0.0625;
-/// Maximum q² (0.1 rad) of a turn for which [`Span::note_turn`] checks in advance whether the turn allows the
-/// attainable speed. [`HISTORY`] such turns in a row have a q of at most 0.1 · [`HISTORY`] in total.
+/// Maximum q² of a turn (0.1 rad) that [`Span::note_turn`] checks in advance: does the turn allow the attainable
+/// speed? [`HISTORY`] such turns in a row have a q of at most 0.1 · [`HISTORY`] in total.
 const LITTLE_TURN2: f32 = 0.01;
 /// Lower bound of s = cos(t/2) for a turn t that consists of [`HISTORY`] turns of at most 0.1 rad ([`LITTLE_TURN2`]).
 const LITTLE_TURNS_COSINE: f32 = 0.95;
-/// A block counts as steep if its acceleration exceeds [`TurnRule::most`] by more than this factor
-/// ([`Chain::since_steep`]). The margin of [`rise2`] is larger than this factor, so it covers blocks just below it.
+/// A block counts as steep ([`Chain::since_steep`]) if its acceleration is more than this factor times
+/// [`TurnRule::most`]. A block just below this threshold can still exceed [`TurnRule::most`] by less than 0.5 %; the
+/// margin of [`rise2`] (1 %) covers that.
 const STEEP: f32 = 1.005;
-/// If a bend's speed² exceeds the maximum speed² by more than this factor, the bend leaves the acceleration along the
-/// path unchanged, within 5 %.
+/// A bend leaves the acceleration along the path unchanged, within 5 %, if the bend's speed² is more than this factor
+/// times the maximum speed² there.
 pub(super) const NOTICEABLE: f32 = 3.2;
-/// Number of points in a record of [`LastDigit`]. It keeps the finest resolution of two records, the present one and
-/// the one before. One point is not enough, because a number without its trailing zeros seems to have a coarser
-/// resolution than the program.
+/// Number of points after which [`LastDigit`] begins a new record of the finest resolution. The result is the finest
+/// resolution of two records, the present one and the one before. One point is not enough, because a number without
+/// its trailing zeros (1.5 instead of 1.500) seems to have a coarser resolution than the program.
 const POINTS: u8 = 32;
 
-/// A limit for the blocks from `nearest` to `farthest`, counted back from the newest one, which is 0.
+/// A limit for the blocks from `nearest` to `farthest`. Both numbers count back from the newest block, which is 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bend {
     /// Maximum speed² at the blocks' entries.
     pub speed2: f32,
-    /// The range of blocks (nearest, farthest) that is searched for a corner; `None`: the limit always applies. If the
-    /// corner speed² at the entry of one of these blocks is `speed2` or less already, the limit does not apply: most of
-    /// the turn can be that corner. The machine brakes before the corner and speeds up after it with the axes'
-    /// acceleration, so the whole turn takes long enough.
+    /// Range of blocks (nearest, farthest) that is searched for a corner; `None`: the limit always applies. If the
+    /// corner speed² at one of these entries is already at most `speed2`, the limit does not apply, because most of
+    /// the turn can be that corner. The machine brakes before the corner and speeds up after it, so the whole turn
+    /// takes long enough.
     pub once: Option<(usize, usize)>,
     /// The acceleration that the bend needs at a given speed, to be set in the blocks; `NONE`: the bend only limits the
     /// speed.
@@ -131,21 +137,22 @@ pub(super) struct Span<const N: usize> {
     noise: f32,
     /// Length of the path, mm.
     path: f32,
-    /// Maximum speed² of its moves under any override.
+    /// Maximum speed² of the span's moves under any override, mm²/s².
     fast2: f32,
     /// Maximum speed² that the machine can have in the span ([`Finder::attainable2`]); at most `fast2`.
     attainable2: f32,
     /// Number of moves; 0: there is no span.
     blocks: u16,
-    /// Whether the span has a direction: its ends do not coincide, and the path between them is not too long for a
-    /// chord ([`STRAIGHTNESS`]).
+    /// `true` if the span has a direction: its ends are different points, and its path is not much longer than the
+    /// straight line between them ([`STRAIGHTNESS`]).
     straight: bool,
-    /// q² of the turn from the direction of the previous span to that of this one.
+    /// q² of the turn from the previous span to this one.
     turned2: f32,
-    /// Speed² that this turn certainly allows, both by itself and as a part of a longer turn; 0: not known.
+    /// Speed² that the turn from the previous span certainly allows, both by itself and as a part of a longer turn; 0:
+    /// not known.
     sure2: f32,
-    /// The bend that this turn indicates; `NONE`: the turn is too gentle to matter, or too large for a radius
-    /// ([`LARGEST_FOR_RADIUS2`]).
+    /// The bend that the turn from the previous span indicates; `NONE`: the turn is too gentle to matter, or too large
+    /// to compute a radius ([`LARGEST_FOR_RADIUS2`]).
     curve: CurveLoad,
 }
 
@@ -189,9 +196,9 @@ impl<const N: usize> Span<N> {
         }
     }
 
-    /// Returns the path length, mm, that the span contributes to a turn at either of its ends: half of its path,
-    /// because a span of several pieces has its direction in its middle. A span of one piece has its direction up to
-    /// its ends, so it contributes 0.
+    /// Returns the path length, mm, that the span contributes to a turn at its start or its end. A span of several
+    /// pieces has its direction in its middle, so it contributes half of its path. A span of one piece has its
+    /// direction up to its ends, so it contributes 0.
     #[inline]
     fn half(&self) -> f32 {
         if self.blocks == 1 { 0.0 } else { 0.5 * self.path }
@@ -218,9 +225,9 @@ impl<const N: usize> Span<N> {
         rule.junction2(across, half_cosine, turn2)
     }
 
-    /// Returns the speed limit for the turn from an earlier span `old` to this one; `None` if the limit is not below
-    /// the speed² `fast2`, or if rounding of the coordinates can explain the turn. `between`: path length between the
-    /// two spans, mm.
+    /// Returns the speed limit for the turn from an earlier span `old` to this one. Returns `None` if the limit is not
+    /// below the speed² `fast2`, or if rounding of the coordinates can explain the turn. `between`: path length
+    /// between the two spans, mm.
     #[inline]
     fn limit_after(&self, old: &Self, between: f32, fast2: f32, rule: &TurnRule<N>) -> Option<Limit> {
         let all2 = turn2(&old.direction, &self.direction);
@@ -229,8 +236,8 @@ impl<const N: usize> Span<N> {
             return None;
         }
         let length = between + old.half() + self.half();
-        // A first check with bounds on the safe side: subtracting noise can only make the turn smaller, and s = √(1 -
-        // q²/4) is at least 1 - q²/4.
+        // A quick first check with values on the safe side. `all2` is the turn before noise is subtracted, so it is at
+        // least the real turn. 1 - q²/4 is at most s = √(1 - q²/4).
         if rule.is_surely_faster(rule.least, length, all2, 1.0 - 0.25 * all2, fast2) {
             return None;
         }
@@ -238,8 +245,8 @@ impl<const N: usize> Span<N> {
         let (turn2, half_cosine) = certain(all2, noise)?;
         let radius = length * radius_of(turn2, half_cosine);
         let junction2 = |across| if turn2 > REVERSAL { 0.0 } else { rule.junction2(across, half_cosine, turn2) };
-        // In both forms of the rule (see the module documentation), the speed² is at least a·L/t + J², here with the
-        // lowest acceleration limit of the moving axes.
+        // A second check. In both forms of the rule (see the head of this file), the speed² is at least a·L/t + J².
+        // Here a is the lowest acceleration limit of the moving axes.
         if LEAVES_OUT && BEND_MARGIN * (moving.least * rule.curve_share * radius + junction2(moving.least)) > fast2 {
             return None;
         }
@@ -257,8 +264,9 @@ impl<const N: usize> Span<N> {
         (speed2 < fast2).then_some(Limit { speed2, turn2, radius })
     }
 
-    /// Returns the part of the path, mm, that is assigned to the turn from the span `old` to this one. Over consecutive
-    /// turns these parts add up to at most the length that [`Span::limit_after`] uses for all of these turns together.
+    /// Returns the part of the path, mm, that is assigned to the turn from the span `old` to this one. The parts of
+    /// several consecutive turns add up to at most the length that [`Span::limit_after`] uses for all these turns as
+    /// one.
     #[inline]
     fn share_of_length(&self, old: &Self) -> f32 {
         match (old.blocks, self.blocks) {
@@ -309,7 +317,7 @@ impl<const N: usize> Span<N> {
 pub(super) struct PathPiece<'a, const N: usize> {
     pub start: &'a PerAxis<Coordinate, N>,
     pub end: &'a PerAxis<Coordinate, N>,
-    /// Unit vector from `start` to `end`; if both are the same point, that of the block before.
+    /// Unit vector from `start` to `end`; if both are the same point, the unit vector of the block before.
     pub direction: &'a [f32; N],
     /// Straight distance from start to end, mm.
     pub length: f32,
@@ -331,7 +339,7 @@ pub(super) struct EntryLimit {
 }
 
 impl EntryLimit {
-    /// Returns the limits of the newest block.
+    /// Returns the limits of the newest block, or values that limit nothing if there is no block.
     #[inline]
     pub(super) fn of<const N: usize>(newest: Option<&Block<N>>) -> Self {
         newest.map_or(Self { corner2: UNLIMITED2, acceleration: GREATEST_ACCELERATION }, |block| Self {
@@ -341,14 +349,13 @@ impl EntryLimit {
     }
 }
 
-/// Passes each bend that the newest piece of the path completes to `found`, and tracks the speed that the machine can
-/// reach under all these limits.
+/// Finds the bends that the newest piece of the path completes, and passes them to `found`. Also tracks the speed that
+/// the machine can reach under all these limits.
 struct Finder<'a, const N: usize> {
     rule: &'a TurnRule<N>,
-    /// Called for each bend.
     found: &'a mut dyn FnMut(Bend),
-    /// Maximum speed² that the machine can have at the end of the newest piece: after each speed limit it can only
-    /// speed up with the acceleration of its axes.
+    /// Maximum speed² that the machine can have at the end of the newest piece. After each speed limit, the machine
+    /// can only speed up with the acceleration of its axes.
     attainable2: f32,
     /// Path length of the straight piece that is being added, mm.
     newest: f32,
@@ -357,15 +364,16 @@ struct Finder<'a, const N: usize> {
 }
 
 impl<const N: usize> Finder<'_, N> {
-    /// Passes a bend to `found`. `behind`: number of blocks queued after the span that completes the bend. `length`:
-    /// upper bound of the path length from the bend's nearest entry to the end of that span.
+    /// Passes a bend to `found`, and lowers `attainable2` if the bend limits it. `behind`: number of blocks queued
+    /// after the span that completes the bend. `length`: upper bound of the path length, mm, from the bend's nearest
+    /// entry to the end of that span.
     #[inline]
     fn limit(&mut self, bend: Bend, behind: usize, length: f32) {
         let length = if behind > 0 { length + self.newest } else { length };
         if LEAVES_OUT && bend.once.is_none() && length <= self.since_steep {
-            // If the bend is found late, the machine may already be too fast for it. But when the machine reached the
+            // If the bend is found late, the machine may already be too fast for it. But where the machine reached the
             // bend, it could still stop within `length`, because the queue ended within this distance. So its speed²
-            // was at most `rise2` there, and it rises by at most `rise2` up to the end of the newest piece.
+            // was at most `rise2` there. Up to the end of the newest piece, the speed² can rise by `rise2` once more.
             let rise2 = rise2(self.rule.most, length);
             self.attainable2 = lesser(self.attainable2, greater(bend.speed2, rise2) + rise2);
         }
@@ -377,14 +385,14 @@ impl<const N: usize> Finder<'_, N> {
 #[derive(Clone, Copy, Debug)]
 struct History<const N: usize> {
     spans: [Span<N>; HISTORY],
-    /// Index of the newest span.
     newest: usize,
 }
 
 impl<const N: usize> History<N> {
     const NONE: Self = Self { spans: [Span::NONE; HISTORY], newest: 0 };
 
-    /// Returns a previous span, counted back from the newest one, which is 0.
+    /// Returns a previous span, counted back from the newest one, which is 0. If there is no such span, returns an
+    /// empty one (`blocks` is 0).
     #[inline(always)]
     fn back(&self, count: usize) -> &Span<N> {
         self.spans.get(self.newest.wrapping_sub(count) % HISTORY).unwrap_or(&Span::NONE)
@@ -424,10 +432,10 @@ impl<const N: usize> History<N> {
         }
     }
 
-    /// Returns whether every turn from a previous span to a new one certainly allows the speed that the machine can
-    /// have there, so that [`History::compare`] is not necessary. A turn over several spans is at most the sum of the
-    /// turns from span to span, and at least as long as these together. So it allows any speed that each of them
-    /// allows.
+    /// Returns `true` if every turn from a previous span to the new one certainly allows the speed that the machine
+    /// can have there. Then [`History::compare`] is not necessary. The angle of a turn over several spans is at most
+    /// the sum of the turns from span to span, and its path is at least as long as their paths together. So it allows
+    /// any speed that each of these turns allows.
     #[inline(always)]
     fn surely_allows(&self, new: &Span<N>) -> bool {
         if !LEAVES_OUT {
@@ -461,8 +469,8 @@ impl<const N: usize> History<N> {
                 let ends2 = lesser(new.turned2, turned2);
                 let spread = index > 0 && limit.radius < VAGUE * rule.deviation && ends2 > ENDS2 * limit.turn2;
                 let bent = index == 2 && ends2 > ENDS2 * limit.turn2 && first.turned2 < EVEN2 * ends2;
-                // The limit applies to the blocks from the middle of the old span to the middle of the new one if they
-                // are neighbours, otherwise to the blocks between the two spans.
+                // If the old and the new span are neighbours, the limit applies from the middle of the old span to the
+                // middle of the new one. Otherwise it applies to the blocks between the two spans.
                 let halves = if index == 0 { (own / 2, usize::from(old.blocks) / 2) } else { (own - 1, 0) };
                 let start = behind + own - 1 + blocks;
                 let once = limit.turn2 > LARGE_TURN2 && !spread && !bent;
@@ -493,14 +501,13 @@ pub struct Scale<const N: usize> {
     path: f32,
     /// Maximum speed² of the pieces in the unfinished span, under any override.
     fast2: f32,
-    /// Maximum speed² that the machine can have in the unfinished span.
+    /// Maximum speed² that the machine can have in the unfinished span; at most `fast2`.
     attainable2: f32,
-    /// Blocks of the unfinished span.
+    /// Number of blocks in the unfinished span.
     blocks: u16,
 }
 
 impl<const N: usize> Scale<N> {
-    /// Begins an empty span at `start`.
     #[inline]
     fn begin(&mut self, start: &PerAxis<Coordinate, N>) {
         self.start = *start;
@@ -561,15 +568,15 @@ pub(super) struct Chain<const N: usize> {
     /// The last straight pieces, each as a span of its own.
     pieces: History<N>,
     scales: Lent<[Scale<N>]>,
-    /// Number of scales (the finest ones) on which the last piece is long enough to be a span of its own. They have no
-    /// unfinished span, and `pieces` serves as their history.
+    /// Number of scales (the finest ones) on which the last piece is long enough to be a span of its own. These scales
+    /// have no unfinished span, and `pieces` serves as their history.
     whole: usize,
     digit: LastDigit,
-    /// [`Finder::attainable2`] at the end of the last piece.
+    /// Maximum speed² that the machine can have at the end of the last piece ([`Finder::attainable2`]).
     attainable2: f32,
     /// Path length since the last steep block, mm. A block is steep if its acceleration along its path exceeds
-    /// [`TurnRule::most`], the acceleration on a path on which all axes reach their limits. This is possible because
-    /// moves without a step have lengthened the block's path, but not the displacement of its axes.
+    /// [`TurnRule::most`], the upper bound for the displacement of the axes. Steep blocks occur because moves without
+    /// a step lengthen the path of the next block, but not the displacement of its axes.
     since_steep: f32,
 }
 
@@ -604,14 +611,14 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Records the resolution of the coordinates of one more point, and returns that of the program (the finest one of
-    /// the last points), mm.
+    /// Records `digit`, the resolution of one more point's coordinates, mm. Returns the resolution of the program, mm:
+    /// the finest one of the last points.
     pub(super) fn last_digit(&mut self, digit: f32) -> f32 {
         self.digit.with(digit)
     }
 
-    /// Returns the record from which the program's resolution is determined. The caller restores it after it has queued
-    /// pieces whose ends are computed, because those ends say nothing about the program's resolution.
+    /// Returns the record of the program's resolution, so that the caller can restore it later. The caller does so
+    /// after it has queued pieces with computed ends, because such ends tell nothing about the program's resolution.
     pub(super) fn program_digit(&self) -> LastDigit {
         self.digit
     }
@@ -647,8 +654,9 @@ impl<const N: usize> Chain<N> {
         self.attainable2 = finder.attainable2;
     }
 
-    /// Returns the maximum speed² that the machine can reach in the newest piece: it speeds up from the limit at the
-    /// piece's entry, or from an earlier one, with the acceleration of the block. Also updates `since_steep`.
+    /// Returns the maximum speed² that the machine can reach in the newest piece. It enters the piece with at most the
+    /// corner speed of the block, and at most the speed attainable at the end of the last piece. Then it speeds up
+    /// with the acceleration of the block. Also updates `since_steep`.
     #[inline]
     fn attainable2_in(&mut self, piece: &PathPiece<'_, N>, block: EntryLimit, rule: &TurnRule<N>) -> f32 {
         if !LEAVES_OUT {
@@ -689,9 +697,9 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Call for a piece that is a whole span on scales on which the last piece was too short for one: the scales
-    /// `self.whole` to `whole`. On each of these scales, ends the unfinished span where the piece begins, and compares
-    /// the piece with the previous spans.
+    /// Handles the scales `self.whole` to `whole`: on these the new piece is a whole span, but the last piece was too
+    /// short for one. On each of these scales, ends the unfinished span where the new piece begins, then adds the
+    /// piece as a span. Both are compared with the previous spans.
     #[inline(never)]
     fn end_before(&mut self, piece: &PathPiece<'_, N>, new: &Span<N>, whole: usize, finder: &mut Finder<'_, N>) {
         let (mut path, mut fast2, mut attainable2, mut blocks) = (0.0, 0.0, 0.0, 0);
@@ -701,8 +709,8 @@ impl<const N: usize> Chain<N> {
             scale.attainable2 = greater(scale.attainable2, attainable2);
             scale.blocks = scale.blocks.saturating_add(blocks);
             if index >= whole {
-                // On this scale, the first one on which the piece is too short for a span, the path of the span that
-                // was just ended on the next finer scale has been added above. The caller adds the piece itself later.
+                // This is the first scale on which the piece is too short for a span. The span that has just ended on
+                // the next finer scale is added here (above). The caller adds the piece itself later.
                 return;
             }
             if scale.blocks > 0 {

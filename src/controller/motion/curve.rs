@@ -1,4 +1,4 @@
-//! A curve that is being divided into chords: an arc, a spline or a NURBS behind one interface.
+//! One interface for the curves that are divided into chords: arcs, splines and NURBS.
 
 use super::arc::{Arc, Curvature};
 use super::nurbs::Nurbs;
@@ -6,7 +6,7 @@ use super::spline::Spline;
 use crate::axes::PerAxis;
 use crate::units::{Coordinate, WeightedPoint};
 
-/// A curve that is being divided into chords.
+/// A curve, and how far it has been divided into chords.
 #[derive(Clone, Debug)]
 pub enum Curve<const N: usize> {
     /// An arc or helix (G2, G3).

@@ -1,11 +1,12 @@
 //! The DDA (digital differential analyser, here Bresenham's algorithm) of the step generator: which axes step at a
 //! tick. `step_axes` computes one tick, `steps_into` many ticks in a row.
 //!
-//! One threshold serves all axes. Each axis has a remainder until its next step. A tick subtracts from it the axis'
-//! rate times the units that the tick advances (a unit is 1/16 step of the axis with the most steps, the dominant one).
-//! If the remainder becomes negative, the axis steps and the threshold is added. On a line the rate is the axis' number
-//! of steps, and all remainders begin with half the threshold. So each axis stays within half a step of the straight
-//! line, and after the whole block each remainder is half the threshold again:
+//! Each axis has a countdown to its next step. A tick reduces the countdown by the axis' rate times the units that the
+//! tick advances. (A unit is 1/16 step of the dominant axis, the one with the most steps.) If the countdown becomes
+//! negative, the axis steps, and the threshold, which is the same for all axes, is added to the countdown.
+//!
+//! On a line, an axis' rate is its number of steps, and all countdowns begin with half the threshold. So each axis
+//! stays within half a step of the straight line, and each countdown also ends with half the threshold:
 //!
 //! ```text
 //!  steps of Y for (X, Y) = (10, 3), threshold 10, in steps of X             1 2 3 4 5 6 7 8 9 10
@@ -18,22 +19,23 @@ use core::sync::atomic::{Ordering, compiler_fence};
 /// Maximum number of axes that [`steps_into`] can step.
 const MOST_AXES: usize = 4;
 
-/// Executes one tick: reduces each axis' remainder by its increment. Returns the axes that step, bit 0 for X.
+/// Executes one tick: reduces each axis' countdown `left` by its increment. Returns the axes that step as a mask, bit
+/// 0 for X.
 #[inline(always)]
 pub(super) fn step_axes<const N: usize>(left: &mut [u32; N], increments: &[u32; N], threshold: u32) -> u8 {
     let mut minus_steps = 0_i32;
     let threshold = threshold as i32;
-    // Begins with the last axis: each pass of the loop shifts the bits of all axes handled before up by one, so the
+    // Begins with the last axis. Each pass of the loop shifts the bits of the axes handled before up by one, so the
     // first axis ends in bit 0.
     for (left, increment) in left.iter_mut().zip(increments).rev() {
         // `left` and `increment` are between 0 and the threshold (at most 2^30), or a few parts of a step outside this
-        // range. So the sign of `rest` shows whether the axis steps. If it steps, `stepping` is all ones, otherwise all
-        // zeros; this avoids a branch.
+        // range. So the sign of `rest` shows whether the axis steps. `stepping` has all bits set if the axis steps,
+        // otherwise none; this mask avoids a branch.
         //
-        // No axis steps twice in a tick: a tick advances the dominant axis by one step at most, and begins at a
-        // multiple of the units that it advances. In such a tick, an axis with as many steps as the dominant one makes
-        // at most one step, even if its exact start and end are between two steps; an axis with fewer steps travels
-        // less.
+        // No axis steps twice in a tick. A tick advances the dominant axis by at most one step, and begins at a
+        // multiple of its own size in units. Another axis can have as many steps as the dominant one, with its exact
+        // start and end between two steps. Even that axis makes at most one step in a tick. An axis with fewer steps
+        // travels less.
         let rest = left.wrapping_sub(*increment) as i32;
         let stepping = rest >> 31;
         *left = rest.wrapping_add(threshold & stepping) as u32;
@@ -114,8 +116,8 @@ fn count_down<const N: usize, const K: usize, const OF_THEM: usize, const WORDS:
     words: &mut [u32],
 ) {
     const { assert!(OF_THEM == 1 << K, "a word for each combination of them") };
-    // The word for each combination of steps of the `K` axes (one bit per axis, in their order) together with the
-    // `always` axes.
+    // One word for each combination of axes that step: bit k of the index stands for the axis with number k in `axes`.
+    // Each word also includes the axes in `always`.
     let of_steps: [u32; OF_THEM] = core::array::from_fn(|steps| {
         let all = axes.iter().enumerate().filter(|(bit, _)| steps >> bit & 1 != 0);
         let stepping = all.fold(always, |stepping, (_, of)| stepping | 1 << of.axis);

@@ -1,6 +1,6 @@
-//! Turns a move into a block at the end of the queue: computes each motor's steps, the length, speed, acceleration and
-//! jerk, and the speed at the corner before it. Divides a move with too many steps for one block, and adds steps for
-//! backlash compensation.
+//! Turns a move into a block at the end of the queue. Computes the block's steps of each motor, its length, speed,
+//! acceleration and jerk, and the speed at the corner before it. Divides a move with too many steps for one block, and
+//! adds steps for backlash compensation.
 
 use super::arc::Curvature;
 use super::axis_limits::{GREATEST_ACCELERATION, shares};
@@ -21,9 +21,9 @@ use crate::units::Coordinate;
 /// Maximum feed override for which bends are determined, as a factor. Realtime commands cannot exceed it.
 const MOST_OVERRIDE: f32 = 2.0;
 
-/// Returns the steps of a chord with its exact ends, which can lie between steps. `ends`: offsets of the exact start
-/// and end from the steps nearest to them, in sevenths of a step along the positive axes. A chord with very many steps
-/// (`Measure::MOST_STEPS`) is stepped as a line, because parts of a step do not matter in it.
+/// Returns the steps of a chord with its exact ends, which can lie between two steps. `ends`: offsets of the exact
+/// start and end from the steps nearest to them, in sevenths of a step along the positive axes. A chord with more than
+/// `Measure::MOST_STEPS` steps begins and ends on full steps, because parts of a step do not matter in it.
 fn steps_with_ends<const N: usize>(steps: &[u32; N], directions: u8, ends: &[[i32; N]; 2]) -> [AxisSteps; N] {
     let mut steps_by_axis = steps.map(AxisSteps::on_steps);
     if steps.iter().all(|steps| *steps <= Measure::MOST_STEPS) {
@@ -36,7 +36,6 @@ fn steps_with_ends<const N: usize>(steps: &[u32; N], directions: u8, ends: &[[i3
     steps_by_axis
 }
 
-/// Returns steps with their direction as the sign.
 fn signed_steps<const N: usize>(steps: &[u32; N], directions: u8) -> [i32; N] {
     let mut signed = [0; N];
     for (bit, (signed, steps)) in signed.iter_mut().zip(steps).enumerate() {
@@ -61,34 +60,32 @@ struct Path<const N: usize> {
     straight: f32,
     /// Length of the move alone, mm.
     own: f32,
-    /// `own`, plus the length of the preceding moves that were too short for a step, minus the length that the last
-    /// block had beyond its own path, mm.
+    /// Length of the path, mm: `own`, plus the length of preceding moves that were too short for a step, minus the
+    /// excess length of the last block. (A block is lengthened if its move is too short for its steps.)
     length: f32,
 }
 
 impl<const N: usize> Path<N> {
-    /// Returns whether the path contains moves without a step that led away and back: it is longer than the straight
-    /// line by more than 10 % and more than two steps of `step_mm`.
+    /// Returns `true` if moves without a step have led away and back: the path is longer than the straight line by
+    /// more than 10 %, and by more than two steps of `step_mm`, mm.
     #[inline]
     fn leads_nowhere(&self, step_mm: f32) -> bool {
         self.length > 1.1 * self.straight && self.length - self.straight > 2.0 * step_mm
     }
 }
 
-/// The steps of a block.
 struct MotorSteps<const N: usize> {
     steps: [u32; N],
     /// One bit per motor, set for the negative direction.
     directions: u8,
 }
 
-/// Number and size of a block's steps.
 #[derive(Clone, Copy)]
 struct StepSizes {
     /// Number of steps of the dominant motor.
     dominant: u32,
-    /// Minimum length of the block, mm: each motor needs the distance of its steps, less half a step; this is the
-    /// longest of these distances.
+    /// Minimum length of the block, mm. Each motor needs the distance of its steps, less half a step; the longest of
+    /// these distances counts.
     least_mm: f32,
     /// Size of a step of the coarsest motor that moves, mm.
     coarsest_mm: f32,
@@ -122,7 +119,8 @@ impl<const N: usize> MoveQueue<N> {
         true
     }
 
-    /// Queues a move; there must be room. `chord`: whether the move is a chord, whose steps follow its exact ends.
+    /// Queues a move; there must be room. `curve_speed2`: maximum speed² on the curve of a chord. `chord`: `true` for
+    /// a chord whose steps follow its exact ends, `false` for a move that begins and ends on full steps.
     #[inline]
     pub(super) fn put(&mut self, m: &Move<N>, curve_speed2: f32, chord: bool) {
         if self.backlash.is_on()
@@ -151,7 +149,8 @@ impl<const N: usize> MoveQueue<N> {
         if let Speed::Duration(seconds) = m.speed {
             whole.speed = Speed::Feed(self.end.distance(&m.target) / seconds);
         }
-        // One piece more than the quotient, because rounding can add a step to a piece.
+        // The division rounds down, so one piece is added. Each piece then has fewer than half of the maximum number
+        // of steps, apart from one step that rounding can add.
         let pieces = most / (MAX_STEPS / 2) + 1;
         self.long = Some(LongMove { start: self.end.planned, whole, curve_speed2, pieces, next: 1 });
         self.continue_long_move();
@@ -227,7 +226,8 @@ impl<const N: usize> MoveQueue<N> {
         let unit = if path.straight > 0.0 { path.way.0.map(|part| part / path.straight) } else { self.end.direction };
         let line_number = self.number_of(m);
         let mut block = Block::<N> { length, line_number, power: m.power, ..Block::EMPTY };
-        // A block that is longer than its move, because of its steps (see above), has the displacement of these steps.
+        // If the block was made longer than its move (see above), its displacement is that of its steps, not the
+        // programmed one.
         if path.length < length {
             path.way = self.way_of_steps(&motors, length, &path.way);
         }
@@ -262,8 +262,8 @@ impl<const N: usize> MoveQueue<N> {
         self.push(block, &piece, span);
     }
 
-    /// Returns the speed of a block whose `length` differs from that of its move. Carries the excess length over to the
-    /// next block, as a negative length of at most `most` mm.
+    /// Returns the speed of a block whose `length`, mm, differs from the length of its move. If the block is longer,
+    /// carries the excess over to the next block as a negative length, at most `most` mm.
     #[cold]
     #[inline(never)]
     fn carry_over(&mut self, m: &Move<N>, path: &Path<N>, length: f32, most: f32) -> Speed {
@@ -275,9 +275,9 @@ impl<const N: usize> MoveQueue<N> {
         speed
     }
 
-    /// Sets a block's programmed speed, and its speed limit, acceleration and jerk from `moved`, the displacement of
-    /// each axis as a share of the block's length. With backlash, adds the compensation to the motors' steps. Returns
-    /// `RAPID` or 0.
+    /// Sets programmed speed, speed limit, acceleration and jerk of a block. `moved`: displacement of each axis as a
+    /// share of the block's length. With backlash compensation, can add steps to `motors`. Returns the flag `RAPID`
+    /// for a rapid, otherwise 0.
     #[inline]
     fn set_speeds(
         &mut self,
@@ -312,8 +312,8 @@ impl<const N: usize> MoveQueue<N> {
     }
 
     /// Returns the maximum speed² at the corner before a piece of the path. `coarsest_mm`: step size of the coarsest
-    /// motor. If a block includes the time of moves without a step that went to and fro ([`Path::leads_nowhere`]), the
-    /// corners before and after it count as square.
+    /// motor, mm. Moves without a step can go to and fro before a block ([`Path::leads_nowhere`]). The block then
+    /// includes their time, and the corners before and after it count as square.
     #[inline]
     fn entry_corner2(&mut self, piece: &PathPiece<'_, N>, span: &Span<N>, path: &Path<N>, coarsest_mm: f32) -> f32 {
         if self.end.motors_only {
@@ -354,8 +354,8 @@ impl<const N: usize> MoveQueue<N> {
         Path { way, straight, own, length: own + self.end.length_carry }
     }
 
-    /// Returns the motors' steps from the end of the last block to `target_steps`, and how many and how large these
-    /// steps are.
+    /// Returns the motors' steps from the end of the last block to `target_steps`, and the number and size of these
+    /// steps.
     #[inline]
     fn steps_to(&self, target_steps: &PerAxis<i32, N>) -> (MotorSteps<N>, StepSizes) {
         let mut motors = MotorSteps { steps: [0; N], directions: 0 };
@@ -376,8 +376,8 @@ impl<const N: usize> MoveQueue<N> {
         (motors, sizes)
     }
 
-    /// Returns the displacement of each axis, mm, computed from the motors' steps and scaled so that the path has the
-    /// length `length`. An axis whose programmed displacement (`way`) is larger keeps the programmed one.
+    /// Returns the displacement of each axis, mm. It is computed from the motors' steps, and scaled so that the path
+    /// has the length `length`. If an axis' programmed displacement (`way`) is larger, it is returned for this axis.
     #[cold]
     fn way_of_steps(&self, motors: &MotorSteps<N>, length: f32, way: &PerAxis<f32, N>) -> PerAxis<f32, N> {
         let stepped = self.kinematics.way_of_axes(&signed_steps(&motors.steps, motors.directions));
@@ -388,8 +388,8 @@ impl<const N: usize> MoveQueue<N> {
         )
     }
 
-    /// Returns how far the exact start and end of a chord are from the steps nearest to them, in sevenths of a step;
-    /// `None` for other moves, which begin and end on full steps.
+    /// For a chord, returns how far its exact start and end are from the steps nearest to them, in sevenths of a step.
+    /// Returns `None` for other moves, which begin and end on full steps.
     #[inline]
     fn true_ends(
         &mut self,
@@ -408,8 +408,8 @@ impl<const N: usize> MoveQueue<N> {
         Some([start, end])
     }
 
-    /// If a move reverses a motor, and backlash compensation needs less than two thirds of the move, queues the
-    /// beginning of the move, as much as compensation needs, as a block of its own.
+    /// Divides a move that reverses a motor, if backlash compensation needs less than two thirds of the move. Queues
+    /// the part that compensation needs as a block of its own; the caller queues the rest of the move.
     #[inline(never)]
     fn begin_taking_up(&mut self, m: &Move<N>, curve_speed2: f32, chord: bool) {
         let steps = self.kinematics.steps(&m.target);
@@ -444,8 +444,8 @@ impl<const N: usize> MoveQueue<N> {
         }
     }
 
-    /// Returns how many steps of backlash compensation each motor can make in addition to a move: as many as the corner
-    /// rule ([`backlash::share`]) allows for the axes that this motor moves.
+    /// Returns how many steps of backlash compensation each motor can make in addition to a move. The corner rule
+    /// ([`backlash::share`]) for the axes that the motor moves sets this number.
     fn rooms_for_backlash(&self, length: f32, acceleration: f32, speed: f32) -> [f32; N] {
         let mut rooms = self.kinematics.least_mm;
         for (motor, room) in rooms.iter_mut().enumerate() {
@@ -457,8 +457,8 @@ impl<const N: usize> MoveQueue<N> {
         rooms
     }
 
-    /// Adds backlash compensation to a block's steps. Returns the motors' displacement, converted to axes, mm; `None`
-    /// if no steps were to be added.
+    /// Adds backlash compensation to a block's steps. Returns the displacement of the motors with these steps,
+    /// converted to axes, mm; `None` if no steps were to be added.
     #[inline(never)]
     fn take_up(
         &mut self,
@@ -487,9 +487,9 @@ impl<const N: usize> MoveQueue<N> {
         Some(way.zip(&PerAxis(extra), |way, extra| way + extra))
     }
 
-    /// Completes the backlash compensation at the end of the queue. `motors`: their position there. If the last moves
-    /// were too short to make all the extra steps, queues these as a separate block from rest to rest. If the tool has
-    /// not reached its programmed position yet, this block moves it there. Otherwise the tool does not move.
+    /// Completes the backlash compensation at the end of the queue. `motors`: position of the motors there. If the
+    /// last moves were too short for all the extra steps, queues the remaining ones as a separate block from rest to
+    /// rest. This block moves the tool only if the tool has not reached its programmed position yet.
     #[inline(never)]
     pub(super) fn finish_taking_up(&mut self, motors: &Motors<N>, line_number: u32) {
         let taken = self.backlash.finish(&self.end.planned_steps.zip(&motors.tool(), i32::wrapping_sub).0);

@@ -1,5 +1,5 @@
-//! The bounding box of an arc, for soft limits: covers the arc's ends and each quarter point of its circle that lies
-//! within its sweep.
+//! The bounding box of an arc, for soft limits. It covers the arc's ends, and those of the circle's quarter points (0,
+//! 90, 180, 270 degrees) that lie on the arc.
 
 use super::arc::{ArcGeometry, integer_length};
 use crate::axes::{Axis, PerAxis};
@@ -17,8 +17,8 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
     let centre = [of(&arc.start, arc.axis_0) + arc.offset_0, of(&arc.start, arc.axis_1) + arc.offset_1];
     let to = [of(&arc.target, arc.axis_0) - centre[0], of(&arc.target, arc.axis_1) - centre[1]];
     let first = libm::atan2f(-arc.offset_1.to_mm(), -arc.offset_0.to_mm());
-    // The rotation from one angle to another in the arc's direction, from 0 to a turn; the angles are less than two
-    // turns apart.
+    // Returns the rotation from one angle to another in the arc's direction, rad: at least 0, less than a turn. The
+    // angles must be less than two turns apart.
     let forward = |from: f32, to: f32| {
         let mut way = if arc.clockwise { from - to } else { to - from };
         while way < 0.0 {
@@ -26,8 +26,8 @@ pub fn extent<const N: usize>(arc: &ArcGeometry<N>) -> (PerAxis<Coordinate, N>, 
         }
         if way >= TURN { way - TURN } else { way }
     };
-    // This must be the sweep that the chords use, because from the end points alone a tiny arc and almost a full turn
-    // look the same.
+    // Uses the sweep that the chords use. A sweep computed here from the end points alone could differ, because a tiny
+    // arc and almost a full turn have nearly the same end points.
     let sweep = if arc.turns > 0 { TURN } else { arc.sweep() };
     // The radius is in whole units of 0.1 nm. So if a circle touches the end of an axis' travel, rounding does not move
     // it beyond that end.
@@ -67,7 +67,7 @@ mod tests {
         }
     }
 
-    /// For many arcs, the extent equals that of ten thousand points of the same arc.
+    /// For many arcs, the bounding box equals that of ten thousand points of the same arc.
     #[test]
     fn agrees_with_points_on_the_arc() {
         for k in 0..400 {

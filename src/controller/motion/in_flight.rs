@@ -7,8 +7,8 @@ use crate::messages::SEGMENTS_DEPTH;
 
 /// Number of segments that are kept after they have begun: the one begun last and the one before it.
 pub(super) const BEGUN: usize = 2;
-/// Size of the ring: the segments in the queue to the step task, the begun ones, and 4 more: for segments that the step
-/// task has prefetched or executes ahead of time, and for segments on their way to it.
+/// Size of the ring. It has room for the segments in the queue to the step task, for the begun ones, and for 4 more:
+/// those that the step task has prefetched or executes ahead of time, and those on their way to it.
 pub(super) const RING: usize = SEGMENTS_DEPTH + 4 + BEGUN;
 
 /// Record of a segment in flight, as needed for reports.
@@ -24,7 +24,7 @@ pub struct InFlightSegment<const N: usize> {
     pub clocks: u32,
     pub line_number: u32,
     pub power: u16,
-    /// Number that `Motion::set_mark` has set for the segment's block.
+    /// Number from 0 to 31 that `Motion::set_mark` has set for the segment's block, to time a change of outputs.
     pub mark: u8,
 }
 
@@ -53,7 +53,7 @@ pub(super) struct SegmentsInFlight<const N: usize> {
     len: usize,
     /// Total duration of the segments that have not begun, in step-clock ticks.
     queued: u32,
-    /// The step task's count of begun segments, as far as it has been applied to the ring. If the step task's count
+    /// Number of begun segments that have been applied to the ring. If the step task's count of begun segments
     /// differs, the segment at `first` has begun.
     begun: u32,
     /// Whether a segment has begun since the step task was last at rest.
@@ -92,7 +92,6 @@ impl<const N: usize> SegmentsInFlight<N> {
         self.len == 0
     }
 
-    /// Returns whether a segment has begun since the step task was last at rest.
     pub(super) fn moves(&self) -> bool {
         self.moves
     }
@@ -133,8 +132,8 @@ impl<const N: usize> SegmentsInFlight<N> {
         }
     }
 
-    /// Updates the ring from the step task's count of begun segments. `idle`: the step task is at rest. If it is, and
-    /// no segment is in flight, sets the reported speed, power and line number to 0.
+    /// Updates the ring from `begun`, the step task's count of begun segments. `idle`: `true` if the step task is at
+    /// rest. If it is at rest and no segment is in flight, the reported speed, power and line number become 0.
     #[inline]
     pub(super) fn observe(&mut self, begun: u32, idle: bool) {
         while self.len > 0 && self.begun != begun {
@@ -146,8 +145,8 @@ impl<const N: usize> SegmentsInFlight<N> {
             self.moves = true;
         }
         if self.len == 0 {
-            // Nothing is in flight, so adopt the step task's count of begun segments as it is. The count does not
-            // change any more: even after a stop, the step task begins no segment until its gate is opened.
+            // Nothing is in flight, so adopt the step task's count of begun segments. The count does not change any
+            // more: even after a stop, the step task begins no segment while its gate is closed.
             self.begun = begun;
             if !idle {
                 return;
@@ -162,7 +161,8 @@ impl<const N: usize> SegmentsInFlight<N> {
         }
     }
 
-    /// Clears all segments in flight; the machine rests at `position`.
+    /// Clears all segments in flight. The machine rests with the tool at `position` (steps), and the motors lead it by
+    /// `lead` steps.
     pub(super) fn forget(&mut self, position: PerAxis<i32, N>, lead: [i32; N]) {
         self.len = 0;
         self.queued = 0;

@@ -1,5 +1,5 @@
-//! The mathematics of the S-curve: changes of speed within `Bounds` of acceleration and jerk. `ramp_distance` and its
-//! inverse `ramp_speed` (by Newton's method) are for ramps that begin and end with an acceleration of 0.
+//! The mathematics of the S-curve: changes of speed within `Bounds` of acceleration and jerk. `ramp_distance` is for
+//! ramps that begin and end with an acceleration of 0. `ramp_speed` is its inverse, by Newton's method.
 //!
 //! ```text
 //!  speed  from ____                       acceleration   0 ___                 ___
@@ -32,8 +32,8 @@ pub(super) struct Bounds {
 impl Bounds {
     pub(super) const NONE: Self = Self { acceleration: f32::INFINITY, jerk: f32::INFINITY };
 
-    /// Returns the bounds rounded down to numbers whose lower 16 bits are 0, because [`super::block::Ramp`] stores only
-    /// the upper 16.
+    /// Returns the bounds rounded down to numbers whose lower 16 bits are 0. Reason: [`super::block::Ramp`] stores
+    /// only the upper 16 bits.
     #[inline]
     pub(super) fn rounded_down(self) -> Self {
         let upper = |value: f32| f32::from_bits(value.to_bits() & 0xFFFF_0000);
@@ -73,8 +73,8 @@ pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
     if distance <= 0.0 {
         return to;
     }
-    // If the ramp reaches the maximum acceleration a: (to + x / 2)·(x / a + a / j) = distance, with the change of speed
-    // x and the jerk j.
+    // If the ramp reaches the maximum acceleration a, the change of speed x satisfies (to + x / 2)·(x / a + a / j) =
+    // distance, with the jerk j.
     let least = to * acceleration / jerk;
     if distance > least {
         let half = to / acceleration + 0.5 * acceleration / jerk;
@@ -83,8 +83,9 @@ pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
             return to + change;
         }
     }
-    // Otherwise, with y = √x: y³ + 2·to·y = distance·√j. The left side is convex, so Newton's method converges from a y
-    // that is too great. Setting either term on the left alone equal to the right side gives such a y.
+    // Otherwise the change of speed is x = y², where y³ + 2·to·y = distance·√j, with the jerk j. Newton's method
+    // converges from any y that is too great, because the left side is convex. The solution without one of the two
+    // terms on the left is such a y.
     let wanted = distance * square_root(jerk);
     let mut root = cube_root(wanted);
     if 2.0 * to * root > wanted {
@@ -100,7 +101,7 @@ pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
 /// Number of Newton iterations. They reach 24 bits, because the starting value is too great by a factor of 1.4 at most.
 const NEWTON: u32 = 4;
 
-/// Returns the cube root of a nonnegative number.
+/// Returns the cube root of a nonnegative number; 0 for numbers up to `f32::MIN_POSITIVE`.
 #[inline]
 pub(super) fn cube_root(value: f32) -> f32 {
     if value <= f32::MIN_POSITIVE {
@@ -115,9 +116,10 @@ pub(super) fn cube_root(value: f32) -> f32 {
 }
 
 impl PathState {
-    /// Returns the maximum speed of the ramp that contains this state, and the distance to the point of that speed,
-    /// where the acceleration is 0. The distance is positive for an accelerating machine, which reaches the point after
-    /// easing off, and negative for a braking one, which has passed the point.
+    /// Returns the maximum speed of the ramp that contains this state, and the distance, mm, from here to the point
+    /// with that speed, where the acceleration is 0. The distance is positive for an accelerating machine: it reaches
+    /// the point when it has reduced its acceleration to 0. The distance is negative for a braking machine, because
+    /// the point lies behind it.
     #[inline]
     pub(super) fn summit(self, jerk: f32) -> (f32, f32) {
         let time = self.acceleration / jerk;
@@ -142,8 +144,8 @@ impl PathState {
             return true;
         }
         if valley <= 0.0 {
-            // The machine would come to rest before its deceleration is eased off. It reaches the target speed before
-            // that; check that this happens within the distance.
+            // The machine would come to rest before its deceleration is reduced to 0. It passes the target speed on
+            // the way: check that this happens within the distance.
             let change = self.speed - target;
             let root = square_root(greater(self.acceleration * self.acceleration - 2.0 * bounds.jerk * change, 0.0));
             let time = 2.0 * change / (root - self.acceleration);
@@ -156,8 +158,8 @@ impl PathState {
         self.falls(target, distance, bounds)
     }
 
-    /// Returns whether a ramp to `target` from the maximum speed of this state's ramp ([`PathState::summit`]) ends
-    /// within `distance` from here.
+    /// Returns `true` if the ramp that contains this state reaches `target` within `distance` from here. The ramp
+    /// starts at its maximum speed ([`PathState::summit`]).
     #[inline]
     fn falls(self, target: f32, distance: f32, bounds: Bounds) -> bool {
         let (summit, ahead) = self.summit(bounds.jerk);
@@ -182,9 +184,9 @@ impl PathState {
     }
 }
 
-/// Returns the acceleration, mm/s², that a machine at `speed` must have now. With it, a constant jerk takes the machine
-/// to the speed `target` and, at the same moment, to an acceleration of 0, after exactly `distance`. If the caller
-/// computes the acceleration anew at each point, the path has this constant jerk, and small errors are corrected.
+/// Returns the acceleration, mm/s², that a machine at `speed` must have now, so that a constant jerk takes it to the
+/// speed `target` after exactly `distance`, with an acceleration of 0 there. If the caller computes the acceleration
+/// anew at each point, the path has this constant jerk, and small errors are corrected.
 #[inline]
 pub(super) fn landing(speed: f32, target: f32, distance: f32) -> f32 {
     -(2.0 / 3.0) * (speed - target) * (speed + 2.0 * target) / distance
@@ -248,8 +250,8 @@ mod tests {
         assert_eq!(cube_root(0.0), 0.0);
     }
 
-    /// For each state within a ramp, `summit` returns the start of that ramp, and `lands` is true for the distance to
-    /// the end of the ramp but false for a shorter one.
+    /// For each state within a ramp, `summit` returns the speed and the place of the start of that ramp. `lands` is
+    /// true for the distance to the end of the ramp but false for a shorter one.
     #[test]
     fn states_within_a_ramp_belong_to_it() {
         let (from, to) = (80.0_f32, 20.0);

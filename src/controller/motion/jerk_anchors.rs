@@ -1,5 +1,5 @@
-//! Look-ahead with a jerk limit: the data that the reverse pass and the running ramp need about the path to the next
-//! anchor. An anchor is an entry (the start of a block) at which a ramp ends; [`super::planner`] describes how anchors
+//! Look-ahead with a jerk limit: data about the path to the next anchor, for the reverse pass and for the running
+//! ramp. An anchor is an entry (the start of a block) at which a ramp ends. [`super::planner`] describes how anchors
 //! are found.
 
 use super::block::{Block, CurveLoad};
@@ -36,9 +36,9 @@ impl Way {
         apart(own.acceleration, self.bounds.acceleration) || apart(own.jerk, self.bounds.jerk)
     }
 
-    /// Returns the speed of an additional anchor at the end of a block with bounds `own`, if this anchor shortens a
-    /// ramp down from the speed² `cap2`. Without this anchor, the tight bounds of one block would apply to all of a
-    /// long ramp.
+    /// Returns the speed of an additional anchor at the end of a block if this anchor shortens the ramp, otherwise
+    /// `None`. Without the anchor, the tight bounds of one block would apply to all of a long ramp. `own`: bounds of
+    /// the block; `cap2`: speed² from which the ramp comes down.
     #[inline(never)]
     pub(super) fn better_anchor(&self, own: Bounds, cap2: f32) -> Option<f32> {
         let ceiling = square_root(self.ceiling2);
@@ -54,18 +54,18 @@ impl Way {
 pub(super) struct Stretch {
     /// Path length, mm.
     pub length: f32,
-    /// Speed² of the slowest anchor among the entries.
+    /// Speed² of the slowest anchor among the entries of these blocks; infinite without an anchor.
     pub slowest2: f32,
     /// The tightest bounds of the blocks.
     pub bounds: Bounds,
     /// Minimum acceleration of the blocks, bends not considered.
     pub straight_acceleration: f32,
-    /// Combination of all bends.
+    /// Combination of the bends of all these blocks.
     pub curve: CurveLoad,
 }
 
 impl Stretch {
-    /// Initial contents of the memory: all 0.
+    /// Initial contents of the memory: all 0, so that static memory takes no flash.
     pub(super) const BLANK: Self = Self {
         length: 0.0,
         slowest2: 0.0,
@@ -113,8 +113,8 @@ impl Target {
     }
 
     /// Like [`Target::nearest`], for a segment of length `way`, mm. If the machine reaches the ceiling within the
-    /// segment, returns the anchor instead, so that the ramp from the ceiling down to the anchor begins with this
-    /// segment. With the next segment it would begin too late.
+    /// segment, returns the anchor instead. So the ramp from the ceiling down to the anchor begins with this segment;
+    /// with the next one it would begin too late.
     pub(super) fn beyond(&self, speed: f32, way: f32) -> (f32, f32) {
         if speed > self.ceiling {
             let distance = self.distance - ramp_distance(self.ceiling, self.speed, self.bounds);

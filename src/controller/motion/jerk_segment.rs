@@ -1,14 +1,15 @@
-//! Cuts the next segment of a block with a jerk limit (S-curve), from the present speed and acceleration, as fast as
-//! the planned anchors allow.
+//! Cuts the next segment of a block with a jerk limit (S-curve). The segment starts with the present speed and
+//! acceleration, and is as fast as the planned anchors allow. An anchor is an entry of a block at which a ramp ends.
 //!
 //! At its end, each segment has the first one of these accelerations that is possible:
 //! 1. the acceleration that leads to the nominal speed soonest;
 //! 2. the present acceleration;
-//! 3. that of a ramp down to the next anchor (an entry of a block at which a ramp ends).
+//! 3. the acceleration of a ramp down to the next anchor.
 //!
-//! 1 and 2 are possible if the machine can still meet the next anchors afterwards. Only speed and acceleration are
-//! carried from one segment to the next. So an override, a hold, the resume after a hold, or moves that arrive late
-//! need no plan of their own: they change the permitted accelerations, and the jerk stays bounded.
+//! Accelerations 1 and 2 are possible if the machine can still meet the next anchors after the segment. Only speed and
+//! acceleration are carried from one segment to the next. So an override, a hold, the resume after a hold, or moves
+//! that arrive late need no plan of their own. They only change which accelerations are possible, and the jerk stays
+//! bounded.
 
 use super::jerk::{Bounds, PathState, cube_root, landing, ramp_distance, ramp_speed};
 use super::planner::Planner;
@@ -17,7 +18,7 @@ use super::segment::{self, Cut, SegmentSize};
 use super::trapezoid::{Pace, greater, lesser, square_root};
 use crate::messages::UNITS_PER_STEP;
 
-/// Relative deviation up to which a speed counts as the nominal one: about a hundred rounding errors.
+/// Relative deviation up to which a speed counts as the nominal speed: about a hundred rounding errors of an `f32`.
 const SAME_SPEED: f32 = 1.0e-5;
 /// Relative deviation from the nominal speed up to which a segment ends at exactly the nominal speed, with an
 /// acceleration of 0.
@@ -93,8 +94,8 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Self { state, way, left, nominal, bounds, guess, change: bounds.jerk * guess, planner }
     }
 
-    /// Returns a segment for a machine at rest: `free`, which has constant jerk, or a slower one if the machine could
-    /// not slow down for the next anchors after `free`.
+    /// Returns the first segment of a machine at rest. Normally that is `free`, which has constant jerk. If the
+    /// machine could not slow down for the next anchors after `free`, it is a slower segment.
     fn leave_rest(&self, free: Travelled, ease_off_limit: &mut f32) -> Travelled {
         let Self { way, nominal, bounds, .. } = *self;
         let rest = self.left - way;
@@ -118,12 +119,13 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         let mut allowed = Bounds { acceleration: lesser(bounds.acceleration, *ease_off_limit), ..bounds };
         let too_fast = state.speed > nominal * (1.0 + SNAP);
         if too_fast {
-            // Use the tightest bounds of all blocks on which the machine brakes until its deceleration is eased off.
+            // Use the tightest bounds of all blocks that the machine passes until it has reduced its deceleration to
+            // 0.
             let (_, ease) = state.valley(bounds.jerk);
             allowed = planner.bounds_within(ease, self.left, state.speed * state.speed);
         }
         let best = self.within_jerk(state.towards(nominal, self.guess, allowed));
-        // In a hold the nominal speed is 0, but no distance is given within which the machine must reach it. So the
+        // In a hold the nominal speed is 0, but the machine need not reach it within a certain distance. So the
         // nominal speed sets no limit here; the corners in the queue still do.
         let most = if braking { f32::INFINITY } else { nominal * (1.0 + SAME_SPEED) };
         if let Some((ahead, travelled)) = self.to_nominal(best, most).or_else(|| self.as_before(best, most)) {
@@ -131,8 +133,9 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
             return travelled;
         }
         *ease_off_limit = bounds.acceleration;
-        // `steepest` applies if the distance is too short for the planned ramp. It is the running block's acceleration
-        // or, for a machine that is too fast, that of the blocks on which the machine eases off its braking.
+        // The argument `steepest` is used if the distance is too short for the planned ramp. Normally it is the
+        // running block's acceleration. If the machine is too fast, it is the lowest acceleration of the blocks on
+        // which the machine reduces its deceleration to 0.
         self.ramp_down(best, if too_fast { allowed.acceleration } else { bounds.acceleration })
     }
 
@@ -143,9 +146,9 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         greater(lesser(wanted, acceleration + self.change), acceleration - self.change)
     }
 
-    /// Returns the segment's time and end state if it ends with the acceleration `end`. Computed with the mean
-    /// acceleration as if it were constant: with the jerk j, the error of the distance after the time t is j·t³/12, a
-    /// hundredth of a micrometre after 1 ms at 100,000 mm/s³.
+    /// Returns the segment's time and end state if it ends with the acceleration `end`. Uses the mean acceleration as
+    /// if it were constant. The error of the distance is j·t³/12 with the jerk j and the duration t: a hundredth of a
+    /// micrometre for 100,000 mm/s³ and 1 ms.
     #[inline]
     fn to(&self, end: f32) -> Travelled {
         let PathState { speed, acceleration } = self.state;
@@ -163,10 +166,12 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Travelled { seconds: 2.0 * self.way / (self.state.speed + speed), end: PathState { speed, acceleration } }
     }
 
-    /// Tries to end the segment with `best`, the acceleration that leads to the nominal speed soonest. Returns the
-    /// lowest acceleration bound of the blocks on which the machine can then reduce this acceleration to 0, and the
-    /// segment's time and end state. Returns `None` if [`Planner::allows`] forbids the state at its end, or if the
-    /// acceleration there exceeds this bound and `best` is at least the present acceleration.
+    /// Tries to end the segment with `best`, the acceleration that leads to the nominal speed soonest. If that is
+    /// possible, returns an acceleration bound, and the segment's time and end state. The bound is the lowest one of
+    /// the blocks on which the machine would then reduce its acceleration to 0.
+    ///
+    /// Returns `None` if [`Planner::allows`] forbids the end state. Also returns `None` if the acceleration at the end
+    /// exceeds the bound, unless `best` is below the present acceleration.
     #[inline]
     fn to_nominal(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
         let travelled = self.to(best);
@@ -181,9 +186,9 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Some((ahead, if arrives { self.at_speed(self.nominal, 0.0) } else { travelled }))
     }
 
-    /// Tries to keep the present acceleration, like [`SegmentStart::to_nominal`]. Returns `None` if the present
-    /// acceleration is negative, at least `best`, or above the bound of the blocks ahead, or if [`Planner::allows`]
-    /// forbids the state at the end of the segment.
+    /// Tries to keep the present acceleration. Returns the same values as [`SegmentStart::to_nominal`]; `None` in
+    /// these cases: the present acceleration is negative, at least `best`, or above the bound of the blocks ahead, or
+    /// [`Planner::allows`] forbids the end state.
     #[inline]
     fn as_before(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
         let acceleration = self.state.acceleration;
@@ -208,8 +213,8 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         }
         // The ramp is planned with the tightest bounds ahead.
         let planned = target.bounds.acceleration;
-        // If the override was raised in a bend, or the bend was found late, the bend leaves less acceleration for
-        // braking than was planned. If the target cannot be met with the planned acceleration, brake with all of the
+        // A bend can leave less acceleration for braking than was planned: the override was raised in the bend, or the
+        // bend was found late. If the target cannot be met with the planned acceleration, brake with all of the
         // block's acceleration.
         let all = self.planner.first().map_or(steepest, |block| greater(steepest, block.acceleration));
         let mut wanted = if target.is_met(state) { -planned } else { -greater(planned, all) };
@@ -219,27 +224,27 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
             wanted = greater(wanted, land);
         }
         let travelled = self.to(lesser(self.within_jerk(wanted), best));
-        // If the ramp ends in this segment, and more than half of the speed must be lost in it (the ticks are too
-        // coarse for a gradual change), end at the planned speed regardless of the jerk.
+        // The ticks can be too coarse for a gradual change: the ramp ends in this segment, and more than half of the
+        // speed must be lost in it. Then end at the planned speed regardless of the jerk.
         let even = (speed * speed - aim * aim) / (2.0 * way);
         let coarse = distance <= way && aim < 0.5 * speed && travelled.end.speed > aim && even <= all;
         if coarse { self.at_speed(aim, 0.0) } else { travelled }
     }
 
-    /// Returns the time and end state of a segment in which braking would bring the machine to rest before its end. The
-    /// machine keeps its speed instead. But if the block ends with this segment, the speed at its end is at most the
-    /// planned one.
+    /// Returns the time and end state of a segment in which braking would bring the machine to rest before the end of
+    /// the segment. Instead, the machine keeps its speed through the segment. If the block ends with this segment, the
+    /// end speed is at most the planned one.
     #[inline(never)]
     fn come_to_rest(planner: &Planner<N>, speed: f32, way: f32, left: f32, bounds: Bounds) -> Travelled {
         let exit = if left > way { speed } else { lesser(speed, planner.target(0, left, bounds).speed) };
-        // `3.0 * way / speed` is the time to rest with constant jerk.
+        // `3.0 * way / speed` is the time until rest at constant jerk.
         let seconds = if exit > 0.0 { 2.0 * way / (speed + exit) } else { 3.0 * way / speed };
         Travelled { seconds, end: PathState { speed: exit, acceleration: 0.0 } }
     }
 }
 
-/// Returns the time and end state of a first segment from rest with constant jerk: the maximum jerk, or less if the
-/// acceleration would become too high.
+/// Returns the time and end state of the first segment from rest. Its jerk is constant: the maximum jerk, or less if
+/// the acceleration would become too high.
 fn start(way: f32, bounds: Bounds) -> Travelled {
     let seconds = greater(cube_root(6.0 * way / bounds.jerk), square_root(6.0 * way / bounds.acceleration));
     Travelled { seconds, end: PathState { speed: 3.0 * way / seconds, acceleration: 6.0 * way / (seconds * seconds) } }

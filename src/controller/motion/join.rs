@@ -1,5 +1,5 @@
-//! Joins short collinear moves into one block, so that the look-ahead covers more moves than it has blocks. Keeps the
-//! data of the queue's last block as long as further moves can continue its line; [`super::short_moves`] selects the
+//! Joins short collinear moves into one block, so that the look-ahead covers more moves than it has blocks. Stores the
+//! data of the queue's last block as long as further moves can continue its line. [`super::short_moves`] selects the
 //! moves to join.
 //!
 //! ```text
@@ -7,17 +7,18 @@
 //!   A ─────────────┼───────────── C        the block from A is taken back, and the one from A to C is queued instead
 //!          P2 ─────┘
 //! ```
-//! For every motor, the line from A to C must pass all points between A and C within the distance shown. Line and point
-//! are compared at equal positions of the main motor, the one with the longest displacement. So each point allows a
-//! range of slopes of each other motor relative to the main one. Only the intersection of these ranges is kept: two
-//! numbers per motor for any number of points, and errors do not add up.
+//! For every motor, the line from A to C must pass each point between A and C within the distance shown. Line and
+//! point are compared where the main motor, the one with the longest displacement, has the same position. So each
+//! point allows each other motor a range of slopes relative to the main motor. Only the intersection of the ranges of
+//! all points is stored: two numbers per motor for any number of points. Errors do not add up.
 //!
-//! A block is taken back by restoring the previous end of the queue. So lengths, corners and curvature are the same as
-//! if the program contained the joined move. The chain (the last pieces of the path, from which [`super::curvature`]
-//! determines bends) gets a block's piece only when no more moves are joined to the block. That is early enough: until
-//! then the block is the last one of the queue, and the plan ends at rest there. Only a block that has not begun is
-//! taken back, and the new block can be entered as fast as the old one. So the speeds planned for earlier blocks stay
-//! valid.
+//! To take a block back, the previous end of the queue is restored. So lengths, corners and curvature are the same as
+//! if the program contained the joined move. Only a block that has not begun is taken back, and the new block can be
+//! entered as fast as the old one. So the speeds planned for earlier blocks stay valid.
+//!
+//! The chain (the last pieces of the path, in which [`super::curvature`] finds bends) gets the block's piece when no
+//! more moves can be joined to the block. That is early enough: until then the block is the last one of the queue, and
+//! the plan ends at rest there.
 
 use super::curvature::PathPiece;
 use super::kinematics::Kinematics;
@@ -33,9 +34,10 @@ const LEAST_DIGIT: f32 = 1.0e-4;
 pub(super) struct Join<const N: usize> {
     /// Whether the last block can still be replaced by a longer one that covers the next move, too.
     pub open: bool,
-    /// Whether the block's piece of the path has not been added to the chain yet, because the block could be replaced.
+    /// `true` if the block's piece of the path has not been added to the chain (see the head of this file) yet,
+    /// because the block could be replaced.
     pub kept: bool,
-    /// Whether no point that the line must pass has been added yet.
+    /// `true` as long as no point that the line must pass has been added.
     pub fresh: bool,
     /// The motor with the longest displacement.
     main: usize,
@@ -49,16 +51,17 @@ pub(super) struct Join<const N: usize> {
     pub path: f32,
     /// Number of moves that were joined or merged after the queue was last empty. They have no block of their own.
     pub moves: usize,
-    /// [`PathPiece::length`] of the block's piece of the path, which is added to the chain when joining ends.
+    /// Straight length of the block's piece of the path, mm ([`PathPiece::length`]). The piece is added to the chain
+    /// when joining ends.
     pub length: f32,
-    /// [`PathPiece::path`] of the block's piece.
+    /// Path length of the block's piece, mm ([`PathPiece::path`]).
     pub block_path: f32,
-    /// [`PathPiece::fast2`] of the block's piece.
+    /// Maximum speed² of the block's piece under any override ([`PathPiece::fast2`]).
     pub fast2: f32,
     /// Resolution of the program's coordinates (value of their last decimal place; the finest one of several moves),
     /// mm.
     pub digit: f32,
-    /// Common speed of the block's moves. They also have `power`, `scale_power` and `line_number` in common.
+    /// Speed that the block's moves have in common. The next three fields are common to these moves, too.
     speed: Speed,
     power: u16,
     scale_power: bool,
@@ -107,8 +110,8 @@ impl<const N: usize> Join<N> {
         self.kept = false;
     }
 
-    /// Call for each new block. If it can still be replaced by a longer one, saves the data of its piece of the path
-    /// and returns `true`: the caller must not add the piece to the chain yet.
+    /// Call for each new block. If the block can still be replaced by a longer one, saves the data of its piece of the
+    /// path and returns `true`. The caller then must not add the piece to the chain yet.
     #[inline]
     pub(super) fn keeps(&mut self, piece: &PathPiece<'_, N>) -> bool {
         self.digit = piece.digit;
@@ -127,15 +130,15 @@ impl<const N: usize> Join<N> {
             && self.line_number == m.line_number
     }
 
-    /// Returns the main motor's displacement in `way`, the displacements of all motors from the start of the line;
-    /// `None` if the main motor has moved back from its farthest point.
+    /// Returns the main motor's part of `way`; `None` if the main motor has moved back from its farthest point. `way`:
+    /// displacements of all motors from the start of the line, mm.
     pub(super) fn along(&self, way: &[f32; N]) -> Option<f32> {
         let along = way.get(self.main).copied()?;
         (along * self.reach > 0.0 && along.abs() >= self.reach.abs()).then_some(along)
     }
 
-    /// Adds a point that the line must pass, given as displacements of the motors from the start of the line. Returns
-    /// `false` if the main motor moves back to this point, so that no move can continue the line.
+    /// Adds a point that the line must pass. `way`: displacements of the motors from the start of the line to the
+    /// point, mm. Returns `false` if the main motor moves back to this point, so that no move can continue the line.
     pub(super) fn pass(&mut self, way: &[f32; N]) -> bool {
         if core::mem::take(&mut self.fresh) {
             self.slopes = [(f32::NEG_INFINITY, f32::INFINITY); N];
@@ -152,8 +155,8 @@ impl<const N: usize> Join<N> {
         let digit = greater(self.digit, LEAST_DIGIT);
         for ((least, most), (part, half)) in self.slopes.iter_mut().zip(way.iter().zip(self.half_mm)) {
             let slope = part * share;
-            // Rounding can shift the point and both ends by half of the resolution each, in this motor and in the main
-            // one.
+            // Rounding of the coordinates can shift the point and both ends of the line by half of the resolution
+            // each. That applies to this motor and to the main one.
             let range = lesser(half, digit * (1.0 + slope.abs())) * share.abs();
             *least = greater(*least, slope - range);
             *most = lesser(*most, slope + range);
@@ -161,8 +164,8 @@ impl<const N: usize> Join<N> {
         true
     }
 
-    /// Returns whether the straight line from the start to `way` (displacements of the motors) passes each added point
-    /// within the distance allowed for that point.
+    /// Returns `true` if the straight line from the start to `way` passes each added point within the distance allowed
+    /// for that point. `way`: displacements of the motors, mm.
     pub(super) fn allows(&self, way: &[f32; N]) -> bool {
         let Some(along) = self.along(way) else { return false };
         let share = 1.0 / along;

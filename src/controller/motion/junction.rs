@@ -17,12 +17,12 @@ const CERTAIN: f32 = 1.0 / 64.0;
 const STRAIGHT: f32 = 2.0e-6;
 /// q² above which a move counts as a reversal.
 pub(super) const REVERSAL: f32 = 4.0 - 2.0e-6;
-/// q² from which a turn is so near to a reversal that its tangent is undefined.
+/// q² from which a turn (162 degrees or more) is so near to a reversal that its tangent is undefined.
 const NO_TANGENT: f32 = 3.9;
 
-/// Factor by which a bend's computed speed² is reduced, so that rounding cannot make it too high. If unit vectors are
-/// off by their last bit, the normal and the tangent of a turn of q² = [`STRAIGHT`] are perpendicular only within
-/// 0.0007.
+/// Safety factor for the speed² of a bend. It is used in the quick checks that skip a limit, so that rounding errors
+/// cannot make them skip too much. Example of such an error: if unit vectors are off by their last bit, the normal and
+/// the tangent of a turn of q² = [`STRAIGHT`] are perpendicular only within 0.0007.
 pub(super) const BEND_MARGIN: f32 = 0.99;
 
 /// Settings of the machine for the rule for turns.
@@ -59,7 +59,8 @@ pub(super) fn turn2<const N: usize>(before: &[f32; N], after: &[f32; N]) -> f32 
     square
 }
 
-/// Returns whether a turn is negligible or can be explained by noise alone.
+/// Returns `true` if a turn is negligible or can be explained by noise alone. `turn2`: q² of the turn; `noise`:
+/// maximum angle that rounding of the coordinates can cause, rad.
 #[inline]
 pub(super) fn is_noise(turn2: f32, noise: f32) -> bool {
     turn2 <= noise * noise || turn2 < STRAIGHT
@@ -97,8 +98,8 @@ impl<const N: usize> TurnRule<N> {
         Self { acceleration, least, most, deviation, curve_share }
     }
 
-    /// Returns the maximum acceleration in the direction of the change of velocity at which no axis exceeds its limit.
-    /// `turn`: q, the length of the difference of the two unit vectors.
+    /// Returns the maximum acceleration, mm/s², in the direction of the change of velocity, so that no axis exceeds
+    /// its limit. `turn`: q, the length of the difference of the two unit vectors.
     #[inline(never)]
     pub(super) fn across(&self, before: &[f32; N], after: &[f32; N], turn: f32) -> f32 {
         // Finds the axis with the lowest ratio of its limit to its part of the difference. Divides only once, at the
@@ -113,10 +114,10 @@ impl<const N: usize> TurnRule<N> {
         least * turn / least_part
     }
 
-    /// Returns the acceleration a that the machine can have in every direction of a turn's plane without any axis
-    /// exceeding its limit. It limits the centripetal acceleration of a bend. With the unit vectors n (normal) and t
-    /// (tangent) of the turn, axis i gets at most `a·√(n_i² + t_i²)` at any point of the bend. So the limit is the same
-    /// for the whole bend, and the speed on a circle is constant.
+    /// Returns the acceleration a, mm/s², that the machine can have in every direction within the plane of a turn, so
+    /// that no axis exceeds its limit. It limits the centripetal acceleration of a bend. At any point of the bend,
+    /// axis i gets at most `a·√(n_i² + t_i²)`, where n and t are the unit vectors normal and tangential to the turn.
+    /// So one limit holds for the whole bend, and the speed on a circle is constant.
     #[inline]
     pub(super) fn in_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32, moving: MovingAxes) -> f32 {
         // The plane of two axes contains both of them, so n_i² + t_i² = 1.
@@ -155,8 +156,8 @@ impl<const N: usize> TurnRule<N> {
         MovingAxes { least, are_two: count <= 2 }
     }
 
-    /// Returns whether a bend that makes this turn within `length`, mm, certainly allows more than the speed² `fast2`.
-    /// Compares squares, without division or square root. `least`: lower bound of [`TurnRule::in_plane`];
+    /// Returns `true` if a bend that makes this turn within `length`, mm, certainly allows more than the speed²
+    /// `fast2`. Compares squares, without division or square root. `least`: lower bound of [`TurnRule::in_plane`];
     /// `half_cosine`: lower bound of s.
     #[inline]
     pub(super) fn is_surely_faster(&self, least: f32, length: f32, turn2: f32, half_cosine: f32, fast2: f32) -> bool {
@@ -172,15 +173,16 @@ impl<const N: usize> TurnRule<N> {
         across * self.deviation * half_cosine * (1.0 + half_cosine) / (0.25 * turn2)
     }
 
-    /// Returns a speed² that a square corner between any two axes allows, computed with the lowest acceleration of all
-    /// axes.
+    /// Returns a speed² that a square corner between any two axes allows. It is computed with the lowest acceleration
+    /// of all axes.
     #[inline]
     pub(super) fn square_corner2(&self) -> f32 {
         self.least * self.deviation * SQUARE_CORNER
     }
 }
 
-/// Returns how much the speed² can rise within a length at an acceleration, with a margin for rounding.
+/// Returns how much the speed², mm²/s², can rise within a length, mm, at an acceleration, mm/s². Includes a margin of
+/// 1 % for rounding.
 #[inline]
 pub(super) fn rise2(acceleration: f32, length: f32) -> f32 {
     2.02 * acceleration * length

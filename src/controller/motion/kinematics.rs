@@ -21,7 +21,7 @@ pub(super) struct Kinematics<const N: usize> {
 }
 
 impl<const N: usize> Kinematics<N> {
-    /// One step per millimetre on each axis.
+    /// Placeholder until the settings are applied: one step per millimetre on each axis.
     pub(super) const ONE: Self =
         Self { arrangement: Arrangement::Cartesian, steps_per_mm: PerAxis::all(StepsPerMm::ONE), least_mm: [1.0; N] };
 

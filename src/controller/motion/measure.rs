@@ -2,15 +2,17 @@
 //! step generator and the code that cuts segments use this module, so they agree on where a segment ends. All
 //! computations use whole numbers and are exact; there is no state.
 //!
-//! With each unit, the remainder until an axis' next step falls by the axis' rate; each step adds the threshold (see
-//! `dda`). On a line, an axis' rate is its number of steps, and the threshold is the number of units: 16 for each step
-//! of the dominant axis, the one with the most steps.
+//! Each axis has a countdown to its next step, the remainder. Each unit reduces it by the axis' rate; each step adds
+//! the threshold (see `dda`). On a line, an axis' rate is its number of steps. The threshold is the number of units:
+//! 16 for each step of the dominant axis, the one with the most steps.
 //!
-//! A chord of a curve begins and ends between two steps: f steps beyond the step nearest to its start, and g steps
-//! beyond the one nearest to its end. f and g are signed fractions ([`AxisSteps`]). After u of M units, an axis with n
-//! steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ of them. This number is 0 at the start and n at the end, because f and g
-//! are between -1/2 and 1/2. It is always within half a step of the exact chord. In sevenths of a step the arithmetic
-//! is the same, with 7·M as the threshold, 7·n + 7·g - 7·f as the rate, and a first remainder that is smaller by 7·f·M.
+//! A chord of a curve can begin and end between two steps. Its exact start is f steps beyond the step nearest to it,
+//! its exact end g steps beyond the step nearest to it. f and g are from -1/2 to 1/2, in sevenths of a step
+//! ([`AxisSteps`]). After u of M units, an axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ steps. This number
+//! is 0 at the start, n at the end, and always within half a step of the exact chord.
+//!
+//! To compute this number without fractions, everything is multiplied by 7: the threshold is 7·M, the rate is 7·n +
+//! 7·g - 7·f, and the first remainder is smaller by 7·f·M.
 
 use crate::messages::{AxisSteps, UNITS_PER_STEP};
 
@@ -42,7 +44,7 @@ impl Measure {
         Self { total, threshold: total.wrapping_mul(scale), scale }
     }
 
-    /// Returns the amount by which each unit of the block reduces an axis' remainder until its next step. It is
+    /// Returns the amount by which each unit of the block reduces an axis' countdown to its next step. The rate is
     /// negative (wrapped) for an axis without steps that moves backwards by less than a step in the whole block.
     #[inline(always)]
     pub(super) fn rate(&self, axis_steps: AxisSteps) -> u32 {
@@ -52,9 +54,9 @@ impl Measure {
             .wrapping_add_signed(axis_steps.end().wrapping_sub(axis_steps.start()))
     }
 
-    /// Returns the sum with which [`steps_taken`] begins at the start of the block: half a step, plus the offset of the
-    /// axis' exact start, scaled so that a step equals `threshold`. 1 is subtracted, so that exactly half way between
-    /// two steps the lower one counts.
+    /// Returns the value with which the sum in [`steps_taken`] begins: half a step, plus the offset of the axis' exact
+    /// start, minus 1. A step equals `threshold`. The 1 is subtracted so that a point exactly half way between two
+    /// steps counts as the lower step.
     #[inline(always)]
     pub(super) fn credit(&self, axis_steps: AxisSteps) -> u32 {
         (self.threshold / 2).wrapping_add(parts_beyond(self.total, axis_steps)).wrapping_sub(1)
@@ -88,8 +90,8 @@ pub(super) fn advance(rate: u32, units: u32) -> u64 {
     (i64::from(rate as i32) * i64::from(units as i32)) as u64
 }
 
-/// Returns [`steps_taken`] and the remainder until the next step. `first`: this remainder at the start of the block.
-/// Divides bit by bit, which is slow but small: the step task has no room for a 64-bit division, and calls this
+/// Returns [`steps_taken`] and the countdown to the next step. `first`: the countdown at the start of the block.
+/// Divides bit by bit, which is slow but small. The step task has no room for a 64-bit division, and calls this
 /// function only at rest.
 pub(super) fn steps_and_rest(rate: u32, first: u32, threshold: u32, units: u32) -> (u32, u32) {
     let mut sum = advance(rate, units).wrapping_add(u64::from(threshold.wrapping_sub(first)));
@@ -115,7 +117,6 @@ pub(super) fn inverse(odd: u32) -> u32 {
     inverse
 }
 
-/// Returns `value` + `steps`, or `value` - `steps` if `negative`.
 #[inline]
 pub(super) fn signed_add(value: i32, steps: u32, negative: bool) -> i32 {
     if negative { value.wrapping_sub_unsigned(steps) } else { value.wrapping_add_unsigned(steps) }

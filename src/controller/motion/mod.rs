@@ -6,10 +6,10 @@
 //!  curve ─ chords ┘                 entry speeds        cut from the trapezoid of the running block
 //!  ╰────────────── queue ──────────────────────╯ ╰────────── segment_source ──────────╯
 //! ```
-//! `queue` is the input side: it holds the blocks and the end of the path. `enqueue` appends blocks there, and
-//! `short_moves` joins short moves into one block. `segment_source` is the output side: it holds the running block, the
-//! state of motion at the end of the last segment handed over to the step task, and the segments in flight. `queue`
-//! does not depend on `segment_source`; this file connects them.
+//! `queue` is the input side: the blocks and the end of the path. `enqueue` appends blocks there, and `short_moves`
+//! joins short moves into one block. `segment_source` is the output side: the running block, the segments in flight,
+//! and the state of motion at the end of the last segment handed over to the step task. `queue` does not depend on
+//! `segment_source`; this file connects them.
 //!
 //! Guarantees:
 //! * Rounding errors do not add up: a chain of moves ends on the step nearest to its programmed end.
@@ -88,7 +88,7 @@ const GREATEST_OVERRIDE: f32 = 100.0;
 pub struct MotionSettings<const N: usize> {
     /// How the motors move the tool: Cartesian or CoreXY.
     pub arrangement: Arrangement,
-    /// Motor steps per millimetre.
+    /// Steps of each motor per millimetre; with CoreXY, per millimetre of its belt.
     pub steps_per_mm: PerAxis<StepsPerMm, N>,
     /// Maximum speed of each axis, mm/s.
     pub max_rate: PerAxis<f32, N>,
@@ -103,15 +103,15 @@ pub struct MotionSettings<const N: usize> {
     pub junction_deviation: f32,
     /// Acceleration allowed in curves as a share of `acceleration`; 1 = all of it.
     pub curve_share: f32,
-    /// Backlash of each motor's drive, mm; 0 = none.
+    /// Backlash of each motor's drive, mm; 0 = none. At most 10,000 steps are compensated.
     pub backlash: PerAxis<f32, N>,
     /// Maximum distance between a chord and its arc, mm.
     pub arc_tolerance: f32,
-    /// Ticks per second of the step timer.
+    /// Ticks per second of the step timer, at least 10,000.
     pub step_clock_hz: u32,
 }
 
-/// The programmed speed of a move.
+/// Programmed speed of a move, before overrides.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Speed {
     /// As fast as the axes allow.
@@ -127,11 +127,11 @@ pub enum Speed {
 pub struct Move<const N: usize> {
     /// End point, in machine coordinates within [`Coordinate::LIMIT`].
     pub target: PerAxis<Coordinate, N>,
-    /// Programmed speed.
+    /// Speed or duration of the move, before overrides.
     pub speed: Speed,
     /// Spindle or laser power, 0 to 65535; sent with each segment.
     pub power: u16,
-    /// Whether power is scaled by actual / programmed speed (M4 of a laser).
+    /// `true` if power is scaled by actual / programmed speed (M4 of a laser).
     pub scale_power: bool,
     /// N word for reports, 0 = none.
     pub line_number: u32,
@@ -156,7 +156,8 @@ pub struct Motion<const N: usize> {
     queue: MoveQueue<N>,
 }
 
-/// The memory that a [`Motion`] works in: blocks, their summaries, segments in flight, and curvature scales.
+/// Memory for one [`Motion`]: blocks, their summaries, segments in flight, and the scales on which curvature is
+/// measured.
 #[derive(Debug)]
 pub struct MotionMemory<const N: usize> {
     blocks: Lent<[Block<N>]>,
@@ -199,8 +200,8 @@ impl<const N: usize, const BLOCKS: usize> MotionStorage<N, BLOCKS> {
 /// Number of blocks of a motion for single moves: one for the move, and one for backlash compensation.
 const SINGLE_MOVE_BLOCKS: usize = 2;
 
-/// Storage for a [`Motion`] that runs single straight moves, each from rest to rest. To move, it borrows the ring of
-/// segments in flight of another `Motion`, which rests meanwhile ([`Motion::lend_ring`]).
+/// Storage for a [`Motion`] that runs single straight moves, each from rest to rest. To move, this `Motion` borrows
+/// the ring of segments in flight of another one, which rests meanwhile ([`Motion::lend_ring`]).
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
 pub struct SingleMoveStorage<const N: usize> {
@@ -308,8 +309,8 @@ impl<const N: usize> Motion<N> {
         self.queue.take_chord(m, curvature)
     }
 
-    /// Returns whether the queued blocks and the joined moves together reach the capacity of the look-ahead. Motion
-    /// should start in that case, although the queue still has room.
+    /// Returns whether the queued blocks and the moves joined into them together reach the capacity of the look-ahead.
+    /// If so, motion should start although the queue still has room.
     pub fn has_joined_enough(&self) -> bool {
         self.queue.has_joined_enough()
     }
@@ -319,8 +320,9 @@ impl<const N: usize> Motion<N> {
         self.queue.planner.capacity()
     }
 
-    /// Returns how many more moves can be queued if each needs one block; 0 while a move of 2^26 steps or more is still
-    /// being divided. Blocks that backlash compensation or the moves held back for rounding can need are not counted.
+    /// Returns how many more moves can be queued if each needs one block; 0 while a move of 2^26 steps or more is
+    /// still being divided. Some blocks are reserved and not counted: for backlash compensation, and for moves held
+    /// back so that their corners can be rounded (G64).
     pub fn free_blocks(&self) -> usize {
         self.queue.free_blocks()
     }
@@ -330,8 +332,8 @@ impl<const N: usize> Motion<N> {
         self.queue.planner.len()
     }
 
-    /// Returns the number of steps by which each motor leads the tool at the end of the last handed-over segment
-    /// (backlash compensation).
+    /// Returns the number of steps by which each motor leads the tool (backlash compensation), at the end of the last
+    /// segment handed over.
     pub fn lead(&self) -> [i32; N] {
         self.prepared().lead
     }
@@ -361,9 +363,9 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.exchange_ring(&mut other.source.in_flight);
     }
 
-    /// Starts to execute the queue. If the queue has no block, first queues the moves held back for rounding; without
-    /// any moves, has no effect. Segments are handed over from this call on until the queue has run empty; after that,
-    /// `start` must be called again.
+    /// Starts to execute the queue. If the queue has no block, first queues the moves held back for rounding of their
+    /// corners (G64); without any moves, has no effect. Segments are handed over from this call on until the queue has
+    /// run empty. After that, `start` must be called again.
     pub fn start(&mut self) {
         if self.queue.planner.len() == 0 {
             self.queue.release();
@@ -380,8 +382,8 @@ impl<const N: usize> Motion<N> {
         self.next_message()
     }
 
-    /// Like [`Motion::next`], without a new observation. The controller calls this very often, and usually no message
-    /// is due. So only the check for that is inlined.
+    /// Like [`Motion::next`], but does not update the record of begun segments. The controller calls this function
+    /// very often, and usually no message is due. So only the check whether one is due is inlined.
     #[inline]
     pub fn next_message(&mut self) -> Option<ToStep> {
         if self.source.wants_more() { self.wanted_message() } else { None }
@@ -413,8 +415,8 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// Returns the deceleration of the first block in the queue, in units per squared step-clock tick (a unit is 1/16
-    /// step of the block's dominant axis); 0 if the queue is empty.
+    /// Returns the deceleration of the first block in the queue for braking after a probe's contact, in units per
+    /// squared step-clock tick; 0 if the queue is empty. A unit is 1/16 step of the block's dominant axis.
     pub fn braking(&self) -> f32 {
         let clock = self.source.step_clock_hz() as f32;
         self.queue.planner.first().map_or(0.0, |block| {
@@ -431,15 +433,15 @@ impl<const N: usize> Motion<N> {
     /// Ends a hold and continues, even if the machine has not come to a stop yet.
     pub fn resume(&mut self) {
         if self.queue.planner.raised {
-            // When the override was lowered, the machine was too fast for it, so some entry speeds were planned higher
+            // The override was lowered while the machine was too fast for it, so some entry speeds were planned higher
             // than the override allows. The hold has slowed the machine down, so these speeds must be lowered.
             self.replan();
         }
         self.source.resume(!self.queue.is_empty());
     }
 
-    /// Announces the running block to the step task again. Needed after the step task has executed other moves; the
-    /// machine must be back at exactly the same position. Call only at rest.
+    /// Announces the running block to the step task again. That is needed after the step task has executed other
+    /// moves, such as parking. The machine must be back at exactly the same position. Call only at rest.
     pub fn reenter(&mut self) {
         self.source.running.announce_again();
     }
@@ -507,8 +509,8 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.observe(observed.segments_begun, observed.step_idle);
     }
 
-    /// Returns whether a motion is in progress, and the segments that the step task has not begun yet take only a short
-    /// time (`segment_source::SHORT_MS`).
+    /// Returns whether a motion is in progress, and the segments that the step task has not begun yet take less than 8
+    /// ms (`segment_source::SHORT_MS`).
     #[inline]
     pub fn is_short_of_segments(&self) -> bool {
         self.source.is_short_of_segments()
@@ -560,8 +562,9 @@ impl<const N: usize> Motion<N> {
         self.prepared().steps.zip(&self.origin, i32::wrapping_sub)
     }
 
-    /// Returns the programmed position and the step counters of an idle machine. `None` if it is not idle, if the
-    /// motors are not on the steps nearest to that position, or if they lead the tool because of backlash.
+    /// Returns the programmed position and the step counters of an idle machine. Returns `None` in these cases: the
+    /// machine is not idle, the motors are not on the steps nearest to that position, or they lead the tool because of
+    /// backlash.
     pub fn standing(&self) -> Option<(PerAxis<Coordinate, N>, PerAxis<i32, N>)> {
         let (motors, place) = (self.prepared(), self.queue.planned_position());
         let stands =
@@ -599,20 +602,20 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.current().speed
     }
 
-    /// Returns the power of the segment being executed; 0 at rest.
+    /// Returns the power of the segment being executed, 0 to 65535; 0 at rest.
     pub fn power(&self) -> u16 {
         self.source.in_flight.current().power
     }
 
-    /// Returns whether [`Motion::set_mark`] may be called: not while a long move is still being divided into blocks,
-    /// because the rest of them would get the new mark.
+    /// Returns `true` if [`Motion::set_mark`] may be called. Returns `false` while a long move is still being divided
+    /// into blocks, because its remaining blocks would get the new mark.
     pub fn takes_mark(&self) -> bool {
         self.queue.long.is_none()
     }
 
     /// Sets the mark of all blocks queued from now on: a number from 0 to 31 that ties a change of outputs to a block.
     /// When a block has begun, [`Motion::begun_mark`] returns its mark. If the mark changes, first queues the moves
-    /// held back for rounding, and stops joining moves to the last block.
+    /// held back for rounding of their corners, and stops joining moves to the last block.
     pub fn set_mark(&mut self, mark: u8) {
         let marked = mark << MARK_SHIFT;
         if marked != self.queue.marked {
@@ -627,9 +630,9 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.current().mark
     }
 
-    /// Returns the power of the move whose segments are being handed over to the step task, or of the next one. This
-    /// move can be ahead of the machine, because the step task first executes the segments that it already has. `None`
-    /// without a move, and for a move that overrides have no effect on (jog, homing, probing).
+    /// Returns the power of the move whose segments are being handed over to the step task, or of the next move. That
+    /// move can be ahead of the machine, because the step task first executes the segments that it already has.
+    /// Returns `None` without a move, and for a move that overrides have no effect on (jog, homing, probing).
     pub fn running_power(&self) -> Option<u16> {
         match self.queue.planner.first() {
             Some(block) => (block.flags & NO_OVERRIDE == 0).then_some(block.power),

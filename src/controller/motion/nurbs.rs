@@ -1,9 +1,10 @@
-//! A rational B-spline in X and Y (G5.2, G5.3) as a chain of chords, computed one at a time. Each span between two
-//! knots is divided into pieces, which are halved until they are within the tolerance of their chords.
+//! A rational B-spline in X and Y (G5.2, G5.3), divided into a chain of chords. One chord is computed at a time. Each
+//! span between two knots is divided into pieces, which are halved until they are within the tolerance of their
+//! chords.
 //!
-//! The knots are uniform, except that those at the ends coincide: the curve begins at the first control point and ends
-//! at the last one. A span is the part between two knots: the quotient of two polynomials whose degree is one less than
-//! the order.
+//! The knots are uniform, but several knots coincide at each end: the curve begins at the first control point and ends
+//! at the last one. A span is the part of the curve between two knots: the quotient of two polynomials whose degree is
+//! one less than the order.
 //!
 //! ```text
 //!       1 ─ ─ ─ ─ 2
@@ -11,14 +12,16 @@
 //!     ╱  .-'   '-.  ╲       control points 0 to 3, curve and chord of a piece
 //!    0 .'_________'. 3
 //! ```
-//! A piece of a span has its own control points, in whole numbers of 0.1 nm. Each of them is computed from the span's
-//! control points by dividing the sides of their polygon, then the sides of the resulting polygon, and so on, as many
-//! times as the degree. Some of these divisions use the parameter of the piece's start, the others that of its end. The
-//! piece lies within the polygon of its control points, so the distance of these points from the chord bounds that of
-//! the curve. If this distance is too great, the piece is halved.
+//! A piece is a part of a span with control points of its own, in whole numbers of 0.1 nm. To compute one of them, the
+//! sides of the span's control polygon are divided, then the sides of the resulting polygon, and so on, as many times
+//! as the degree. Each division uses the parameter of the piece's start or of the piece's end.
 //!
-//! With weights w, a division at the share a is not in the ratio of a to 1 - a, but of a·w₁ to (1 - a)·w₀. All weights
-//! are positive, so a point never leaves the polygon, however much the weights differ.
+//! The piece lies within the polygon of its control points. So its distance from its chord is at most the greatest
+//! distance of a control point from the chord. If this distance is too great, the piece is halved.
+//!
+//! A side is divided between two points with the weights w₀ and w₁. A division at the share a is not in the ratio of a
+//! to 1 - a, but of a·w₁ to (1 - a)·w₀. All weights are positive, so a point never leaves the polygon, however much
+//! the weights differ.
 
 use super::arc::{Curvature, LEAST_TOLERANCE, UNIT, scale};
 use super::trapezoid::square_root;
@@ -32,14 +35,14 @@ const ORDER_MAX: usize = 8;
 const LONGEST: i64 = UNIT / 2;
 /// Minimum length of a piece, as a share of a span, even if the tolerance requires shorter ones.
 const SHORTEST: i64 = UNIT >> 20;
-/// Maximum number of pieces that are examined for limits or the length, so that the time of a call is bounded for any
-/// weights and rounding. A curve with more pieces counts as outside the limits; its remaining length is measured
-/// without halving.
+/// Maximum number of pieces that are examined for limits or the length. It bounds the time of a call for any weights
+/// and rounding. A curve with more pieces counts as outside the limits; its remaining length is measured without
+/// halving.
 const MOST_PIECES: u32 = 1000;
-/// Maximum size, as a share of a span, of a piece whose length is measured as a whole.
+/// Maximum size of a piece when a length is measured, as a share of a span.
 const LONGEST_MEASURED: i64 = UNIT / 8;
-/// A piece is halved before its length is measured if its chord is shorter than the polygon of its control points by
-/// more than this share.
+/// Limit of the ratio (polygon - chord) / polygon of a piece whose length is measured. Above it, the piece is halved
+/// first. The polygon is that of the piece's control points.
 const BENT: f32 = 0.03;
 /// Difference between chord and polygon that rounding alone can cause, mm.
 const LEAST_BENT: f32 = 1.0e-5;
@@ -48,10 +51,10 @@ const STRAIGHT: f32 = 1.0e-6;
 
 /// A position in X and Y relative to the first control point, in units of 0.1 nm.
 type Place = [i64; 2];
-/// The control points of a piece: the first places, as many as the order of the curve. The other places are unused.
+/// The control points of a piece. Their number is the order of the curve; the remaining places are unused.
 type Piece = [Place; ORDER_MAX];
 
-/// A curve with its control points.
+/// A rational B-spline as programmed: start, control points and order.
 #[derive(Clone, Copy, Debug)]
 pub struct NurbsGeometry<'a, const N: usize> {
     /// Start, machine coordinates. Axes other than X and Y do not move.
@@ -88,7 +91,7 @@ fn length([x, y]: [f32; 2]) -> f32 {
     square_root(x * x + y * y)
 }
 
-/// Returns the distance of a point from the line segment between zero and a second point, mm.
+/// Returns the distance of a point from a line segment, mm. The segment begins at zero and ends at the second point.
 fn distance([x, y]: [f32; 2], [a, b]: [f32; 2]) -> f32 {
     let (square, along) = (a * a + b * b, x * a + y * b);
     if along <= 0.0 {
@@ -122,9 +125,9 @@ impl<const N: usize> NurbsGeometry<'_, N> {
         piece
     }
 
-    /// Computes a control point of a piece: divides the sides of the polygon `local`, then those of the resulting
-    /// polygon, and so on, as many times as the degree. `share`: returns the share of the span at which a level
-    /// divides.
+    /// Computes a control point of a piece. Divides the sides of the polygon `local`, then the sides of the resulting
+    /// polygon, and so on, as many times as the degree. `share`: returns, for each of these levels, the share of the
+    /// span at which to divide.
     fn divided(
         &self,
         mut local: [(Place, f32); ORDER_MAX],
@@ -186,9 +189,9 @@ impl<const N: usize> NurbsGeometry<'_, N> {
         (sum, pieces)
     }
 
-    /// Returns whether the curve leaves a convex region. `outside`: returns whether a position is outside the region.
-    /// Also returns `true` if the curve runs so close along the region's edge that more than `MOST_PIECES` pieces would
-    /// have to be examined.
+    /// Returns `true` if the curve leaves a convex region. `outside`: returns whether a position is outside the
+    /// region. The result is also `true` if more than `MOST_PIECES` pieces would have to be examined, because the
+    /// curve runs very close along the region's edge.
     #[inline(never)]
     pub fn leaves(&self, outside: impl Fn(&PerAxis<Coordinate, N>) -> bool) -> bool {
         let degree = usize::from(self.order).clamp(2, ORDER_MAX) - 1;
@@ -224,8 +227,8 @@ impl<const N: usize> NurbsGeometry<'_, N> {
     }
 }
 
-/// Returns the point at a share of the distance between two weighted points. The weight of the second point becomes
-/// that of the result.
+/// Returns the point at a share of the distance between two weighted points. `part`: this share, as a multiple of 1 /
+/// [`UNIT`]. Replaces the weight of the second point by the weight of the result.
 fn weighted((before, light): (Place, f32), (place, heavy): (&Place, &mut f32), part: i64) -> Place {
     let share = if light.to_bits() == heavy.to_bits() {
         part as i32
@@ -298,8 +301,8 @@ impl<const N: usize> Nurbs<N> {
             let has_both = from_first != [0.0; 2] && from_last != [0.0; 2];
             self.curve_radius = if has_both && turn > STRAIGHT { length(chord) / turn } else { f32::INFINITY };
             self.at = to;
-            // A piece of twice the length deviates four times as much, so the next piece may be twice as long only
-            // below a quarter of the tolerance.
+            // A piece of twice the length deviates four times as much. So the length is doubled only if the deviation
+            // is below a quarter of the tolerance.
             if 4.0 * away < self.tolerance {
                 self.step = (self.step * 2).min(LONGEST);
             }
@@ -454,8 +457,8 @@ mod tests {
             let points = points(&of);
             let geometry = geometry(&points, order);
             let (length, pieces) = geometry.measure();
-            // Beyond `MOST_PIECES`, pieces are no longer halved, but grow again from the shortest to the longest in
-            // each span.
+            // After `MOST_PIECES` pieces, none is halved any more. In each span, the pieces then grow again from the
+            // shortest to the longest.
             let least = (UNIT / LONGEST_MEASURED) as u32;
             prop_assert!(pieces < MOST_PIECES + 20 + geometry.spans() as u32 * (least + 20), "{pieces}");
             prop_assert!(length.is_finite() && length >= 0.0);

@@ -1,6 +1,6 @@
 //! The end of the queue, where the next move begins: the programmed end of the last move, and the end of the last
-//! block, as programmed and in steps. Also keeps the length of moves too short for a step, to carry it over to the next
-//! block.
+//! block (programmed and in steps). Also stores the length of moves too short for a step, which is carried over to the
+//! next block.
 
 use super::trapezoid::square_root;
 use crate::axes::PerAxis;
@@ -14,7 +14,7 @@ pub(super) fn way_mm(to: Coordinate, from: Coordinate) -> f32 {
     if way == 0 { 0.0 } else { Coordinate(way).to_mm() }
 }
 
-/// The end of the queue. If moves too short for a step have followed the last block, it lies beyond the end of this
+/// The end of the queue. It lies beyond the end of the last block if moves too short for a step have followed this
 /// block.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathEnd<const N: usize> {
@@ -24,15 +24,15 @@ pub(super) struct PathEnd<const N: usize> {
     pub block_end: PerAxis<Coordinate, N>,
     /// End of the last block in motor steps.
     pub planned_steps: PerAxis<i32, N>,
-    /// Length of the moves without a step since `block_end`, mm. If negative, it is the length that the last block has
-    /// in excess of its moves.
+    /// Total length of the moves without a step since `block_end`, mm. Negative: the last block is longer than its
+    /// moves by this amount.
     pub length_carry: f32,
     /// Unit vector of the last block.
     pub direction: [f32; N],
     /// Whether moves without a step have been queued since the last block.
     pub is_past_block: bool,
-    /// Whether the last block includes the time of moves without a step that went to and fro, so that its corners count
-    /// as square.
+    /// `true` if moves without a step went to and fro before the last block, so that the block includes their time.
+    /// The corners before and after this block count as square.
     pub had_stepless_moves: bool,
     /// Whether the last block moves motors but not the tool; the next block then begins at rest.
     pub motors_only: bool,

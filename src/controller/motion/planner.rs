@@ -8,16 +8,17 @@
 //!      /        \    /     \                     v²(entry) = min(corner, v²(exit) + 2·a·length)
 //!     /          \__/       \____ 0
 //! ```
-//! There is no forward pass: the running block accelerates from its actual speed. An unreachable entry speed is simply
-//! not reached, so holds, overrides and late blocks never require the queue to be repaired. A new block changes earlier
-//! entries only as far as the old end of the queue limited them; the pass stops at the first unchanged entry.
+//! There is no forward pass: the running block accelerates from its actual speed. If it cannot reach a planned entry
+//! speed, the machine is simply slower there. So holds, overrides and late blocks never require the queue to be
+//! repaired. A new block changes earlier entries only as far as the old end of the queue limited them; the pass stops
+//! at the first unchanged entry.
 //!
-//! The pass is postponed until the planner needs an entry speed that the pass could change. An entry at its cap (corner
-//! and nominal speeds) cannot rise, nor can the entries before it. These entries are settled: they are final, whatever
-//! is appended. So in a long queue one pass serves many new blocks.
+//! The pass is postponed until the planner needs an entry speed that the pass could change. The cap of an entry is the
+//! lowest of its corner and nominal speeds. An entry at its cap cannot rise, nor can the entries before it. These
+//! entries are settled: they are final, whatever is appended. So in a long queue one pass serves many new blocks.
 //!
-//! With a jerk limit, the pass plans ramps instead of blocks. A ramp has zero acceleration only at its two ends and can
-//! span hundreds of blocks. The reverse pass finds anchors, the entries at which ramps end:
+//! With a jerk limit, the pass plans ramps instead of blocks. A ramp has an acceleration of 0 only at its two ends,
+//! and can extend over hundreds of blocks. The reverse pass finds anchors, the entries at which ramps end:
 //!
 //! ```text
 //!        cap of the entries: corner and nominal speeds             speed
@@ -33,8 +34,8 @@
 //! * Any other entry lowers the ceiling of the ramp, the maximum speed with which the ramp can begin.
 //! * Walking back, the next anchor is the first entry from which the distance suffices to slow down from the ceiling.
 //!
-//! The pass computes only the speeds of anchors, so a ramp can start within a block, and from any state of motion,
-//! without changes to the queue.
+//! The pass computes only the speeds of anchors. So a ramp can start anywhere within a block, and from any state of
+//! motion, without changes to the queue.
 
 use super::block::{Block, OverrideFactors, Ramp};
 use super::curvature::Bend;
@@ -45,9 +46,10 @@ use super::trapezoid::{greater, lesser, square_root};
 use crate::lent::Lent;
 use core::ops::Range;
 
-/// Predicted speed of a machine that is faster than a lowered override allows. The machine brakes with the acceleration
-/// that bends leave. The entries that it passes while it brakes are allowed the predicted speed: if they allowed less,
-/// the machine would brake with all of its acceleration, including the part that bends need.
+/// Predicted speed of a machine that is faster than a lowered override allows. The machine brakes with the
+/// acceleration that bends leave. While it brakes, it passes entries of blocks, and these entries are allowed the
+/// predicted speed. A lower speed there would make it brake with all of its acceleration, including the part that
+/// bends need.
 #[derive(Clone, Copy, Debug)]
 struct Fall {
     speed2: f32,
@@ -69,9 +71,9 @@ impl Fall {
         Self { speed2: top * top, delay, top2: top * top }
     }
 
-    /// Brakes over the distance `way` in a block. In a bend, more deceleration becomes available as the speed falls,
-    /// but with a jerk limit the machine may not build it up as fast. So in that case only what the bend leaves at
-    /// `top2` is used.
+    /// Brakes over the distance `way`, mm, in a block. In a bend, more deceleration becomes available as the speed
+    /// falls, but with a jerk limit the machine may not build it up as fast. So with a jerk limit, only the
+    /// deceleration that the bend leaves at `top2` is used.
     fn over<const N: usize>(&mut self, block: &Block<N>, way: f32, jerk_limited: bool) {
         let braked = greater(way - self.delay, 0.0);
         self.delay = greater(self.delay - way, 0.0);
@@ -82,10 +84,10 @@ impl Fall {
     }
 }
 
-/// Number of groups of neighbouring slots of the ring. For each group the planner keeps a summary of its blocks,
-/// because the distance in which an acceleration is eased off can span hundreds of blocks, which must be checked for
-/// each segment. With 512 blocks, at most two groups of 16 (the first and the last) are walked block by block; the
-/// other 31 or fewer are taken as a whole.
+/// Number of groups into which the slots of the ring are divided. The planner stores a summary of each group's blocks.
+/// For each segment it must check all blocks on which the machine would reduce its acceleration to 0, and these can be
+/// hundreds. With 512 blocks, a group has 16. At most two groups (the first and the last) are then checked block by
+/// block, the others as a whole.
 pub(super) const GROUPS: usize = 32;
 
 /// The ring of blocks. A place counts from the first block (0), a slot is an index of the ring. While the first block
@@ -96,23 +98,25 @@ pub(super) const GROUPS: usize = 32;
 pub(super) struct Planner<const N: usize> {
     first: usize,
     len: usize,
-    /// Whether the first block is running, or will be entered at a speed that is already fixed: it must not change.
+    /// `true` if the first block is running, or will be entered at a speed that is already fixed. Such a block must
+    /// not change.
     entered: bool,
     /// Place of the first block whose limits have changed since the last reverse pass; `usize::MAX`: none.
     changed: usize,
-    /// Place of the last settled entry: this entry and those before it are final, whatever is appended; 0: no entry is
-    /// known to be final. Only without a jerk limit.
+    /// Place of the last settled entry; 0: none is known. This entry and those before it are final, whatever is
+    /// appended. Only without a jerk limit.
     settled: usize,
     /// Blocks whose limits were lowered by bends since the last reverse pass. Recorded only while [`Planner::settle`]
     /// skips that pass, to check whether the settled entries are still final.
     lowered: Lowered,
-    /// Whether ramps have bounded jerk.
+    /// `true` if any axis has a jerk limit. The planner then finds anchors instead of the entry speed of each block.
     pub jerk_limited: bool,
-    /// Whether the planned speed at some entries exceeds what the overrides allow: they were lowered while the machine
-    /// was faster, and it has to slow down first ([`Fall`]).
+    /// `true` if the planned speed at some entries exceeds what the overrides allow. That happens if the overrides
+    /// were lowered while the machine was faster, because it has to slow down first ([`Fall`]).
     pub raised: bool,
     blocks: Lent<[Block<N>]>,
-    /// One summary for each group of neighbouring slots whose blocks are all in the queue. Only with a jerk limit.
+    /// One summary for each group of neighbouring slots ([`GROUPS`]). It is valid only if all blocks of the group are
+    /// in the queue. Only with a jerk limit.
     groups: Lent<[Stretch]>,
 }
 
@@ -160,8 +164,8 @@ impl<const N: usize> Planner<N> {
         if index >= self.blocks.len() { index - self.blocks.len() } else { index }
     }
 
-    /// Returns the slots of `count` blocks from `place` on as two ranges: up to the end of the ring, and from its
-    /// start. Each comes with the place of its first block.
+    /// Returns the slots of `count` blocks from `place` on as two ranges, because the blocks can continue at the start
+    /// of the ring. Each range comes with the place of its first block.
     #[inline]
     fn slots(&self, place: usize, count: usize) -> [(usize, Range<usize>); 2] {
         let slot = self.slot(place);
@@ -179,8 +183,8 @@ impl<const N: usize> Planner<N> {
         let Some(next) = self.block(1) else { return 0.0 };
         if next.ramp.distance > 0.0 {
             // The entry lies within a ramp to an anchor, so its speed must allow that ramp. With a jerk limit the
-            // caller uses the exit speed only if the machine can stop within one step. But even such a machine can be
-            // too fast for the next block, if that block moves an axis with a much lower jerk limit.
+            // caller uses the exit speed only if the machine can stop within one step. Even such a machine can be too
+            // fast for the next block, if that block moves an axis with a much lower jerk limit.
             let reach = ramp_speed(square_root(next.entry2), next.ramp.distance, next.ramp.bounds());
             return lesser(reach * reach, next.ramp.ceiling2);
         }
@@ -203,7 +207,8 @@ impl<const N: usize> Planner<N> {
         self.first()
     }
 
-    /// Removes the first block. `moving`: whether the next block is entered at speed, not from rest.
+    /// Removes the first block. `moving`: `true` if the machine enters the next block at speed, `false` if it starts
+    /// from rest.
     #[inline]
     pub(super) fn pop(&mut self, moving: bool) {
         if self.len > 0 {
@@ -280,8 +285,8 @@ impl<const N: usize> Planner<N> {
             }
         }
         if lowered.first != usize::MAX {
-            // `lowered` is needed only if there are settled entries and all changes come after them: then
-            // [`Planner::settle`] skips the pass over the changed blocks. With a jerk limit no entry is settled.
+            // `lowered` is needed only if there are settled entries and all changes come after them. Only then does
+            // [`Planner::settle`] skip the pass over the changed blocks. With a jerk limit no entry is settled.
             if self.settled < self.changed && self.settled > 0 {
                 self.lowered = self.lowered.and(lowered);
             }
@@ -289,9 +294,9 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Checks the settled entries after bends have lowered blocks (places `first` to `end`) since the last pass:
-    /// recomputes the entry speeds from place `end` back to the last settled one, as far as they change. Settled
-    /// entries are final only as long as no entry after them falls. So if the last settled one falls below its cap
+    /// Checks the settled entries after bends have lowered blocks (places `first` to `end`) since the last pass.
+    /// Settled entries are final only as long as no entry after them falls. Recomputes the entry speeds from place
+    /// `end` back to the last settled entry, as far as they change. If the last settled entry falls below its cap
     /// (maximum entry speed), or a block has become steep ([`Block::is_steep`]), no entry counts as settled any more.
     #[inline(never)]
     fn lower_settled(&mut self, first: usize, end: usize) {
@@ -308,8 +313,8 @@ impl<const N: usize> Planner<N> {
                     return;
                 }
                 exit2 = lesser(block.max_entry2, reach2);
-                // Stop at an unchanged entry, but only before place `first`: limits were lowered from there to `end`,
-                // so an earlier entry in that range can still change.
+                // Stop at an unchanged entry, but only before place `first`. From `first` to `end` limits were
+                // lowered, so an entry before an unchanged one can still change there.
                 if place < first && block.entry2 == exit2 {
                     return;
                 }
@@ -328,7 +333,7 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Updates the exit speed of the first block after blocks were appended or limited: runs the postponed reverse
+    /// Updates the exit speed of the first block after blocks were appended or limited. Runs the postponed reverse
     /// pass, unless settled entries make it unnecessary. Only without a jerk limit.
     #[inline]
     pub(super) fn settle(&mut self) {
@@ -348,8 +353,8 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Applies new feed and rapid overrides to all blocks. `state`: the machine's motion in the first block, `left` mm
-    /// before its end.
+    /// Applies new feed and rapid overrides to all blocks. `state`: the machine's speed and acceleration in the first
+    /// block; `left`: distance from there to the end of this block, mm.
     pub(super) fn replan(&mut self, overrides: OverrideFactors, state: PathState, left: f32) {
         let mut fall = self.first().map_or(Fall::NONE, |first| Fall::from(state, first));
         let mut previous = f32::INFINITY;
@@ -375,8 +380,8 @@ impl<const N: usize> Planner<N> {
         self.plan();
     }
 
-    /// The reverse pass: walks from the end of the queue towards the running block, over all blocks that have changed,
-    /// and further while entries change. Finds the last settled entry.
+    /// The reverse pass. Walks from the end of the queue towards the running block: over all blocks that have changed,
+    /// and further while entry speeds change. Finds the last settled entry.
     #[inline(never)]
     fn reverse_pass(&mut self) {
         let wrapped = (self.first + self.len).saturating_sub(self.blocks.len());
@@ -391,8 +396,8 @@ impl<const N: usize> Planner<N> {
         self.settled = walk.settled;
     }
 
-    /// The reverse pass with a jerk limit: walks back as far as anchors change, finds the anchors, and sets for each
-    /// entry between them the ramp to the next anchor. Returns the lowest place that the pass reached.
+    /// The reverse pass with a jerk limit. Walks back as far as anchors change, and finds the anchors. For each entry
+    /// between two anchors, sets the ramp to the next anchor. Returns the lowest place that the pass reached.
     #[inline(never)]
     fn reverse_pass_to_anchors(&mut self) -> usize {
         let mut way = Way::to(0.0);
@@ -430,8 +435,8 @@ impl<const N: usize> Planner<N> {
         place
     }
 
-    /// Makes the end of the block at `place` an anchor, if the block's bounds differ from the tightest ones on the way
-    /// to the next anchor (`way`), and if the additional anchor shortens the ramp.
+    /// Makes the end of the block at `place` an anchor if this shortens the ramp. Checks it only if the block's bounds
+    /// differ from `way.bounds`, the tightest bounds on the way to the next anchor.
     #[inline]
     fn end_at_border(&mut self, place: usize, way: &mut Way) {
         let Some(block) = self.block(place) else { return };
@@ -456,7 +461,7 @@ impl<const N: usize> Planner<N> {
         if let Some(start) = from.checked_sub(within) {
             place = start;
         } else {
-            // The first blocks of this group have left the queue, so its summary is not used any more.
+            // The first blocks of this group have left the queue, so its summary is not used any more. Skip the group.
             place += self.group_size(self.slot(from) - within) - within;
         }
         while place < self.len {
@@ -481,8 +486,8 @@ impl<const N: usize> Planner<N> {
         self.group().min(self.blocks.len() - slot)
     }
 
-    /// Returns a summary of the blocks from a place on, and how many blocks it covers: a whole group of the ring if the
-    /// group begins there and is shorter than `distance`, otherwise one block.
+    /// Returns a summary of the blocks from a place on, and how many blocks the summary covers: a whole group of the
+    /// ring if the group begins at the place and is shorter than `distance`, mm, otherwise one block.
     #[inline]
     fn stretch(&self, place: usize, distance: f32) -> Option<(Stretch, usize)> {
         let slot = self.slot(place);
@@ -503,10 +508,12 @@ impl<const N: usize> Planner<N> {
         if place < self.len { self.blocks.get(self.slot(place)) } else { None }
     }
 
-    /// Checks whether a machine `left` mm before the end of the first block is allowed to be in this state. The state
-    /// is allowed if the machine can ease off its acceleration, or continue to brake, and still meet all later anchors,
-    /// and if its speed is at most `nominal` (mm/s) once its acceleration is 0. In that case, returns the minimum
-    /// acceleration bound over the distance in which the machine eases off.
+    /// Checks whether a machine is allowed to be in this state, `left` mm before the end of the first block. First
+    /// condition: the machine can reduce its acceleration to 0, or continue to brake, and still meet all later
+    /// anchors. Second condition: its speed is at most `nominal` (mm/s) when its acceleration is 0.
+    ///
+    /// If both are fulfilled, returns the lowest acceleration bound, mm/s², over the distance in which the machine
+    /// reduces its acceleration to 0; otherwise `None`.
     pub(super) fn allows(&self, state: PathState, left: f32, nominal: f32) -> Option<f32> {
         let first = self.first()?;
         if state.acceleration < 0.0 {
@@ -555,8 +562,8 @@ impl<const N: usize> Planner<N> {
         }
     }
 
-    /// Returns the tightest bounds of the blocks within a distance, for a machine whose speed² does not exceed `speed2`
-    /// there. The first `left` mm of the distance are in the first block.
+    /// Returns the tightest bounds of the blocks within `distance`, mm. `left`: how much of this distance is in the
+    /// first block, mm. `speed2`: maximum speed² of the machine within the distance.
     pub(super) fn bounds_within(&self, distance: f32, left: f32, speed2: f32) -> Bounds {
         let Some(first) = self.first() else { return Bounds::NONE };
         let (mut straight_acceleration, mut curve, mut jerk) = (first.acceleration, first.curve, first.jerk);

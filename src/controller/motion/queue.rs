@@ -21,7 +21,7 @@ use crate::units::Coordinate;
 /// Maximum backlash that is compensated, steps: 0.25 mm with 40,000 steps/mm.
 pub(super) const MOST_BACKLASH: i32 = 10_000;
 /// Maximum number of blocks of one move with backlash: one for the rest of the compensation before a plunge, one for
-/// the beginning of the move, which is cut off, and one for the rest of the move.
+/// the part of the move in which compensation is made, and one for the rest of the move.
 pub(super) const MOST_BLOCKS_OF_A_MOVE: usize = 3;
 
 /// A move with more steps than a block can have. It is divided into equal pieces, each of which is queued as soon as
@@ -62,19 +62,21 @@ pub(super) struct MoveQueue<const N: usize> {
     pub substep_offset: Option<[i32; N]>,
     pub long: Option<LongMove<N>>,
     pub numbering: Numbering,
-    /// The mark for the blocks queued from now on ([`super::Motion::set_mark`]), shifted to its bits in their flags.
+    /// The mark for the blocks queued from now on ([`super::Motion::set_mark`]), already shifted to its bits in the
+    /// blocks' flags.
     pub marked: u8,
-    /// The straight moves at the end of the queue, from which the curvature of the path is determined.
+    /// The last straight pieces of the path, from which its curvature is determined.
     pub chain: Chain<N>,
     /// Data of the last block, for joining short moves to it.
     pub join: Join<N>,
-    /// Moves with a tolerance that are not queued yet: moves can still be merged with them, and their corners rounded.
+    /// Moves with a tolerance (G64) that are held back: they are not queued yet, so that further moves can be merged
+    /// with them, and their corners rounded.
     pub blend: Blend<N>,
     pub planner: Planner<N>,
 }
 
 impl<const N: usize> MoveQueue<N> {
-    /// Creates an empty queue without settings.
+    /// Creates an empty queue. Call [`MoveQueue::configure`] before the first move.
     pub(super) fn new(blocks: Lent<[Block<N>]>, groups: Lent<[Stretch]>, scales: Lent<[Scale<N>]>) -> Self {
         Self {
             kinematics: Kinematics::ONE,
@@ -119,8 +121,8 @@ impl<const N: usize> MoveQueue<N> {
         motors
     }
 
-    /// Sets the position from which the next move is measured. The queue must be empty, and must end at the step
-    /// nearest to this position.
+    /// Sets the position from which the next move is measured. The queue must be empty, and the motors must be on the
+    /// steps nearest to this position.
     pub(super) fn set_position(&mut self, position: &PerAxis<Coordinate, N>) {
         self.end.planned = *position;
         self.end.block_end = *position;
@@ -128,7 +130,7 @@ impl<const N: usize> MoveQueue<N> {
         self.chain.restart(position);
     }
 
-    /// Returns whether no blocks, pieces of a long move or held moves are left.
+    /// Returns `true` if nothing is left: no block, no piece of a long move, no move that is held back.
     #[inline]
     pub(super) fn is_empty(&self) -> bool {
         self.planner.len() == 0 && self.long.is_none() && !self.blend.is_holding()
@@ -141,7 +143,7 @@ impl<const N: usize> MoveQueue<N> {
         if self.long.is_some() { 0 } else { self.planner.free().saturating_sub(spare + self.blocks_held()) }
     }
 
-    /// Returns the programmed end of all moves.
+    /// Returns the programmed end of the last move, including moves that are held back or still being divided.
     pub(super) fn planned_position(&self) -> PerAxis<Coordinate, N> {
         if let Some(end) = self.blend.end() {
             return end;
@@ -153,17 +155,17 @@ impl<const N: usize> MoveQueue<N> {
     fn blocks_held(&self) -> usize {
         let pieces = match self.blend.moves().count() {
             0 => return 0,
-            // The next move makes a corner. The held move, up to three pieces that cut off the corner, and the next
-            // move are five blocks, of which the next move's own block is not counted here.
+            // The held move makes a corner with the next move. That takes four blocks besides the next move's own
+            // block: the held move, and up to three pieces that cut off the corner.
             1 => 4,
-            // When the next move arrives, the older held move is queued with the pieces of its corner (four blocks).
-            // The newer one then makes a corner with the next move (four blocks, as above).
+            // The older held move is queued when the next move arrives: four blocks with the pieces of its corner. The
+            // newer one then makes a corner with the next move: four blocks, as above.
             _ => 8,
         };
         if self.backlash.is_on() { pieces * MOST_BLOCKS_OF_A_MOVE } else { pieces }
     }
 
-    /// Returns the line number for the block of a move.
+    /// Returns the line number for the block of a move: its N word, or the number set by `Motion::number_moves`.
     #[inline]
     pub(super) fn number_of(&self, m: &Move<N>) -> u32 {
         match self.numbering {

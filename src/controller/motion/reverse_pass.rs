@@ -1,6 +1,6 @@
-//! The reverse pass without a jerk limit. From the last block to the first, it sets the maximum entry speed from which
-//! the machine can brake to the exit speed. It ends at the first entry that does not change. [`super::planner`] runs it
-//! on each contiguous part of its ring, and explains which entries are settled.
+//! The reverse pass without a jerk limit. For each block, from the last to the first, it sets the maximum entry speed
+//! from which the machine can brake to the exit speed. The pass ends at the first entry that does not change.
+//! [`super::planner`] runs it on each contiguous part of its ring, and explains which entries are settled.
 
 use super::block::Block;
 use super::curvature::Bend;
@@ -16,9 +16,9 @@ pub(super) struct Walk {
 }
 
 impl Walk {
-    /// Updates the entries of consecutive blocks from last to first. `from`: place of the first of them; `changed`:
-    /// place from which limits have changed. Returns `false` if the pass ended early, at an unchanged entry before
-    /// `changed`.
+    /// Updates the entries of consecutive blocks, from the last to the first. `from`: place of the first of these
+    /// blocks in the queue; `changed`: place from which limits have changed. Returns `false` if the pass has ended at
+    /// an unchanged entry before `changed`.
     #[inline(never)]
     pub(super) fn back<const N: usize>(&mut self, blocks: &mut [Block<N>], from: usize, changed: usize) -> bool {
         let Self { mut exit2, mut searching, mut settled } = *self;
@@ -34,8 +34,8 @@ impl Walk {
             }
             block.entry2 = exit2;
             if searching {
-                // Before a steep block (in a bend where a faster exit requires a slower entry), entries can get slower
-                // when blocks are appended, so they are not settled.
+                // A block is steep if it is in a bend where a faster exit requires a slower entry. Entries before a
+                // steep block can get slower when blocks are appended, so they are not settled.
                 let is_steep = block.is_steep();
                 if is_steep || is_capped && block.is_surely_capped(reach2) {
                     searching = false;
@@ -53,7 +53,8 @@ impl Walk {
 pub(super) struct Lowered {
     /// Place of the first lowered block; `usize::MAX`: none.
     pub first: usize,
-    /// Place after the last lowered block whose entry speed a reverse pass had already set; 0: none.
+    /// Place after the last lowered block that a reverse pass had already reached, so that its entry speed was set; 0:
+    /// none.
     pub planned_end: usize,
 }
 
@@ -81,8 +82,8 @@ impl Lowered {
         // Speeds² are compared by their bits, because positive numbers have the same order as their bits.
         let speed2 = bend.speed2.to_bits();
         for (index, block) in blocks.iter_mut().enumerate() {
-            // In a long bend, earlier calls have already lowered most blocks enough; these are skipped. `max_entry2`
-            // never exceeds `corner2`.
+            // In a long bend, earlier calls have already lowered most blocks enough, so these blocks are skipped.
+            // `max_entry2` never exceeds `corner2`.
             let is_tighter = bend.curve.is_tighter(block.curve);
             if speed2 < block.corner2.to_bits() {
                 block.corner2 = bend.speed2;

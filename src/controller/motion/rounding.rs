@@ -2,12 +2,13 @@
 //! its corner cut off ([`super::blend`]). All held moves are queued as soon as the speed of the first block can depend
 //! on them.
 //!
-//! Holding moves back costs no time as long as an entry in the queue has reached its maximum speed: speeds before that
-//! entry do not depend on later moves. (A tight bend among the held moves is an exception: it is found late, and the
-//! machine brakes as hard as necessary for it.) If the queue is empty, or is short and no entry in it has its maximum
-//! speed, the held moves are queued at once, and the corner after the last of them stays as programmed. So if moves
-//! arrive slowly, a corner is not rounded, but no time is lost. Queued moves are never taken back, so all planned
-//! speeds stay valid.
+//! Holding moves back costs no time as long as an entry in the queue has its maximum speed. Speeds before that entry
+//! do not depend on later moves. (A tight bend among the held moves is an exception: it is found late, and the machine
+//! brakes as hard as necessary for it.)
+//!
+//! If the queue is empty, or is short and no entry in it has its maximum speed, the held moves are queued at once. The
+//! corner after the last of them then stays as programmed. So if moves arrive slowly, a corner is not rounded, but no
+//! time is lost. Queued moves are never taken back, so all planned speeds stay valid.
 
 use super::arc::Curvature;
 use super::blend::{Blend, HeldMove};
@@ -21,10 +22,10 @@ use crate::image::FULL_IMAGE;
 
 /// Moves are held back only if the look-ahead has at least this many blocks.
 const LEAST_BLOCKS: usize = 32;
-/// Maximum number of entries, counted from the start of the queue, that are searched for one at its maximum speed.
+/// Maximum number of entries, from the start of the queue, among which an entry at its maximum speed is searched.
 const MOST_ENTRIES: usize = 64;
-/// Share of the maximum speed² that counts as the maximum, because with a jerk limit the entry speed² is the square of
-/// a rounded root.
+/// Share of the maximum speed² from which an entry speed² counts as the maximum. With a jerk limit, the entry speed²
+/// is the square of a rounded root, so it can be slightly too low.
 const FULL: f32 = 0.999;
 
 impl<const N: usize> MoveQueue<N> {
@@ -80,7 +81,8 @@ impl<const N: usize> MoveQueue<N> {
         true
     }
 
-    /// Returns whether a move is suited to be held back for rounding.
+    /// Returns whether a move can be held back, so that its corners can be rounded. It must be a feed move with a
+    /// tolerance, obey overrides, and fit into one block. The look-ahead must have at least [`LEAST_BLOCKS`] blocks.
     fn may_hold(&self, m: &Move<N>) -> bool {
         let from = self.kinematics.steps(&self.planned_position());
         let steps = self.kinematics.steps(&m.target);
@@ -108,7 +110,8 @@ impl<const N: usize> MoveQueue<N> {
         }
     }
 
-    /// Returns whether the speed of the first block can depend on the held moves.
+    /// Returns whether the speed of the first block can depend on the held moves. It cannot if an entry in the queue
+    /// has its maximum speed.
     fn is_end_near(&mut self) -> bool {
         if !self.planner.jerk_limited {
             self.planner.settle();
@@ -153,8 +156,8 @@ impl<const N: usize> MoveQueue<N> {
             return;
         }
         let numbering = core::mem::replace(&mut self.numbering, Numbering::Given(held.number));
-        // Pieces of a move whose corner is cut off can end between two steps; their steps follow these exact ends. A
-        // whole move is queued as if it had no tolerance, with full steps as its ends. With backlash compensation, all
+        // If the corner of a move is cut off, its pieces can end between two steps, and their steps follow these exact
+        // ends. A whole move begins and ends on full steps, as if it had no tolerance. With backlash compensation, all
         // ends are full steps.
         let true_ends = !held.is_whole(&self.end.planned, &piece.target) && !self.backlash.is_on();
         self.put(piece, UNLIMITED2, true_ends);

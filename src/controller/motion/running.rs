@@ -45,7 +45,6 @@ pub(super) struct PathMotion {
 impl PathMotion {
     pub(super) const REST: Self = Self { pace: Pace::REST, acceleration: 0.0, ease_off_limit: 0.0 };
 
-    /// Sets speed and acceleration to 0.
     #[inline]
     pub(super) fn stop(&mut self) {
         self.pace = Pace::REST;
@@ -62,7 +61,7 @@ pub(super) struct Running<const N: usize> {
     flags: u8,
     power: u16,
     pub line_number: u32,
-    /// Computed from the block's steps, like `rates` and `credits`; see [`Measure`].
+    /// Value of one step in the sums of `rates` and `credits`; see [`Measure`] for all three.
     threshold: u32,
     rates: [u32; N],
     credits: [u32; N],
@@ -76,8 +75,8 @@ pub(super) struct Running<const N: usize> {
     pub acceleration: f32,
     /// Nominal speed², units²/s².
     pub nominal2: f32,
-    /// Speed at which a laser with scaled power has the programmed power, mm/s: the programmed feed before overrides,
-    /// or the limit of a rapid.
+    /// Speed at which a laser with scaled power has the programmed power, mm/s. It is the programmed feed before
+    /// overrides, or the speed limit of a rapid.
     programmed: f32,
 }
 
@@ -226,8 +225,8 @@ impl<const N: usize> Running<N> {
             let taken = if self.done == self.total {
                 axis_steps.steps()
             } else if *rate == 0 {
-                // The axis does not move: an axis with steps has a nonzero rate, wherever between two steps it begins
-                // and ends.
+                // A rate of 0 means that the axis does not move. An axis with steps has a rate above 0, even if it
+                // begins and ends between two steps.
                 0
             } else {
                 steps_taken(*rate, credit, self.threshold, self.done)
@@ -250,8 +249,8 @@ impl<const N: usize> Running<N> {
         Some((Trapezoid { acceleration, nominal2: self.nominal2, exit2 }, left))
     }
 
-    /// Returns the speed curve for a feed hold, in which the machine brakes to a stop as soon as possible, and its
-    /// length in units; `None` for an immediate stop.
+    /// Returns the speed curve for a feed hold and its length in units; `None` for an immediate stop. On this curve
+    /// the machine brakes to a stop as soon as possible.
     #[inline]
     fn braking(&self, pace: Pace, acceleration: f32) -> Option<(Trapezoid, u32)> {
         let left = self.left();
@@ -277,16 +276,18 @@ impl<const N: usize> Running<N> {
         Some((Trapezoid { acceleration, nominal2: pace.speed2, exit2: 0.0 }, stop))
     }
 
-    /// Returns the acceleration, units/s². `exit2`: planned exit speed², mm²/s². In a bend, the acceleration is what
-    /// the bend leaves at the present speed or the exit speed, whichever is lower, as the reverse pass assumes. If the
-    /// bend was found late, later blocks were planned with all of the acceleration, so the machine can be too fast for
-    /// the exit. In that case it brakes as hard as necessary, at most with all of the block's acceleration.
+    /// Returns the acceleration for the rest of the block, units/s². `exit2`: planned exit speed², mm²/s². In a bend,
+    /// the acceleration is what the bend leaves at the present speed or the exit speed, whichever is lower. The
+    /// reverse pass assumes the same.
+    ///
+    /// If the bend was found late, later blocks were planned with all of the acceleration, so the machine can be too
+    /// fast for the exit. In that case it brakes as hard as necessary, at most with all of the block's acceleration.
     #[inline]
     fn acceleration_towards(&self, exit2: f32, pace: Pace, planner: &Planner<N>) -> f32 {
         match planner.first() {
             Some(block) if !block.curve.is_none() => {
                 let speed2 = pace.speed2 / (self.scale * self.scale);
-                // Inlined, because a call would make this function save registers for every segment.
+                // `left_of` is inlined, because a call would make this function save registers for every segment.
                 let planned = block.curve.left_of(block.acceleration, lesser(speed2, exit2)) * self.scale;
                 let (exit2, twice_left) = (exit2 * self.scale * self.scale, 2.0 * self.left() as f32);
                 if pace.speed2 <= (exit2 + planned * twice_left) * OFF_CURVE {

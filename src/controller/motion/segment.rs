@@ -1,26 +1,29 @@
-//! Cuts the next segment out of a block's speed curve: a number of ticks with linearly changing intervals, at the AMASS
-//! level that suits the speed. As in Grbl, the level determines how fine the ticks are: at level n, a step of the
+//! Cuts the next segment out of a block's speed curve. A segment is a number of ticks whose intervals change linearly.
+//! As in Grbl, its AMASS level determines how fine the ticks are, and depends on the speed: at level n, a step of the
 //! dominant axis (the one with the most steps) takes 2^n ticks.
 //!
-//! A segment has whole ticks. It does not continue beyond the phase of the curve (accelerate, cruise or brake) in which
-//! it begins, except to the next tick or whole step. It lasts at most 1 ms, or 2 ms if the speed is constant or nearly
-//! so and the power does not follow the speed (or one tick, if that is longer). The sum of its intervals is the exact
-//! time of the curve. The remainder that the fixed-point intervals cannot represent is carried over to the next
-//! segment, so no time is lost or gained.
+//! A segment has whole ticks. The curve has the phases accelerate, cruise and brake. A segment ends with the phase in
+//! which it begins, or at the next tick or whole step after it, if it does not end earlier. It lasts at most 1 ms. The
+//! limit is 2 ms if the speed is constant or nearly so and the power does not follow the speed. A single tick can last
+//! longer.
+//!
+//! The sum of the intervals is the exact time of the curve. The remainder that the fixed-point intervals cannot
+//! represent is carried over to the next segment, so no time is lost or gained.
 
 use super::stepper::MAX_LEVEL;
 use super::trapezoid::{Pace, Trapezoid, lesser};
 use crate::messages::{INTERVAL_FRACTION_BITS, UNITS_PER_STEP};
 
-/// Maximum duration of a segment of several ticks while the speed changes, s. Limits how far the ticks, whose intervals
-/// change linearly, deviate from the speed curve, and how coarsely dynamic laser power follows the speed.
+/// Maximum duration of a segment of several ticks while the speed changes, s. It limits how far the ticks, whose
+/// intervals change linearly, deviate from the speed curve. It also limits how coarsely dynamic laser power follows
+/// the speed.
 const SEGMENT_TIME: f32 = 0.001;
 /// Maximum duration of a segment while the speed is constant or nearly so and the power does not follow it, s. Limits
 /// the delay of a hold or an override, and how far ahead the reported position can be.
 const STEADY_TIME: f32 = 0.002;
 /// Ratio of acceleration to speed, 1/s, up to which the speed counts as nearly constant: it changes by 1 % within
-/// [`STEADY_TIME`]. If the intervals of the ticks change linearly, the acceleration is proportional to the cube of the
-/// speed, so it is 1.5 % off at either end of the segment.
+/// [`STEADY_TIME`]. With linearly changing intervals, the acceleration of the ticks is proportional to the cube of the
+/// speed. So it is 1.5 % off at either end of the segment.
 const STEADY: f32 = 5.0;
 /// Ticks per second below which smoothing makes ticks finer, so that the steps of a slow axis jitter by at most 125 us.
 const SMOOTH_RATE: f32 = 8000.0;
@@ -67,8 +70,8 @@ fn amass_level_for(speed: f32) -> u8 {
     (((below - 1) >> 23) + 1).clamp(0, i32::from(MAX_LEVEL)) as u8
 }
 
-/// Returns the units per tick at `level`, and how many units ticks of this size can cover. The ticks are finer if the
-/// position (`done` units after the start of the block) or the `left` units require it.
+/// Returns the units per tick at `level`, and how many units can be covered with ticks of this size. The ticks are
+/// finer than the level if the position (`done` units after the start of the block) or the `left` units require it.
 #[inline(always)]
 fn grain(level: u8, done: u32, left: u32) -> (u32, u32) {
     // A tick must begin at a multiple of its size. Up to the next multiple, ticks are only as coarse as the position
@@ -145,7 +148,8 @@ pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace, scales_po
     // If the machine would come to rest within the time, reach far enough to include all of the braking.
     let mut reach = if speed + change > 0.0 { (speed + 0.5 * change) * time } else { speed * time };
     if phase.sign != 0.0 {
-        // Speed at which the AMASS level changes. The change of speed² is twice the acceleration times the distance.
+        // `edge` is the speed at which the AMASS level changes. The change of speed² is twice the acceleration times
+        // the distance.
         let edge = if phase.sign > 0.0 {
             if level > 0 { amass_level_speed(level - 1) } else { ENDLESS }
         } else if level < MAX_LEVEL {
@@ -160,8 +164,8 @@ pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace, scales_po
     let (grain, limit) = grain(level, done, left);
     level = (UNITS_PER_STEP / grain).trailing_zeros() as u8;
 
-    // A cruise that is extended to a whole step reaches into the ramp after it, and the change of speed is spread over
-    // the whole segment. Keep that segment short.
+    // If a cruise is extended to a whole step, it reaches into the ramp after it. The change of speed is then spread
+    // over the whole segment, so keep the segment short.
     if phase.sign == 0.0 && phase.length <= reach && phase.length + (UNITS_PER_STEP as f32) < left as f32 {
         reach = lesser(reach, speed * SEGMENT_TIME);
     }
@@ -188,7 +192,7 @@ pub(super) fn cut(curve: &Trapezoid, done: u32, left: u32, pace: Pace, scales_po
     Cut { units, level, ticks, seconds, end, ramp, acceleration: 0.0 }
 }
 
-/// Intervals of the ticks of one segment.
+/// Intervals of the ticks of one segment, in fixed point: the first interval, and its change from tick to tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Intervals {
     pub interval: u32,
@@ -229,7 +233,7 @@ impl Pacer {
     }
 
     /// Distributes a time (fixed point) over at most 65535 ticks whose intervals change by `ramp` seconds from tick to
-    /// tick. At 4 ms and 100 MHz the time has 31 bits.
+    /// tick. The time fits 32 bits: 4 ms at 100 MHz have 31 bits.
     #[inline]
     pub(super) fn intervals(&mut self, time: u32, ticks: u32, ramp: f32) -> Intervals {
         let least = ticks.saturating_mul(ONE);
@@ -247,8 +251,8 @@ impl Pacer {
         Intervals { interval, ramp, clocks: total >> INTERVAL_FRACTION_BITS }
     }
 
-    /// Converts a change of the interval from seconds to fixed point, limited so that the intervals of a segment differ
-    /// by less than three quarters of their average.
+    /// Converts a change of the interval from seconds to fixed point. Limits it, so that the intervals of a segment
+    /// differ by less than three quarters of their average.
     #[inline]
     fn ramp(&self, ramp: f32, total: u32, ticks: u32) -> i32 {
         let ramp = (ramp * self.per_second) as i32;

@@ -21,13 +21,13 @@ pub const QUEUED_TIME_MS: u32 = 16;
 const FAR_MS: u32 = 4;
 /// Duration of each wait that a long interval is divided into, ms.
 const WAIT_MS: u32 = 1;
-/// If a motion ends at rest while less than this time is queued, ms, the next motion waits until the step task is at
-/// rest, and starts with several segments queued. The first segments of a motion are shorter than the time in which a
-/// small processor prepares them, so they would be late if they had to follow without a pause.
+/// If a motion has ended at rest and less than this time of it is still queued, ms, the next motion waits until the
+/// step task is at rest. It then starts with several segments queued. Without the pause, its first segments would be
+/// late, because they are shorter than the time in which a small processor prepares them.
 const JOIN_MS: u32 = 2;
 /// While motion continues and less than this time is queued, ms, making segments takes precedence over executing
-/// program lines. This is more than it takes to execute one line and then to make the segments of a stop that begins
-/// after this line.
+/// program lines. The time is longer than the execution of one line plus the making of the segments of a stop that
+/// begins after this line.
 const SHORT_MS: u32 = 8;
 /// Duration of the segment that puts the step task to rest when there is nothing to brake, in microseconds.
 const REST_US: u32 = 20;
@@ -151,7 +151,7 @@ impl<const N: usize> SegmentSource<N> {
         }
     }
 
-    /// Ends a hold. `any`: whether there are moves left. If so, segments are handed over again at once, otherwise only
+    /// Ends a hold. `any`: `true` if there are moves left. Then segments are handed over again at once, otherwise only
     /// after the next start.
     pub(super) fn resume(&mut self, any: bool) {
         self.state = if any { FeedState::Running } else { FeedState::Idle };
@@ -176,27 +176,27 @@ impl<const N: usize> SegmentSource<N> {
         self.state == FeedState::Held
     }
 
-    /// Returns whether segments are handed over.
+    /// Returns whether segments are handed over: motion is started, and not stopped by a hold.
     #[inline]
     pub(super) fn is_on(&self) -> bool {
         matches!(self.state, FeedState::Running | FeedState::Braking)
     }
 
-    /// Returns whether the last handed-over segment ends at rest.
+    /// Returns whether the last handed-over segment ends at rest, so that there is no deadline for the next one.
     #[inline]
     pub(super) fn ends_at_rest(&self) -> bool {
         self.rest
     }
 
-    /// Returns whether another message should be handed over to the step task: motion is started, the machine is not
-    /// stopped by a hold, and the segment buffer is not full.
+    /// Returns `true` if another message should be handed over to the step task. Conditions: motion is started, the
+    /// machine is not stopped by a hold, and the segment buffer is not full.
     #[inline]
     pub(super) fn wants_more(&self) -> bool {
         self.is_on() && !self.in_flight.is_full() && self.in_flight.queued() < self.clocks_per_ms * QUEUED_TIME_MS
     }
 
-    /// Returns whether the next motion must wait until the step task is at rest: the last motion ends at rest, and less
-    /// than [`JOIN_MS`] of it is still queued.
+    /// Returns `true` if the next motion must wait until the step task is at rest. That is so if the last motion ends
+    /// at rest and less than [`JOIN_MS`] of it is still queued.
     #[inline]
     pub(super) fn waits_for_rest(&self) -> bool {
         self.rest && self.in_flight.moves() && self.in_flight.queued() < self.clocks_per_ms * JOIN_MS
@@ -270,7 +270,6 @@ impl<const N: usize> SegmentSource<N> {
         &self.block_start
     }
 
-    /// Returns the position and lead of the motors where the machine was last at rest.
     pub(super) fn last_rest(&self) -> &Motors<N> {
         &self.last_rest
     }
@@ -346,8 +345,8 @@ impl<const N: usize> SegmentSource<N> {
             .map(|(curve, left)| segment::cut(&curve, run.done, left, pace, run.scales_power()))
     }
 
-    /// Returns a segment that waits for a part of the time until a pending tick, and keeps the rest of this time in
-    /// `long_tick`.
+    /// Returns a segment without steps that lasts for a part of the time until a pending tick. Keeps the rest of this
+    /// time in `long_tick`.
     #[inline(never)]
     fn wait(&mut self, cut: Cut, time: u64, backlash: &Backlash<N>) -> Segment {
         let wait = self.clocks_per_ms * WAIT_MS;

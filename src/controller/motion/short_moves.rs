@@ -1,6 +1,6 @@
-//! Decides which short moves are joined to the last block of the queue ([`super::join`]): those that continue the
-//! block's line, if the speeds planned for earlier blocks stay valid. To join a move, the last block is taken back and
-//! a longer one is queued.
+//! Decides which short moves are joined to the last block of the queue ([`super::join`]). A move is joined if it
+//! continues the block's line and the speeds planned for earlier blocks stay valid. To join a move, the last block is
+//! taken back and a longer one is queued.
 
 use super::Move;
 use super::axis_limits::shares;
@@ -16,14 +16,15 @@ use crate::units::{Coordinate, DECIMAL_ONE};
 const MOST_PIECE: i64 = DECIMAL_ONE / 1000 * 45;
 /// Maximum length of a block of joined moves, mm.
 const MOST_JOINED: f32 = 0.5;
-/// Maximum ratio of the programmed path through the ends of all joined moves to the straight line. Rounding of the
-/// coordinates makes the path a staircase, at most √3 times as long as the line. A longer path winds on purpose.
+/// Maximum ratio of two lengths: the programmed path through the ends of all joined moves, and the straight line.
+/// Rounding of the coordinates makes the path a staircase, at most √3 times as long as the line. A longer path winds
+/// on purpose.
 const MOST_WINDING: f32 = 1.75;
 
 impl<const N: usize> MoveQueue<N> {
     /// Call before a block is made of a move. If the move continues the last block, takes that block back, so that the
-    /// new block covers both moves. Returns the entry speed² that the plan of earlier blocks relies on; 0 if no block
-    /// was taken back.
+    /// new block covers both moves. Then returns the entry speed² that the new block must allow, because earlier
+    /// blocks are planned with it. Returns 0 if no block was taken back.
     #[inline]
     pub(super) fn join(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>, is_line: bool) -> f32 {
         if is_line && !m.no_feed_override && self.is_short(m) {
@@ -71,8 +72,8 @@ impl<const N: usize> MoveQueue<N> {
         0.0
     }
 
-    /// Stops joining moves to the last block. If the block's piece of the path has not been added to the chain (the
-    /// path in which bends are found) yet, adds it.
+    /// Stops joining moves to the last block. Then adds the block's piece of the path to the chain (the path in which
+    /// bends are found), unless the piece is already there.
     #[inline(never)]
     pub(super) fn end_join(&mut self) {
         let join = &mut self.join;
@@ -116,9 +117,10 @@ impl<const N: usize> MoveQueue<N> {
         self.join.pass(&end)
     }
 
-    /// Checks whether a move continues the last block's line within the limits of the block. If so, adds the end of the
-    /// move to the points of the line, and returns the entry speed² that the longer block must allow, because earlier
-    /// blocks may be planned for it.
+    /// Checks whether a move can be joined to the last block: it continues the block's line, and stays within the
+    /// limits for joined moves. If so, adds the end of the move to the points of the line. Returns the entry speed²
+    /// that the longer block must allow, because earlier blocks may be planned for it; `None` if the move cannot be
+    /// joined.
     fn continues(&mut self, m: &Move<N>, target_steps: &PerAxis<i32, N>) -> Option<f32> {
         // A block that is alone in the queue can be running already, or its entry speed can be fixed already.
         if self.planner.len() < 2 && self.planner.is_entered() {
@@ -152,8 +154,8 @@ impl<const N: usize> MoveQueue<N> {
                 return None;
             }
         }
-        // From any speed from which the machine could brake to a stop within the last block, it must also be able to do
-        // so within the longer block that replaces it.
+        // The longer block replaces the last one. From any speed from which the machine could brake to a stop within
+        // the last block, it must be able to brake to a stop within the longer block.
         let last = self.planner.last()?;
         let shares = shares(&way, length);
         let (acceleration, _) = self.limits.along_shares(&shares);
@@ -177,8 +179,8 @@ impl<const N: usize> MoveQueue<N> {
         self.planner.take_back();
     }
 
-    /// Returns whether the queued blocks and the joined moves together reach the capacity of the look-ahead. Motion
-    /// should start in that case, although the queue still has room.
+    /// Returns whether the queued blocks and the joined moves together reach the capacity of the look-ahead. If so,
+    /// motion should start although the queue still has room.
     pub(super) fn has_joined_enough(&self) -> bool {
         self.join.moves > 0 && self.planner.len() + self.join.moves >= self.planner.capacity()
     }

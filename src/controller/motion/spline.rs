@@ -1,5 +1,5 @@
-//! A Bezier curve of third degree in X and Y (G5, G5.1) as a chain of chords, computed one at a time by dividing the
-//! sides of its control polygon. Also computes its length, curvature and extent.
+//! Divides a cubic Bezier curve in X and Y (G5, G5.1) into chords, which are straight moves between points of the
+//! curve. Also computes the length, curvature and extent of the curve.
 //!
 //! ```text
 //!        b ── ── c
@@ -8,14 +8,17 @@
 //!     ╱.'        '. ╲
 //!    a'            'd
 //! ```
-//! The point at a parameter t is found by divisions at the share t (de Casteljau): of each side of the polygon a b c d,
-//! of the two lines between the resulting points, and of the line between the two points on these lines. The direction
-//! of this last line is the tangent. Coordinates are whole numbers of 0.1 nm. Only three roundings occur, so a point
-//! lies within 0.2 nm of the curve, for any number of chords.
+//! De Casteljau's rule finds the point at a parameter t (0 to 1). The sides of the polygon a b c d are divided at the
+//! share t, which gives three points. The two lines between these points are divided at t, which gives two points.
+//! The line between these two points is divided at t, too: this last point lies on the curve, and the last line is
+//! the tangent there.
 //!
-//! A chord with a parameter step of h deviates from the curve by at most |second derivative|·h²/8, and the second
-//! derivative has its maximum at an end. The number of chords follows from that. The last chord ends exactly at the
-//! target.
+//! Coordinates are whole numbers of 0.1 nm. Only the three divisions round, so a point lies within 0.2 nm of the
+//! curve, for any number of chords.
+//!
+//! The number of chords follows from the tolerance. A chord over a parameter step h deviates from the curve by at
+//! most |second derivative|·h²/8. The second derivative has its maximum at an end of the curve. The last chord ends
+//! exactly at the target.
 
 use super::arc::{Curvature, LEAST_TOLERANCE, UNIT, UNIT_BITS, scale};
 use super::trapezoid::square_root;
@@ -23,15 +26,15 @@ use crate::axes::{Axis, PerAxis};
 use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
-/// Minimum number of chords of a curve that is not straight, even if the tolerance allows fewer, so that a tiny curve
-/// keeps its shape.
+/// Minimum number of chords of a curve that is not straight. With fewer chords, a tiny curve would stay within the
+/// tolerance but lose its shape.
 const FEWEST: u32 = 4;
-/// Number of pieces in which the length is integrated, each with three points.
+/// The length is integrated over this many pieces of the curve, with three points in each piece.
 const PIECES: u8 = 16;
 /// Difference below which two unit vectors count as one direction: an f32 cannot resolve less.
 const STRAIGHT: f32 = 1.0e-6;
 
-/// A curve between two positions. Axes other than X and Y do not move.
+/// Ends and control points of a cubic Bezier curve. Axes other than X and Y do not move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SplineGeometry<const N: usize> {
     /// Start, machine coordinates.
@@ -103,8 +106,8 @@ impl<const N: usize> SplineGeometry<N> {
         self.polygon().length()
     }
 
-    /// Returns the minimum and the maximum coordinates on the curve: at its ends, or where it runs perpendicular to an
-    /// axis.
+    /// Returns the minimum and the maximum coordinate of each axis on the curve. They lie at an end of the curve, or
+    /// where the curve runs perpendicular to the axis.
     #[inline(never)]
     pub fn extent(&self) -> (PerAxis<Coordinate, N>, PerAxis<Coordinate, N>) {
         let mut least = self.start.zip(&self.target, |a, b| a.min(b));
@@ -124,7 +127,7 @@ impl<const N: usize> SplineGeometry<N> {
 }
 
 impl Polygon {
-    /// Returns the point at a parameter (2^-30 fixed point), and a third of the derivative there.
+    /// Returns the point at the parameter `share` / 2^30, and a third of the derivative there.
     #[inline(never)]
     fn point_at(&self, share: i32) -> ([i64; 2], [i64; 2]) {
         let [b, c, d] = self.0;
@@ -133,7 +136,6 @@ impl Polygon {
         (between(abc, bcd, share), minus(bcd, abc))
     }
 
-    /// Returns the sides of the polygon as vectors, in order.
     fn sides(&self) -> [[i64; 2]; 3] {
         let [b, c, d] = self.0;
         [b, minus(c, b), minus(d, c)]
@@ -141,8 +143,9 @@ impl Polygon {
 
     /// Returns the parameters at which the derivative along an axis is zero.
     ///
-    /// The derivative is quadratic: p·(1-t)² + 2·q·t·(1-t) + r·t² with the sides p, q, r. Near an extremum the
-    /// coordinate changes with the square of an error of t, so the f32 error of 1e-6 in t is negligible.
+    /// A third of the derivative is p·(1-t)² + 2·q·t·(1-t) + r·t². Here p, q and r are the sides of the polygon along
+    /// the axis, in mm. The f32 error of t is about 1e-6. It is negligible, because near an extremum the coordinate
+    /// changes only with the square of this error.
     #[inline(never)]
     fn turning_points([p, q, r]: [f32; 3]) -> [i32; 2] {
         let (square, half_linear) = (p - 2.0 * q + r, q - p);
@@ -150,7 +153,7 @@ impl Polygon {
         // Computes both roots without subtracting nearly equal numbers.
         let sum = if half_linear < 0.0 { root - half_linear } else { -root - half_linear };
         [sum / square, p / sum].map(|share| {
-            // A missing root is NaN or out of range; the start of the curve replaces it.
+            // A missing root is NaN or out of range. The parameter 0, the start of the curve, replaces it.
             if share > 0.0 && share < 1.0 { (share * UNIT as f32) as i32 } else { 0 }
         })
     }
@@ -163,7 +166,7 @@ impl Polygon {
 
     #[inline(never)]
     fn length(&self) -> f32 {
-        /// Distance of the two outer points of three-point Gauss quadrature from the middle of a piece of length 1.
+        /// Three-point Gauss quadrature: distance of each outer point from the middle of a piece of length 1.
         const OUTER: f32 = 0.387_298_35;
         let [p, q, r] = self.sides().map(in_mm);
         let speed = |t: f32| {
@@ -177,7 +180,7 @@ impl Polygon {
             let at = |share: f32| speed((f32::from(piece) + share) * step);
             sum += 5.0 * (at(0.5 - OUTER) + at(0.5 + OUTER)) + 8.0 * at(0.5);
         }
-        // The sum of the weights is 18, and the derivative is three times the weighted sides: 3/18 = 1/6.
+        // The weights 5, 8 and 5 add up to 18, and `speed` is a third of the derivative. So the factor is 3/18 = 1/6.
         sum * step / 6.0
     }
 }
@@ -188,8 +191,8 @@ impl<const N: usize> Spline<N> {
     pub fn new(geometry: &SplineGeometry<N>, tolerance: f32) -> Self {
         let polygon = geometry.polygon();
         let bend = polygon.bend();
-        // The deviation is 6·bend·h²/8 with h = 1 / chords. Coordinates are bounded, so there are less than 2^20
-        // chords.
+        // A chord deviates from the curve by 6·bend·h²/8, where h = 1 / chords is its parameter step. Coordinates are
+        // bounded, so there are less than 2^20 chords.
         let tolerance = tolerance.max(LEAST_TOLERANCE);
         let chords = libm::ceilf(square_root(0.75 * bend / tolerance)) as u32;
         let fewest = if bend > LEAST_TOLERANCE { FEWEST } else { 1 };

@@ -8,8 +8,9 @@
 //! * After a stop nothing moves until the matching `Resume`.
 //! * The position is exact at any tick.
 //!
-//! `dda` decides which axes step at a tick, `course` represents a block, `contact` watches the probe, `planner` and
-//! `segment` determine the acceleration, and the task that writes the pins handles pulse widths and direction set-up.
+//! Done elsewhere: `dda` decides which axes step at a tick, `course` represents a block, and `contact` watches the
+//! probe. `planner` and `segment` determine the acceleration. The task that writes the pins handles pulse widths and
+//! direction set-up.
 //!
 //! The cost of a tick limits the machine's step rate. Therefore as much as possible is computed when a message is
 //! loaded; a tick within a segment needs only the first words of the state, and no division.
@@ -25,7 +26,7 @@ pub const MAX_LEVEL: u8 = 4;
 /// Shift from the fraction bits of an interval to the 32 fraction bits of [`Stepper::moment`].
 const FRACTION_SHIFT: u32 = 32 - INTERVAL_FRACTION_BITS;
 
-/// What to do at a tick.
+/// What the step task must do at one tick of the step timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tick {
     /// Axes to step now, bit 0 for X.
@@ -41,24 +42,24 @@ pub struct Tick {
     pub underrun: bool,
 }
 
-/// The current segment, or the prefetched one.
+/// A segment as the stepper executes it: the current one, or the next one, which is loaded ahead.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Piece<const N: usize> {
-    /// Amount by which each tick reduces an axis' remainder until its next step.
+    /// Per axis: by how much each tick reduces the countdown to the next step (`Stepper::left`).
     increments: [u32; N],
-    /// Ticks left that do nothing but step.
+    /// Number of remaining ticks that do nothing but step.
     plain_ticks: u32,
-    /// Ticks left after the plain ones. They may do more than step: the last tick of the segment, or all of its ticks
-    /// while a probe is watched. With no tick left the machine is at rest.
+    /// Number of remaining ticks after the plain ones, which may do more than step: the last tick of the segment, or
+    /// all of its ticks while a probe is watched. If no tick remains, the machine is at rest.
     rare_ticks: u32,
     /// Interval to the next tick: step-clock ticks with [`INTERVAL_FRACTION_BITS`] fraction bits.
     interval: u32,
-    /// Change of the interval from tick to tick, in the same fixed point.
+    /// Change of `interval` from one tick to the next, in the same fixed point.
     ramp: i32,
-    /// Units that a tick advances.
+    /// Number of units that a tick advances along the block. A unit is 1/16 step of the axis with the most steps.
     units_per_tick: u32,
-    /// Units of the block at the end of the segment.
+    /// Progress at the end of the segment, in units from the start of the block.
     end_units: u32,
     power: u16,
     last: bool,
@@ -72,10 +73,11 @@ pub struct Stepper<const N: usize> {
     /// Countdown of each axis to its next step (`dda`): 0 to `threshold` - 1.
     left: [u32; N],
     piece: Piece<N>,
-    /// Threshold of the current block.
+    /// Added to the countdown of an axis when the axis steps; each block has its own value.
     threshold: u32,
     directions: u8,
-    /// Index in `courses` of the current block; the other course is that of the next block.
+    /// Which of the two `courses` is the current block: `false`: the first, `true`: the second. The other one is the
+    /// next block.
     odd: bool,
     /// Time of the next tick: step-clock ticks in the upper 32 bits, their fraction in the lower 32 bits.
     moment: u64,
@@ -85,10 +87,10 @@ pub struct Stepper<const N: usize> {
     is_next: bool,
     next_piece: Piece<N>,
     courses: [Course<N>; 2],
-    /// Steps of each axis in the block that is being announced.
+    /// Steps of each axis in the next block, as received so far by [`ToStep::BlockRest`] and [`ToStep::Block`].
     steps_by_axis: [AxisSteps; N],
-    /// Whether the steps of A, B and C have been received for the block that is being announced; without them these
-    /// axes do not move.
+    /// Whether [`ToStep::BlockRest`], with the steps of A, B and C, has been received for the next block. Without it,
+    /// these axes do not move in that block.
     has_rotary_steps: bool,
     /// Whether messages are discarded until the matching [`ToStep::Resume`].
     gate_shut: bool,
@@ -128,7 +130,7 @@ impl<const N: usize> Default for Stepper<N> {
 }
 
 impl<const N: usize> Stepper<N> {
-    /// Creates a stepper at rest, at position 0, with the gate open.
+    /// Creates a stepper at rest, at position 0. It accepts messages: its gate is open.
     pub const fn new() -> Self {
         Self {
             left: [0; N],
@@ -152,8 +154,9 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// Returns whether there is room for one more message. The step task loads messages while this holds, then calls
-    /// [`Stepper::tick`]. The first segment of a block takes two or more messages, any other segment one.
+    /// Returns whether one more message can be loaded: `true` as long as the next segment has not been loaded. The
+    /// step task loads messages while this is `true`, then calls [`Stepper::tick`]. The first segment of a block
+    /// takes two or more messages, any other segment one.
     #[inline]
     pub fn has_room(&self) -> bool {
         !self.is_next || self.latch.is_unnoted
@@ -278,9 +281,9 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// Executes as many plain ticks as `words` and `moments` have room for, or as the segment has left, and returns
-    /// their number. For each tick, writes the entry of `table` for its steps (bit 0 of the index for X) into `words`,
-    /// and its time into `moments`.
+    /// Executes plain ticks (which do nothing but step) until `words` or `moments` is full, or the segment has no
+    /// more of them. Returns their number. Writes one element per tick: the time into `moments`, and into `words` the
+    /// entry of `table` for the axes that step (bit 0 of the index for X).
     ///
     /// All steps are computed before all times, so that the state of each loop stays in registers. The stepper's state
     /// afterwards is the same as after that many calls of [`Stepper::tick`].
@@ -329,8 +332,8 @@ impl<const N: usize> Stepper<N> {
         (least >> INTERVAL_FRACTION_BITS, greatest >> INTERVAL_FRACTION_BITS)
     }
 
-    /// Returns the minimum time between two steps of the dominant axis in the segment, in step-clock ticks. (At AMASS
-    /// levels above 0, one step takes several [`Tick`]s.)
+    /// Returns the minimum time between two steps in the segment, in step-clock ticks, for the axis with the most
+    /// steps. (At AMASS levels above 0, one step takes several [`Tick`]s.)
     #[inline]
     pub fn step_interval(&self) -> u32 {
         let (least, _) = self.intervals();
@@ -366,7 +369,8 @@ impl<const N: usize> Stepper<N> {
         Tick { steps, directions: self.directions, interval: 0, begins: false, underrun }
     }
 
-    /// Returns the present tick with the interval to the next one. Advances the time to the next tick.
+    /// Returns the [`Tick`] for the present tick, with the interval to the next one. Advances `moment` to the next
+    /// tick.
     #[inline(always)]
     fn set_out(&mut self, steps: u8) -> Tick {
         let now = self.moment();
@@ -396,7 +400,8 @@ impl<const N: usize> Stepper<N> {
         self.piece.ticks() <= 1
     }
 
-    /// Returns whether any axis steps at the next tick.
+    /// Returns whether any axis steps at the next tick. A tick without steps makes no pulse, so it need not wait for
+    /// the pause after the previous pulse.
     #[inline]
     pub fn steps_next(&self) -> bool {
         dda::steps_next(&self.left, &self.piece.increments)
@@ -408,14 +413,14 @@ impl<const N: usize> Stepper<N> {
         (self.moment >> 32) as u32
     }
 
-    /// Sets the time of the next tick: the first one from rest, or a delayed one, in which case all later ticks are
-    /// delayed with it. Keeps the fraction of a clock tick.
+    /// Sets the time of the next tick: the first one from rest, or one that is late. If it is late, all later ticks
+    /// are late by the same time. Keeps the fraction of a clock tick.
     pub fn begin_at(&mut self, moment: u32) {
         self.moment = u64::from(moment) << 32 | u64::from(self.moment as u32);
     }
 
     /// Ends motion because no segment has followed. If the last segment does not end at rest, this is a fault
-    /// (underrun): shuts the gate and returns true.
+    /// (underrun): shuts the gate, so that messages are discarded, and returns `true`.
     #[cold]
     fn run_out(&mut self) -> bool {
         let underrun = !self.piece.last;
@@ -426,7 +431,6 @@ impl<const N: usize> Stepper<N> {
         underrun
     }
 
-    /// Makes the prefetched segment the current one.
     #[inline(always)]
     fn begin_segment(&mut self) {
         self.is_next = false;
@@ -470,8 +474,8 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// Lets the next block start at the current position, because the current block is left before its end for other
-    /// moves.
+    /// Makes the next block start at the current position. Called if the current block is left before its end, for
+    /// other moves.
     #[cold]
     fn leave_midst(&mut self) {
         // The current segment ends with this tick, so none of its ticks are left.
@@ -512,7 +516,7 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// Returns the report of a [`Tick::underrun`].
+    /// Returns the report after a tick with [`Tick::underrun`]: the count of stops and the position.
     pub fn underrun_event(&self) -> StepEvent<N> {
         StepEvent::Underrun { stops: self.stops, position: self.position() }
     }
@@ -523,17 +527,17 @@ impl<const N: usize> Stepper<N> {
         self.latch.is_watching
     }
 
-    /// Checks the probe; returns whether it has the watched state for the first time. In that case the position is
-    /// latched, the queue is discarded, and braking begins with the next tick. [`Stepper::probed_event`] returns the
-    /// report.
+    /// Checks the probe. `active`: its present state. Returns whether the probe has the watched state for the first
+    /// time. If so, the position is latched, the queue is discarded, and braking begins with the next tick.
+    /// [`Stepper::probed_event`] returns the report.
     #[inline]
     pub fn probe(&mut self, active: bool) -> bool {
         self.latch.detect(active)
     }
 
     /// Saves the state at the contact, discards the queue, shuts the gate, and starts to brake. The tick that detects
-    /// the contact has no time for this, so the next call that loads a message, ticks, stops or reports the contact
-    /// runs this first.
+    /// the contact has no time for this. So the next call that loads a message, ticks, stops or reports the contact
+    /// does it first.
     #[cold]
     fn note_touch(&mut self) {
         self.latch.is_unnoted = false;
@@ -550,7 +554,7 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// Begins the next tick of the deceleration after a contact; returns `false` when braking is complete.
+    /// Prepares the next tick of the deceleration after a contact. Returns `false` when braking is complete.
     #[cold]
     fn brake(&mut self) -> bool {
         let next = braked_interval(self.piece.interval, self.piece.units_per_tick, self.braking);
@@ -564,7 +568,7 @@ impl<const N: usize> Stepper<N> {
         self.brakes
     }
 
-    /// Returns the report of a contact found by [`Stepper::probe`].
+    /// Returns the report of a contact found by [`Stepper::probe`], with the position at the contact.
     pub fn probed_event(&mut self) -> StepEvent<N> {
         if self.latch.is_unnoted {
             self.note_touch();
@@ -600,7 +604,7 @@ impl<const N: usize> Stepper<N> {
         self.gate_shut || self.latch.is_unnoted
     }
 
-    /// Returns whether a segment is running.
+    /// Returns whether a segment is running, including one that only waits and makes no steps.
     #[inline(always)]
     pub fn is_moving(&self) -> bool {
         self.piece.ticks() != 0

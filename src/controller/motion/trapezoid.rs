@@ -34,14 +34,15 @@ pub(super) fn quotient(a: f32, b: f32) -> f32 {
 
 /// Relative difference below which two speeds² count as the same: about 30 rounding errors of an `f32`.
 const SAME: f32 = 4.0e-6;
-/// If a speed² exceeds the falling edge (the speeds² from which the machine brakes to the exit speed) by more than this
-/// factor, rounding is not the cause: the exit speed or the acceleration has been lowered meanwhile.
+/// If a speed² exceeds the falling edge by more than this factor, rounding is not the cause: the exit speed or the
+/// acceleration has been lowered meanwhile. The falling edge is the speed² from which the machine can just brake to
+/// the exit speed.
 pub(super) const OFF_CURVE: f32 = 1.001;
-/// Maximum number of phases in a piece. There are at most three (brake to nominal or accelerate, cruise, brake); the
-/// others are a margin for rounding.
+/// Maximum number of phases in a piece. In theory there are at most three: brake to nominal or accelerate, cruise,
+/// brake. The others are a margin for rounding.
 const MOST_PHASES: u32 = 8;
 
-/// Speed limits for the rest of a block.
+/// Speed limits for the rest of a block: the acceleration in units/s², and the squares of nominal and exit speed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Trapezoid {
     pub acceleration: f32,
@@ -105,9 +106,9 @@ impl Trapezoid {
         }
     }
 
-    /// Advances by `distance` units. `from`: pace at the start; `phase`: phase of the curve there; `left`: units from
-    /// there to the end of the block. Returns the time in seconds and the pace at the end. Both are exact, even from
-    /// rest or to rest.
+    /// Advances by `distance` units. `from`: pace (speed and its square) at the start. `phase`: phase of the curve at
+    /// the start. `left`: units from the start to the end of the block. Returns the time in seconds and the pace at
+    /// the end. Both are exact, even from rest or to rest.
     #[inline(always)]
     pub(super) fn advance(&self, from: Pace, phase: TrapezoidPhase, left: f32, distance: f32) -> (f32, Pace) {
         let whole = phase.length <= distance;

@@ -1,5 +1,5 @@
-//! The outputs and the wiring as they were last sent, so that only changes are sent. Also records whether any event
-//! since the last comparison could have changed the outputs; if not, the controller skips the comparison.
+//! The outputs and the wiring as they were last sent. The controller compares the present state with them and sends
+//! only changes. It skips the comparison if no event since the last one could have changed the outputs.
 
 use crate::axes::AxisMask;
 use crate::inputs::levels;
@@ -13,7 +13,7 @@ pub(crate) struct Pins {
     /// Which motors of the ganged axis (the axis with two motors) receive its steps; only one of them while the axis is
     /// squared.
     ganged_motors: GangedMotors,
-    /// Since the outputs were last compared with those sent, no event could have changed them.
+    /// No event since the last comparison could have changed the outputs, so the next comparison can be skipped.
     calm: bool,
     levels: Option<SlowOutputs>,
     wiring: Option<Wiring>,
@@ -21,7 +21,8 @@ pub(crate) struct Pins {
     source: Option<WiringSource>,
 }
 
-/// All values that [`Wiring`] depends on.
+/// All values that [`Wiring`] depends on; `settings` is the revision of all settings. If none of them has changed,
+/// the wiring need not be computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct WiringSource {
     settings: u32,
@@ -35,12 +36,14 @@ impl Pins {
     pub(crate) const UNKNOWN: Pins =
         Pins { ganged_motors: GangedMotors::Both, calm: false, levels: None, wiring: None, source: None };
 
-    /// Returns whether no event could have changed the outputs since they were last compared with those sent.
+    /// Returns whether the comparison of the outputs can be skipped, because no event since the last one could have
+    /// changed them.
     pub(crate) fn are_calm(&self) -> bool {
         self.calm
     }
 
-    /// Marks the outputs as up to date. Motion alone does not change them.
+    /// Skips the comparison of the outputs from now on, until [`Pins::disturb`] is called. Called when all changes
+    /// have been sent and the machine only moves, because motion alone does not change these outputs.
     pub(crate) fn calm_down(&mut self) {
         self.calm = true;
     }
@@ -61,7 +64,8 @@ impl Pins {
         self.levels.is_some_and(|levels| levels.spindle == SpindleDirection::Off && levels.power == 0)
     }
 
-    /// Returns the levels of the slow outputs if they differ from those last sent.
+    /// Returns the levels of the slow outputs if they differ from those last sent, and records them as sent;
+    /// otherwise `None`.
     pub(crate) fn changed(&mut self, levels: SlowOutputs) -> Option<SlowOutputs> {
         (self.levels != Some(levels)).then(|| {
             self.levels = Some(levels);

@@ -17,8 +17,9 @@ use crate::states::stops::orders::StopReason;
 use crate::units::Instant;
 
 impl<const N: usize> Controller<N> {
-    /// Returns whether the spin-up time, which ends at `until`, has passed and the spindle is up to speed. Orders an
-    /// alarm if the spindle is still not up to speed when the time of `$916`, counted from `until`, has passed.
+    /// Returns whether the spindle has spun up: the spin-up time, which ends at `until`, has passed, and the spindle
+    /// is up to speed. The spindle may take longer than that by the time of `$916`. If it is still too slow then,
+    /// orders an alarm.
     pub(crate) fn has_spun_up(&mut self, until: Instant) -> bool {
         if self.m.now >= until && self.has_no_speed_to_reach() {
             return true;
@@ -60,7 +61,7 @@ impl<const N: usize> Controller<N> {
         self.m.motion.set_mark(mark);
     }
 
-    /// Drops the waiting changes of outputs, because the job has been aborted or has ended.
+    /// Drops the waiting changes of digital outputs (M62, M63), because the job has been aborted or has ended.
     pub(crate) fn forget_waiting_outputs(&mut self) {
         let mark = self.m.motion.begun_mark();
         self.m.accessories.digital_mut().forget_waiting(mark);
@@ -72,8 +73,8 @@ impl<const N: usize> Controller<N> {
         Accessories::next_look(until, self.m.now, &self.m.settings)
     }
 
-    /// Switches spindle and coolant off. They are also switched off in the modal state, because the next line inherits
-    /// it.
+    /// Switches spindle and coolant off, and also in the modal state: the next line starts from the modal state, and
+    /// would switch them on again.
     pub(crate) fn switch_off(&mut self) {
         self.m.accessories.switch_off();
         self.m.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
@@ -98,8 +99,8 @@ impl<const N: usize> Controller<N> {
         )
     }
 
-    /// Returns whether a laser must be off at rest, regardless of the program. It must be off in a jog, in a hold and
-    /// in every other state except normal operation and check mode. Grbl's dialect has no such rule.
+    /// Returns whether a laser must be off at rest, whatever the program says. This is so in a jog, in a hold, and in
+    /// every other state except normal operation and check mode. Grbl's dialect has no such rule.
     fn is_dark_at_rest(&self) -> bool {
         let is_dark = self.m.settings.is_on(Key::Laser) && self.m.settings.is_on(Key::Dialect);
         is_dark && !matches!(self.state, State::Normal | State::Check)
@@ -120,7 +121,8 @@ impl<const N: usize> Controller<N> {
         self.m.accessories.overrides().acting(held.feed, held.spindle)
     }
 
-    /// Applies the overrides to the moves in progress.
+    /// Passes the feed and rapid overrides to `motion`, as factors: 1.0 for 100 %. They also affect moves in
+    /// progress.
     pub(crate) fn apply_overrides(&mut self) {
         let acting = self.acting_overrides();
         self.m.motion.set_overrides(f32::from(acting.feed) / 100.0, f32::from(acting.rapid) / 100.0);
@@ -135,8 +137,8 @@ impl<const N: usize> Controller<N> {
         (direction, SpindleRange::of(&self.m.settings).speed_of(power))
     }
 
-    /// Returns whether a laser with constant power (M3) stays on between feed motions: the active motion mode is a feed
-    /// motion and not, for example, G0.
+    /// Returns whether a laser with constant power (M3) stays on between feed motions. It does if the active motion
+    /// mode is a feed motion (not G0, for example).
     pub(crate) fn burns_at_rest(&self) -> bool {
         matches!(
             self.m.interpreter.acting_modal().motion,

@@ -11,7 +11,7 @@ pub(super) struct ActiveHost {
 }
 
 impl ActiveHost {
-    /// No host has claimed to be the active one. Replies go to link 0, and the first claim succeeds.
+    /// Creates the state in which no host is active yet. Replies go to link 0, and the first claim succeeds.
     pub const fn new() -> Self {
         Self { link: 0, weak: true }
     }
@@ -28,8 +28,9 @@ impl ActiveHost {
     }
 
     /// Claims the role of the active host for the host of `link`. Returns whether that host is the active one
-    /// afterwards. `free`: the machine has nothing to do for the present active host. `firm`: the host opens its port
-    /// or sends a line. A host that sends only a realtime command gets the reply, but does not keep the other host out.
+    /// afterwards. `free`: the machine has nothing to do for the present active host. `firm`: `true` if the host
+    /// opens its port or sends a line. `false` if it sends only a realtime command: then it gets the reply, but does
+    /// not keep the other host out.
     pub fn claim(&mut self, link: usize, free: bool, firm: bool) -> bool {
         if self.weak || free {
             self.link = link;
@@ -39,7 +40,7 @@ impl ActiveHost {
     }
 
     /// Makes the host of `link` the active host, because it has reset the machine and so cancelled all work of the
-    /// other host.
+    /// other host. Always returns `true`: the claim succeeds.
     pub fn take_over(&mut self, link: usize) -> bool {
         self.link = link;
         self.weak = false;

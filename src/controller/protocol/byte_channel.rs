@@ -5,12 +5,13 @@
 //!  link ──byte──▶ LineSender ──message──▶ queue ──▶ LineReader ──byte──▶ controller
 //!                    │ sends when full, at a new epoch, or when no more bytes are available (with a limit)
 //! ```
-//! The queue has room for a limited number of messages. At most [`MOST_PARTIAL`] messages are sent before they are
-//! full, so that [`LINES_DEPTH`](crate::messages::LINES_DEPTH) bytes fit even if they arrive one at a time. After that,
-//! bytes wait until their message is full or the queue is empty. Bytes of another epoch (after a reset, stop or jog
-//! cancel) begin a new message; the queue has room for this even if every line begins a new epoch. Each host that
-//! connects or disconnects uses up two messages: its `HOST_CHANGED` has another epoch than the bytes before and after
-//! it.
+//! The queue has room for a limited number of messages. At most [`MOST_PARTIAL`] messages are sent while they still
+//! have room for bytes, so that [`LINES_DEPTH`](crate::messages::LINES_DEPTH) bytes fit even if they arrive one at a
+//! time. After that, bytes wait until their message is full or the queue is empty.
+//!
+//! Bytes of another epoch (after a reset, stop or jog cancel) begin a new message. The queue has room for this even
+//! if every line begins a new epoch. Each host that connects or disconnects uses up two messages: its `HOST_CHANGED`
+//! has another epoch than the bytes before and after it.
 
 use crate::messages::{LineByte, LineBytes, MOST_PARTIAL};
 
@@ -22,7 +23,6 @@ pub struct LineSender {
     partial: usize,
 }
 
-/// No bytes to send.
 impl Default for LineSender {
     #[inline]
     fn default() -> Self {
@@ -31,8 +31,8 @@ impl Default for LineSender {
 }
 
 impl LineSender {
-    /// Takes a byte. `send` queues a message and returns whether there was room for it. Returns whether the byte was
-    /// taken; `false` means that there was no room.
+    /// Takes a byte. `send` puts a message into the queue, and returns whether there was room for it. Returns `false`
+    /// if the byte was not taken, because there was no room.
     #[inline]
     pub fn push(&mut self, byte: LineByte, send: impl FnOnce(LineBytes) -> bool) -> bool {
         if self.gathered.push(byte) {
@@ -46,7 +46,8 @@ impl LineSender {
         sent
     }
 
-    /// Takes undamaged bytes of an epoch, from the front, as long as there is room. Returns how many were taken.
+    /// Takes bytes from the front of `bytes`, as long as there is room. All of them are undamaged and belong to
+    /// `epoch`. Returns how many were taken.
     #[inline]
     pub fn extend(&mut self, epoch: u16, bytes: &[u8], mut send: impl FnMut(LineBytes) -> bool) -> usize {
         let mut count = 0;
@@ -63,8 +64,8 @@ impl LineSender {
         count
     }
 
-    /// Sends the gathered bytes, unless the limit of partial messages makes them wait. Call it when no more bytes have
-    /// arrived. `is_empty`: the queue is empty. Returns whether a message was sent.
+    /// Sends the bytes taken so far, unless the limit of partial messages makes them wait. Call it when no more bytes
+    /// have arrived. `is_empty`: the queue is empty. Returns whether a message was sent.
     #[inline]
     pub fn flush(&mut self, is_empty: bool, send: impl FnOnce(LineBytes) -> bool) -> bool {
         if is_empty {
@@ -79,7 +80,8 @@ impl LineSender {
         true
     }
 
-    /// Returns whether bytes wait: for more bytes, for room, or until the queue is empty.
+    /// Returns whether bytes that were taken have not been sent yet. They wait for more bytes, for room in the queue,
+    /// or until the queue is empty.
     #[inline]
     pub fn is_waiting(&self) -> bool {
         !self.gathered.is_empty()
@@ -93,7 +95,6 @@ pub struct LineReader {
     next: usize,
 }
 
-/// Nothing received.
 impl Default for LineReader {
     #[inline]
     fn default() -> Self {
@@ -142,7 +143,6 @@ mod tests {
     use proptest::prelude::*;
     use std::collections::VecDeque;
 
-    /// A sender, a reader, and the queue between them.
     #[derive(Default)]
     struct Crossing {
         line_sender: LineSender,

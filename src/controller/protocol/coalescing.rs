@@ -1,9 +1,9 @@
-//! Holds replies back briefly, so that several go to the serial task in one message. Each message makes that task run
-//! once more and takes a packet on the link.
+//! Holds replies back for up to about 1 ms, so that one message to the serial task carries several. Each message
+//! makes that task run once more and takes a packet on the link.
 //!
 //! Guarantees:
-//! * An answer is held only while bytes of another line wait to be read. So a host that waits for the answer before it
-//!   sends more is never delayed.
+//! * An answer is held back only while bytes of another line wait to be read. So a host is never delayed if it waits
+//!   for the answer before it sends more.
 //! * An answer is held for at most `LONGEST` plus one round of the control loop (`pump::round`).
 
 use crate::units::{Duration, Instant};

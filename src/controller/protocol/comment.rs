@@ -9,12 +9,12 @@
 //!  C2 91            a command: some senders put 0xC2 before their override bytes
 //!  C3 84 outside    a command: only a comment contains text
 //! ```
-//! Bytes below 0x80 are never part of such a character: 0x18 and 0x19 act anywhere, and [`Link`](super::link::Link)
+//! A multi-byte character has no bytes below 0x80. So 0x18 and 0x19 act anywhere, and [`Link`](super::link::Link)
 //! decides about a `!` or `~` in a comment.
 
 use heapless::Vec;
 
-/// Maximum number of bytes of a UTF-8 character that is not complete.
+/// Maximum number of bytes of an incomplete UTF-8 character: a complete one has at most four.
 const MOST_BEGUN: usize = 3;
 
 /// The part of the line to which the next byte belongs.
@@ -40,7 +40,7 @@ impl CommentTracker {
     /// The state at the start of a line: outside of a comment, and no character is incomplete.
     pub const NONE: CommentTracker = CommentTracker { part: LinePart::Words, begun: Vec::new() };
 
-    /// Returns whether the line is within a comment.
+    /// Returns whether the next byte belongs to a comment.
     #[inline]
     pub fn is_inside(&self) -> bool {
         self.part != LinePart::Words
@@ -66,8 +66,8 @@ impl CommentTracker {
         };
     }
 
-    /// Leaves the comment, because the line has ended, or because bytes were lost and the end of the comment may be
-    /// among them. After that, the bytes of an incomplete character count as single bytes: see
+    /// Leaves the comment. Called if the line has ended, or if bytes were lost: the end of the comment may be among
+    /// them. After that, the bytes of an incomplete character count as single bytes: see
     /// [`CommentTracker::break_off`].
     pub fn leave(&mut self) {
         self.part = LinePart::Words;
@@ -79,9 +79,8 @@ impl CommentTracker {
         if self.is_inside() && continues(&self.begun, byte) { Vec::new() } else { core::mem::take(&mut self.begun) }
     }
 
-    /// Takes a byte that starts or continues a UTF-8 character of a comment. Call it after
-    /// [`CommentTracker::break_off`]. Returns `false` for any other byte. `reads`: whether the dialect recognises such
-    /// characters at all.
+    /// Takes a byte that starts or continues a UTF-8 character of a comment, and returns `false` for any other byte.
+    /// Call it after [`CommentTracker::break_off`]. `reads` returns `true` if the dialect recognises such characters.
     pub fn takes(&mut self, byte: u8, reads: impl FnOnce() -> bool) -> bool {
         let Some(lead) = self.begun.first() else {
             let begins = matches!(byte, 0xC3..=0xF4) && self.is_inside() && reads();

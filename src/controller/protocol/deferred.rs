@@ -13,14 +13,14 @@ pub struct DeferredCommands(pub u32);
 impl DeferredCommands {
     const DOOR: u32 = 1 << 16;
     const HOLD: u32 = 1 << 17;
-    /// Mask of the number of resets that are kept. The serial task has also requested a stop of the step task for each
-    /// of them. The number stays below 65,536: `control` takes the resets at least every half second, the limit of the
-    /// watchdog, and in that time a UART receives 50,000 bytes at 1,000,000 baud.
+    /// Mask of the bits that count the stored resets. For each of them, the serial task has also requested a stop of
+    /// the step task. The count stays below 65,536: because of the watchdog, `control` takes the resets at least
+    /// every half second. In that time, a UART receives 50,000 bytes at 1,000,000 baud.
     const RESETS: u32 = 0xFFFF;
 
-    /// Returns these commands with `command` added, or `None` if the loss of `command` does no harm. At most one hold
-    /// and one door command are kept. A reset removes the hold and the door command before it. 0x19 and a jog cancel
-    /// are kept as resets, because each opens an epoch, with which later line bytes are marked (see
+    /// Returns these commands with `command` added, or `None` if `command` may be lost without harm. At most one hold
+    /// and one door command are kept, and a reset removes both. 0x19 and a jog cancel are kept as resets, because
+    /// each of them opens an epoch, too. Later line bytes are marked with that epoch (see
     /// [`LineByte`](crate::messages::LineByte)).
     pub fn with(self, command: Realtime) -> Option<DeferredCommands> {
         match command {

@@ -155,8 +155,8 @@ fn bound(out: &mut Text, kind: Kind, value: u32) {
     }
 }
 
-/// Appends the name of a setting. The axis of a per-axis setting precedes the name, the number of a homing cycle
-/// follows it.
+/// Appends the name of a setting. The axis of a per-axis setting precedes the name (`Y-axis resolution`). The number
+/// of a homing cycle follows it (`Axes homed in cycle 2`).
 #[inline(never)]
 pub fn name(out: &mut Text, row: &Row) {
     let axis = row.axis.filter(|_| row.description.group == SettingGroup::Axes);
@@ -176,7 +176,7 @@ pub fn name(out: &mut Text, row: &Row) {
     }
 }
 
-/// Appends the possible values in words.
+/// Appends the possible values in words, such as `0 or 1`, `0 to 255` or `0 Cartesian, 1 CoreXY`.
 #[inline(never)]
 pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
     match (entry.kind, DataType::of(entry, description)) {
@@ -248,7 +248,8 @@ fn sum_of(out: &mut Text, labels: &str, bits: u32) {
     }
 }
 
-/// Returns the number of lines of a description, with `axes` axes in use. `grblhal`: hosts are answered like grblHAL.
+/// Returns the number of lines of a description, with `axes` axes in use. `grblhal`: `true` with `$900=3`; `$EA` then
+/// lists one more alarm.
 pub const fn lines(what: Described, axes: usize, grblhal: bool) -> usize {
     match what {
         Described::Settings(format) => settings::lines(axes) + header(format).is_some() as usize,
@@ -268,7 +269,7 @@ pub struct Limits {
     pub least_pulse_tenths: u16,
     /// Maximum baud rate of the UART.
     pub most_baud: u32,
-    /// Hosts are answered like grblHAL, so some settings are masks.
+    /// `true` if hosts are answered like grblHAL (`$900=3`). Some settings are then masks.
     pub grblhal: bool,
 }
 
@@ -302,7 +303,9 @@ pub fn of_setting(out: &mut Text, row: &Row) {
     put(out, END);
 }
 
-/// Appends one line of a description.
+/// Appends the line with index `line` of a description. `axes`: number of axes in use. `limits`: limits of this board
+/// and dialect, which narrow the ranges of settings. An index beyond the last line of settings or errors appends
+/// nothing.
 pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: usize, limits: Limits) {
     match what {
         Described::Settings(format) => match (header(format), line) {
@@ -326,7 +329,8 @@ pub fn line<const N: usize>(out: &mut Text, what: Described, line: usize, axes: 
     }
 }
 
-// Lines above the rows of `$EEG` and `$EAG`, and the form of their rows.
+// Lines above the rows of `$EEG` and `$EAG`, and the form of a row, in which `#` is replaced by the number and `%` by
+// the text.
 const ERRORS_HEAD: &[u8] = b"\"Error Code in v1.1+\",\"Error Message in v1.0-\",\"Error Description\"\r\n";
 const ALARMS_HEAD: &[u8] = b"\"Alarm Code in v1.1+\",\" Alarm Message in v1.0-\",\" Alarm Description\"\r\n";
 const TABLE_ROW: &[u8] = b"\"#\",\"N/A\",\"%\"\r\n";

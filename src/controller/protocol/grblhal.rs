@@ -18,7 +18,7 @@ pub enum Command {
     /// `$SPINDLES`: describes the spindle in words. `$SPINDLESH`: describes it in fields, for senders that parse the
     /// answer.
     Spindles {
-        /// Whether the command is `$SPINDLESH`.
+        /// `true` for `$SPINDLESH`, `false` for `$SPINDLES`.
         in_fields: bool,
     },
     /// `$TLR`: makes the position of the latest probe contact the reference of the tool setter.
@@ -63,8 +63,8 @@ const COMMANDS: [(&[u8], Command); 14] = [
     (b"$PORTS", Command::Ports),
 ];
 
-/// Reads a `$` line (filtered). Returns `None` if the line is none of these commands; it can still be a command of Grbl
-/// or Oxmill.
+/// Reads a `$` line, which has been filtered (capitals, no blanks). Returns `None` for any other line, which can
+/// still be a command of Grbl or Oxmill.
 #[inline(never)]
 pub fn read(line: &[u8]) -> Option<Command> {
     let Some(text) = line.strip_prefix(b"$SED=") else {
@@ -168,9 +168,9 @@ pub fn tool_reference(out: &mut Text, height: Coordinate, inches: bool) {
     put(out, b"]\r\n");
 }
 
-/// Appends the line for the only spindle: the answer to `$SPINDLES` or, with `in_fields`, to `$SPINDLESH`. The letters
-/// of the spindle: D, it turns both ways; L, it can be a laser; V, its speed is variable; S, it reports that it is up
-/// to speed. `speeds`: minimum and maximum in rpm.
+/// Appends the line for the only spindle: the answer to `$SPINDLES` or, with `in_fields`, to `$SPINDLESH`. Letters of
+/// the spindle: D: it turns both ways; L: it can be a laser; V: its speed is variable; S: it reports that it is up to
+/// speed. `speeds`: minimum and maximum in rpm.
 pub fn spindle(out: &mut Text, in_fields: bool, reports_speed: bool, speeds: [f32; 2]) {
     let reports = when(reports_speed, b"S");
     if !in_fields {
@@ -186,9 +186,9 @@ pub fn spindle(out: &mut Text, in_fields: bool, reports_speed: bool, speeds: [f3
     put(out, b"]\r\n");
 }
 
-/// Appends `[LASTEVENTS:controls,switches,,second,]`: the answer to `$LEV`. An axis has one input for both of its limit
-/// switches. It is listed where grblHAL lists the switch at the lower end. `ganged`: letter of the axis with a second
-/// motor.
+/// Appends `[LASTEVENTS:controls,switches,,second,]`: the answer to `$LEV`. An axis has one input for both of its
+/// limit switches; this input is listed in the field for switches at the lower end. `ganged`: letter of the axis with
+/// a second motor.
 pub fn last_event(out: &mut Text, event: &Signals, ganged: &[u8]) {
     put(out, b"[LASTEVENTS:");
     for (active, letter) in [

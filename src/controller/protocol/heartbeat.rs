@@ -1,5 +1,5 @@
-//! Notices a host that has gone silent, because a UART does not report a pulled cable. Every byte that arrives from the
-//! host counts as a sign of life.
+//! Detects that the host has gone silent. This is necessary because a UART does not report a pulled cable. Every byte
+//! that arrives from the host counts as a sign of life.
 
 use crate::units::{Duration, Instant};
 
@@ -31,8 +31,8 @@ impl Heartbeat {
         left_jog: false,
     };
 
-    /// Updates the count of received bytes (wrapping), in which commands are not included. A change of the count is a
-    /// sign of life.
+    /// Updates the count of received bytes (wrapping). Any change of it is a sign of life. The count does not include
+    /// realtime commands: for these, call [`Heartbeat::record_activity`].
     #[inline]
     pub fn observe(&mut self, bytes: u16) {
         self.alive |= bytes != self.bytes;
@@ -53,7 +53,8 @@ impl Heartbeat {
         self.alive = true;
     }
 
-    /// Returns whether the host has been silent for `longest` or more.
+    /// Returns whether the host has been silent for `longest` or more. Also updates the time that
+    /// [`Heartbeat::silent_at`] returns.
     pub fn is_silent(&mut self, now: Instant, longest: Duration) -> bool {
         if core::mem::take(&mut self.alive) {
             self.alive_at = now;
@@ -68,19 +69,20 @@ impl Heartbeat {
         self.left_jog = left_jog;
     }
 
-    /// Returns what [`Heartbeat::set_left_jog`] has recorded, and clears it.
+    /// Returns whether the controller must react to the loss of the host, now that the jog has ended. Clears this
+    /// record.
     pub fn take_left_jog(&mut self) -> bool {
         core::mem::take(&mut self.left_jog)
     }
 
-    /// Records whether the host disconnected while a job was about to be resumed. `false` also clears what
+    /// Records whether the host disconnected while a job was about to be resumed. `gone`: `false` also clears what
     /// [`Heartbeat::set_left_jog`] has recorded.
     pub fn set_gone(&mut self, gone: bool) {
         self.gone = gone;
         self.left_jog &= gone;
     }
 
-    /// Returns what [`Heartbeat::set_gone`] has recorded, and clears it.
+    /// Returns whether the host disconnected while a job was about to be resumed. Clears this record.
     pub fn take_gone(&mut self) -> bool {
         core::mem::take(&mut self.gone)
     }

@@ -10,8 +10,9 @@ use crate::protocol::queues::Queues;
 #[derive(Clone, Debug, Default)]
 pub struct HostArbiter {
     active: ActiveHost,
-    /// The epoch of the next line byte: see [`LineByte`]. A command counts when it is queued, not when it is received:
-    /// while a command waits for room, a command of the other host may be queued before it.
+    /// Epoch of the next line byte: the number of resets, stops and jog cancels queued before it (wrapping, see
+    /// [`LineByte`]). A command counts when it is queued, not when it is received: while it waits for room, a command
+    /// of the other host may be queued first.
     epoch: u16,
     /// The unfinished line in the queue is void: a [`HOST_CHANGED`] must precede the next line byte.
     host_change_due: bool,
@@ -20,7 +21,7 @@ pub struct HostArbiter {
 }
 
 impl HostArbiter {
-    /// No host has sent anything.
+    /// Creates an arbiter to which no host has sent anything.
     pub const fn new() -> Self {
         Self { active: ActiveHost::new(), epoch: 0, host_change_due: false, gone: 0 }
     }
@@ -36,13 +37,13 @@ impl HostArbiter {
     }
 
     /// Returns whether a [`HOST_CHANGED`] must be queued before the next line byte. If line bytes wait for room, the
-    /// number of received bytes must include it.
+    /// caller must include this `HOST_CHANGED` in the number of received bytes.
     pub fn is_host_change_due(&self) -> bool {
         self.host_change_due
     }
 
-    /// Queues a command. A queued reset, stop or jog cancel advances the epoch of later line bytes. The command need
-    /// not come from a link. Returns whether there was room.
+    /// Queues a command, from a link or from elsewhere. A reset, stop or jog cancel that is queued advances the epoch
+    /// of later line bytes. Returns whether there was room.
     pub fn command(&mut self, command: Realtime, queues: &mut impl Queues) -> bool {
         let queued = queues.realtime(command);
         if queued && command.opens_epoch() {
@@ -51,7 +52,6 @@ impl HostArbiter {
         queued
     }
 
-    /// Returns the epoch of the next line byte.
     #[inline]
     pub(super) fn epoch(&self) -> u16 {
         self.epoch

@@ -19,20 +19,20 @@ use super::text::Text;
 use crate::error::Error;
 use crate::messages::{HOST_CHANGED, LineByte};
 
-/// Maximum distance between the current epoch and `reset_epoch` or `jog_epoch`. If more resets, stops and jog cancels
-/// than this come while a line waits unread, the line is dropped as if a reset had followed it.
+/// Maximum distance between the current epoch and `reset_epoch` or `jog_epoch`. A line is dropped, as after a reset,
+/// if more resets, stops and jog cancels than this come while it is unread.
 pub(crate) const EPOCHS: u16 = 1 << 14;
 
-/// Result of taking a byte.
+/// What [`LineIntake::take`] did with a byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Taken {
     /// Bytes before this one were lost. Set only at the first loss in a line.
     pub lost: bool,
     /// The byte was a [`HOST_CHANGED`]: later bytes are from another host.
     pub cut: bool,
-    /// What the byte completed.
+    /// What the byte completed: a line, a line that is too long, or nothing yet.
     pub pushed: Pushed,
-    /// Whether the completed line may be executed.
+    /// Whether the completed line may be executed; `Valid` if no line was completed.
     pub verdict: Verdict,
 }
 
@@ -43,15 +43,14 @@ impl Taken {
 /// Assembles lines from the received bytes that are still valid.
 #[derive(Clone, Debug)]
 pub struct LineIntake {
-    /// A byte that arrived here before the reset, stop or jog cancel that was sent before it. It waits for that
-    /// command.
+    /// A line byte that arrived before its command: the reset, stop or jog cancel that was sent before the byte is
+    /// still in the other queue. The byte waits here for that command.
     held: Option<LineByte>,
     /// The current epoch: number of resets, stops and jog cancels handled (wrapping).
     epoch: u16,
     /// The epoch that the most recent reset or stop opened: bytes of older epochs are dropped.
     reset_epoch: u16,
-    /// Epoch (see [`LineByte`]) that began with the most recent jog cancel, reset or stop. Jogs of older epochs were
-    /// sent before it and are not executed.
+    /// The epoch that the most recent jog cancel, reset or stop opened. Jogs of older epochs are not executed.
     jog_epoch: u16,
     /// Number of bytes still to be dropped, because they were received before the reset button was pressed.
     drop_bytes: u16,
@@ -82,7 +81,7 @@ impl Default for LineIntake {
 }
 
 impl LineIntake {
-    /// Nothing received.
+    /// Creates an intake that has received nothing.
     pub const fn new() -> Self {
         Self {
             held: None,
@@ -113,10 +112,12 @@ impl LineIntake {
         self.hosts_cut
     }
 
-    /// Fast path of [`LineIntake::take`] for a byte of ordinary text that need not be held or dropped. Returns whether
-    /// the byte was taken. Does not record the epoch of the line, which is needed only for jogs. The `$` of a jog is
-    /// not ordinary text, so it goes to [`LineIntake::take`]. The line is still empty then, because blanks are not
-    /// stored, so `take` records the epoch.
+    /// Fast path of [`LineIntake::take`] for a byte of ordinary text that need not be held or dropped. Returns
+    /// whether the byte was taken.
+    ///
+    /// Does not record the epoch of the line, which is needed only for jogs. The `$` of a jog is not ordinary text,
+    /// so [`LineIntake::take`] takes it and records the epoch: the line is still empty then, because blanks are not
+    /// stored.
     #[inline]
     pub fn take_plain(&mut self, byte: LineByte) -> bool {
         byte.epoch == self.epoch && !byte.damaged && self.line.push_plain(byte.byte)
@@ -152,8 +153,8 @@ impl LineIntake {
             self.held = Some(byte);
             return Taken::NOTHING;
         } else if is_before(byte.epoch, self.reset_epoch) {
-            // The byte was received before a reset. If a reset button, hold or door followed while the byte was unread,
-            // the byte count of that event includes this byte.
+            // The byte was received before a reset, so it is dropped. The byte counts of a reset button, hold or door
+            // that came later include this byte if it was unread then.
             self.drop_bytes = self.drop_bytes.saturating_sub(1);
             self.jog_bytes = self.jog_bytes.saturating_sub(1);
             return Taken::NOTHING;
@@ -230,7 +231,8 @@ impl LineIntake {
         self.check.is_on()
     }
 
-    /// Records that the most recently completed line was refused for its content.
+    /// Records that the most recently completed line was refused for its content. While checksums are on, no later
+    /// line is executed.
     pub fn fail(&mut self, error: Error) {
         self.check.fail(error);
     }
@@ -241,7 +243,8 @@ impl LineIntake {
         self.check.failed()
     }
 
-    /// Returns an answer with the number of the expected line and a checksum added, or `None` while checksums are off.
+    /// Returns the answer `text` with a checksum and the number of the expected line added; `None` while checksums
+    /// are off.
     pub fn checked_answer(&self, text: &[u8]) -> Option<Text> {
         self.check.answer(text)
     }
@@ -255,8 +258,8 @@ impl LineIntake {
         by_button || is_before(byte.epoch, self.reset_epoch)
     }
 
-    /// Returns whether `byte`, if taken next, would have to wait for the reset, stop or jog cancel that was sent before
-    /// it, or for a byte that is held already.
+    /// Returns whether `byte` cannot be taken yet: the reset, stop or jog cancel that was sent before it has not been
+    /// handled, or another byte is held already.
     pub fn is_ahead(&self, byte: LineByte) -> bool {
         self.holds() || byte.byte != HOST_CHANGED && is_before(self.epoch, byte.epoch)
     }
@@ -272,7 +275,7 @@ impl LineIntake {
         self.held.take()
     }
 
-    /// Returns the text of the current line.
+    /// Returns the text of the current line as far as it has arrived: in capitals, without blanks and comments.
     pub fn text(&self) -> &[u8] {
         self.line.text()
     }
@@ -322,8 +325,9 @@ impl LineIntake {
         self.keeps_later_jogs && !self.is_jog_stale()
     }
 
-    /// Updates the byte counts. `received`: line bytes received and not yet taken, without those that the link dropped
-    /// because their host disconnected. `activity`: all bytes received except commands (wrapping).
+    /// Updates the byte counts. `received`: number of line bytes that have been received and not been taken, except
+    /// those that the link dropped because their host disconnected. `activity`: number of all received bytes except
+    /// commands (wrapping).
     pub fn observe(&mut self, received: u16, activity: u16) {
         self.heartbeat.observe(activity);
         if self.drop_bytes | self.jog_bytes != 0 {
@@ -332,8 +336,8 @@ impl LineIntake {
         }
     }
 
-    /// Handles a reset or a stop: all bytes sent earlier are dropped because of their older epoch. The number of bytes
-    /// that the reset button still has to drop is cleared, because these bytes are among them.
+    /// Handles a reset or a stop: all bytes sent earlier are dropped because of their older epoch. They include the
+    /// bytes that the reset button still had to drop, so the count of those bytes is cleared.
     pub fn reset(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
         self.reset_epoch = self.epoch;
@@ -356,8 +360,8 @@ impl LineIntake {
         &mut self.heartbeat
     }
 
-    /// Handles a stop (0x19) in Grbl's dialect, which ignores it. Advances the epoch, because the serial task has
-    /// advanced the epoch of the line bytes after the stop, but drops nothing.
+    /// Handles a stop (0x19) in Grbl's dialect, which ignores it: drops nothing. Advances the epoch, as the serial
+    /// task has done for the line bytes after the stop.
     pub fn advance_epoch(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
         self.keep_epochs_near();
@@ -486,14 +490,14 @@ mod tests {
         let mut intake = LineIntake::new();
         intake.drop_received(6);
         assert_eq!(give(&mut intake, b"G0\nG1 X5\nG4\n", 0), ["G4"]);
-        // A reset after the button drops the bytes before it because of their epoch. The number of bytes that the
-        // button still had to drop must not apply to later bytes.
+        // The button has six bytes to drop, then a reset follows. The reset drops them because of their epoch. The
+        // count of the button must not apply to later bytes.
         intake.drop_received(6);
         intake.reset();
         assert_eq!(give(&mut intake, b"G1X1", 0), [""; 0]);
         assert_eq!(give(&mut intake, b"G4\n", 1), ["G4"]);
-        // In the reverse order, the reset button counts the four unread bytes, too, although they are dropped because
-        // of their epoch. Each dropped byte reduces the count.
+        // In the reverse order, the count of the button includes the four unread bytes. They are dropped because of
+        // their epoch, and each of them reduces the count.
         intake.reset();
         intake.drop_received(4);
         assert_eq!(give(&mut intake, b"G1X1", 1), [""; 0]);

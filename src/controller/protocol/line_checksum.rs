@@ -9,12 +9,12 @@
 //!  │  └ number of the line, modulo 4096: 0 for the first after `$LC=ON`
 //!  └ marks a checked line
 //! ```
-//! **Sessions.** After `$LC=ON` a host may append four letters of its choice. With letters, the CRC covers the letters,
-//! the full line number in eight digits, the length and the text. Two kinds of lines are always refused, because they
-//! differ from the expected line in a burst of at most 32 of the covered bits, which the CRC detects:
+//! **Sessions.** After `$LC=ON` a host may append four letters of its choice. With letters, the CRC covers the
+//! letters, the full line number in eight digits, the length and the text. The CRC detects any burst of up to 32
+//! bits. So two kinds of lines, which differ from the expected line only in such a burst, are always refused:
 //! * a line with the same full number from another session: only the four letters differ;
-//! * a line that is 4096 numbers old, as long as the topmost of the eight digits stays the same (for lines below
-//!   2^28): only the four digits after it can differ.
+//! * a line that is 4096 numbers old, if the first of the eight digits is the same (always below line 2^28): only the
+//!   four digits after the first can differ.
 //!
 //! Without letters, a line that is 4096 numbers old can pass.
 //!
@@ -37,9 +37,9 @@
 //! line was refused for its content, no line is executed until `$LC=ON` starts again, and each answer is that error.
 //!
 //! Checking ends with `$LC=OFF`, with another dialect and with another host. `$LC=ON` and `$LC=OFF` may be sent as
-//! plain lines. A reset and a stop also end checking, but the bytes up to the next line end are still refused, because
-//! two damaged bits can have turned a byte of a line into the reset or stop. The bytes after it are then the rest of
-//! that line.
+//! plain lines. A reset and a stop also end checking, but the bytes up to the next line end are refused. The reason:
+//! two damaged bits can turn a byte of a line into a reset or stop, and the bytes after it are then the rest of that
+//! line.
 
 use super::text::{END, Text, put};
 use crate::error::Error;
@@ -87,7 +87,8 @@ pub enum Verdict {
     Valid,
     /// The line is not executed, but answered `known`: it is empty, or it was received before.
     Known,
-    /// The line is refused.
+    /// The line is refused: it is damaged, it is not the expected one, or an earlier line was refused for its
+    /// content.
     Damaged,
 }
 
@@ -194,18 +195,19 @@ impl LineChecksum {
         self.place > 0
     }
 
-    /// Discards the bytes of the current line.
+    /// Discards the bytes of the current line. The session and the expected number stay.
     pub fn clear(&mut self) {
         let Self { wanted, session, aborted, failed, .. } = *self;
         *self = Self { wanted, session, aborted, failed, ..Self::OFF };
     }
 
-    /// Records that bytes of the line were lost.
+    /// Records that bytes of the line were lost, so that the line will be refused.
     pub fn damage(&mut self) {
         self.is_whole = false;
     }
 
-    /// Records that the last completed line was refused for its content.
+    /// Records that the last completed line was refused for its content. Does nothing while checksums are off, or if
+    /// the error is [`Error::DamagedLine`], which is no error of the content.
     pub fn fail(&mut self, error: Error) {
         if self.is_on() && error != Error::DamagedLine {
             self.failed = Some(error);
@@ -260,7 +262,8 @@ impl LineChecksum {
         Some(meant.map_or(byte, |(_, character)| *character))
     }
 
-    /// Returns by how much the line's number is lower than the expected one, modulo 4096.
+    /// Returns the expected number minus the number of this line, modulo 4096: 0 for the expected line, 1 for the
+    /// line before it.
     fn behind(&self) -> u16 {
         (self.wanted.unwrap_or(0) as u16).wrapping_sub(self.number) % NUMBERS
     }
@@ -272,8 +275,8 @@ impl LineChecksum {
         value.unwrap_or(0) as u8
     }
 
-    /// Checks number, length and CRC of a line at its end. `text`: the line as the line filter returns it. A valid line
-    /// advances the expected number.
+    /// Checks number, length and CRC of a line at its end. `text`: the line as the line filter returns it. If the
+    /// line is valid, the next line becomes the expected one.
     #[inline]
     pub fn finish(&mut self, text: &[u8]) -> Verdict {
         if self.looks_at_end() { self.finish_checked(text) } else { Verdict::Valid }
@@ -289,7 +292,7 @@ impl LineChecksum {
         if line.place == 0 && line.is_whole {
             return Verdict::Known;
         }
-        // These commands may be plain lines, so that a host that does not expect checking can end it.
+        // `$LC=ON` and `$LC=OFF` may be plain lines, so that a host that does not use checksums can switch them off.
         let begins = text.strip_prefix(b"$LC=ON").is_some_and(is_session);
         if (begins || text == b"$LC=OFF") && line.place == text.len() as u16 {
             return Verdict::Valid;
@@ -307,7 +310,8 @@ impl LineChecksum {
         if (1..=NUMBERS / 2).contains(&behind) { Verdict::Known } else { Verdict::Damaged }
     }
 
-    /// Returns an answer with the number of the expected line and a checksum added, or `None` while checksums are off.
+    /// Returns the answer `text` with a checksum and the number of the expected line added; `None` while checksums
+    /// are off.
     pub fn answer(&self, text: &[u8]) -> Option<Text> {
         let number = self.wanted?;
         let text = text.strip_suffix(END).unwrap_or(text);
@@ -332,8 +336,8 @@ fn digits(out: &mut Text, value: u32, count: usize) {
     }
 }
 
-/// CRC-32 of IEEE 802.3, computed without a table. `JAMCRC` is this CRC without the final inversion, so that further
-/// bytes can be added to a result.
+/// CRC-32 of IEEE 802.3, computed without a table, and without the final inversion (`JAMCRC`): so further bytes can
+/// be added to a result.
 const JAMCRC: crc::Crc<u32, crc::NoTable> = crc::Crc::<u32, crc::NoTable>::new(&crc::CRC_32_JAMCRC);
 
 /// The CRC of the bytes so far, before the final inversion.
@@ -625,9 +629,9 @@ mod tests {
     }
 
     /// Up to four damaged bits are detected. The digits of the sum differ from each other in two or more bits, so two
-    /// of the four bits are needed to change one digit into another. Two bits remain for the covered bytes (number,
-    /// length and text). The test shows that one or two damaged bits of the covered bytes change the sum in more than
-    /// one digit, and that three or four always change the sum.
+    /// bits are needed to change one digit. Then only two bits remain for the covered bytes (number, length and
+    /// text). The test shows that one or two damaged bits in the covered bytes change more than one digit of the sum.
+    /// It also shows that three or four such bits always change the sum.
     #[test]
     fn no_four_damaged_bits_pass() {
         const COVERED: usize = NUMBER + super::LENGTH + 250;
@@ -641,8 +645,8 @@ mod tests {
             all.extend(single[..n].iter().map(|other| one ^ other));
         }
         assert!(!all.iter().any(|difference| in_one_digit(*difference)));
-        // These are the differences that one or two damaged bits cause. All are distinct, so no two of them cancel out,
-        // and three or four damaged bits always cause a difference, too.
+        // `all` contains the differences that one or two damaged bits cause. All of them are distinct, so no two of
+        // them cancel out. Therefore three or four damaged bits always cause a difference, too.
         let count = all.len();
         all.sort_unstable();
         all.dedup();

@@ -4,7 +4,8 @@
 
 use crate::image::FULL_IMAGE;
 
-/// Replaces the whole text of a line in which a nested comment has not ended, because the text is unknown.
+/// The whole text of a line in which a nested comment has not ended. The real text is unknown, and this one is an
+/// error in every dialect.
 pub const OPEN_COMMENT: u8 = b')';
 /// Maximum length of a line in Grbl's dialect, in bytes, without blanks and comments.
 pub const GRBL_LENGTH: usize = 79;
@@ -41,11 +42,11 @@ pub struct LineRules {
     pub merge_crlf: bool,
     /// Whether a comment may contain pairs of parentheses (in Grbl the first `)` ends it).
     pub nested_comments: bool,
-    /// Whether a slash after a bracket or `#` is kept; it is a division or an error. If it were dropped, `[1/2]` would
+    /// Whether a slash after a bracket or `#` is kept. There it is a division or an error; without it, `[1/2]` would
     /// become `[12]`.
     pub expressions: bool,
-    /// Whether a line that begins with a slash, or with its line number and a slash, is skipped. With this rule, a
-    /// slash elsewhere is kept and is an error. (Grbl drops the slash and executes the rest.)
+    /// Whether lines are skipped that begin with a slash, or with a line number and a slash. A slash elsewhere is
+    /// then kept, and is an error. (In Grbl a slash is dropped, and the rest of the line is executed.)
     pub block_delete: bool,
 }
 
@@ -93,8 +94,8 @@ impl Default for Line {
     }
 }
 
-/// For each byte that can take the fast path, its text: digits, letters (as capitals), points, minus signs and blanks.
-/// For all other bytes, 0.
+/// The text for each byte that the fast path can take: digits, letters (as capitals), points, minus signs and blanks.
+/// 0 for all other bytes.
 #[allow(clippy::indexing_slicing, reason = "the compiler computes it")]
 const PLAIN: [u8; 256] = {
     let mut plain = [0; 256];
@@ -109,7 +110,7 @@ const PLAIN: [u8; 256] = {
 };
 
 impl Line {
-    /// An empty line.
+    /// Creates an empty line.
     pub const fn new() -> Self {
         Self {
             text: [0; LENGTH],
@@ -125,7 +126,7 @@ impl Line {
         }
     }
 
-    /// Returns the text received so far.
+    /// Returns the text received so far: in capitals, without blanks and comments.
     pub fn text(&self) -> &[u8] {
         self.text.get(..self.len).unwrap_or_default()
     }
@@ -141,8 +142,8 @@ impl Line {
         }
     }
 
-    /// Returns the message in the line's comment for the operator, if any, and whether it shows values of parameters:
-    /// `(MSG, ...)` does not, `(PRINT, ...)` and `(DEBUG, ...)` do.
+    /// Returns the message for the operator in the line's comment, if any. The `bool` is `true` if the message shows
+    /// values of parameters: for `(PRINT, ...)` and `(DEBUG, ...)`, but not for `(MSG, ...)`.
     pub fn message(&self) -> Option<(bool, &[u8])> {
         let comma = self.comment_text.iter().position(|byte| *byte == b',')?;
         let (word, text) = self.comment_text.split_at_checked(comma)?;
@@ -167,8 +168,8 @@ impl Line {
         self.damaged = false;
     }
 
-    /// Enables or disables the fast path for further text of a line that has begun. Call it after each [`Line::push`],
-    /// and when the fast path must be disabled.
+    /// Enables or disables the fast path for text, but not for the first text of a line. Call it after each
+    /// [`Line::push`], and when the fast path must be disabled.
     #[inline]
     pub fn expect_plain(&mut self, plain: bool) {
         self.expect_line(plain && self.len > 0);
@@ -207,8 +208,8 @@ impl Line {
         !core::mem::replace(&mut self.damaged, true)
     }
 
-    /// Records that something other than text came after the most recent line end, such as a reset. So if a CR was that
-    /// line end, an LF that arrives next is not the second half of a CR LF.
+    /// Records that something other than text, such as a reset, came after the most recent line end. If that line end
+    /// was a CR, an LF that arrives next is then not the second half of a CR LF.
     pub fn separate(&mut self) {
         self.after_cr = false;
     }
@@ -301,8 +302,8 @@ impl Line {
         Some((self.len + usize::from(*excess), self.len))
     }
 
-    /// Returns whether a slash is dropped. If a slash starts the line and block delete is on, the rest of the line is
-    /// skipped, too. In Grbl only the slash is dropped, and the rest of the line is executed.
+    /// Returns whether a slash is dropped. If the slash begins the line and block delete is on, the rest of the line
+    /// is skipped, too. In Grbl only the slash is dropped.
     #[inline(never)]
     fn drops_slash(&mut self, rules: &LineRules) -> bool {
         let begins = match self.text().split_first() {
@@ -319,8 +320,8 @@ impl Line {
         begins || !divides && !rules.block_delete
     }
 
-    /// Invalidates a line whose nested comment has not ended. Where the comment should end is unknown, and so is the
-    /// text to be executed. The text is replaced by one that is an error in every dialect.
+    /// Invalidates a line whose nested comment has not ended: it is unknown where the comment should end and which
+    /// text should be executed. Replaces the text by [`OPEN_COMMENT`], which is an error in every dialect.
     #[inline(never)]
     fn refuse_comment(&mut self) {
         if let Some(place) = self.text.first_mut() {

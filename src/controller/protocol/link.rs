@@ -8,14 +8,14 @@
 //!                                 │         │ no room for another packet: the link has to wait
 //!                                 └─▶ error:8, once for each line
 //! ```
-//! A link that can wait (USB answers NAK) loses no byte. Its realtime commands act at once, as long as the line bytes
-//! in transit fit into the queue and the room of the link ([`Link::room`]) together. The bytes of a sender that counts
-//! characters or respects `Bf:` always fit into the queue alone. A sender that sends a whole file without counting has
-//! to wait. Everything that it sends after that waits too, including commands.
+//! A link that can wait (USB answers NAK) loses no byte. Its realtime commands act at once as long as the queue and
+//! the link ([`Link::room`]) together have room for the line bytes in transit. For a sender that counts characters or
+//! respects `Bf:`, the queue alone has enough room. A sender that sends a whole file without counting has to wait,
+//! and so do the commands that it sends after that.
 //!
-//! A line is read as a whole or not at all. The rest of a line is refused if its start was refused, or if another host
-//! cut the line by becoming the active host or by a reset. It does not matter when the rest arrives, and which host is
-//! the active one by then.
+//! A line is read as a whole or not at all. The rest of a line is refused if its start was refused, or if another
+//! host cut the line by becoming the active host or by a reset. This applies whenever the rest arrives, and whichever
+//! host is the active one by then.
 //!
 //! In a comment, the bytes of a UTF-8 character are text, even if one of them equals a command: see
 //! [`comment`](super::comment). The link recognises a character only when its last byte arrives. Until then, its other
@@ -48,8 +48,8 @@ pub struct Link {
     /// Maximum number of `held` bytes.
     may_hold: usize,
     /// Commands for which the queue had no room. While a command waits here, no byte is taken, because no byte may
-    /// overtake a command. Has room for one command, and before it up to three bytes of an incomplete UTF-8 character,
-    /// which can be commands after all (see [`CommentTracker::break_off`]).
+    /// overtake a command. The capacity is one command plus up to three bytes of an incomplete UTF-8 character before
+    /// it, which can be commands after all (see [`CommentTracker::break_off`]).
     stuck: heapless::Deque<Realtime, 4>,
     /// Bytes were lost; the next line byte is marked as damaged.
     lost: bool,
@@ -57,7 +57,6 @@ pub struct Link {
     mid_line: bool,
     /// The current line is refused to its end, including the LF after its CR.
     refusing_line: bool,
-    /// The byte before was a CR.
     after_cr: bool,
     /// Whether the current line is in a comment, and the bytes of an incomplete character.
     comment: CommentTracker,
@@ -70,8 +69,8 @@ pub struct Link {
 }
 
 impl Link {
-    /// A link that has received nothing. `may_hold`: number of line bytes that may wait for room in the queue, at most
-    /// [`MOST_HELD`].
+    /// Creates a link that has received nothing. `number`: 0 for the UART, 1 for USB. `may_hold`: number of line
+    /// bytes that may wait for room in the queue, at most [`MOST_HELD`].
     pub const fn new(number: usize, may_hold: usize) -> Self {
         assert!(may_hold <= MOST_HELD);
         Self {
@@ -90,7 +89,7 @@ impl Link {
         }
     }
 
-    /// Returns how many bytes of any kind can be taken even if both queues are full.
+    /// Returns how many bytes of any kind can be taken even if both queues (of commands and of line bytes) are full.
     pub fn room(&self) -> usize {
         if !self.stuck.is_empty() { 0 } else { self.may_hold.saturating_sub(self.held.len()) }
     }
@@ -105,8 +104,8 @@ impl Link {
         !self.stuck.is_empty() || !self.held.is_empty()
     }
 
-    /// Takes a byte. Returns whether something was queued. Without room the byte is lost, and the next line byte is
-    /// marked as damaged; a link that can wait must not be read without room.
+    /// Takes a byte. Returns whether something was queued. If there is no room, the byte is lost, and the next line
+    /// byte is marked as damaged. So a link that can make its host wait must not be read while it has no room.
     pub fn take(&mut self, byte: u8, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut impl Queues) -> bool {
         self.take_text(&[byte], arbiter, queues) > 0 || self.take_any(byte, arbiter, other, queues)
     }
@@ -127,7 +126,7 @@ impl Link {
         self.take_alone(byte, arbiter, other, queues) || any
     }
 
-    /// Takes a byte that is not part of a character.
+    /// Takes a byte that is not part of a UTF-8 character in a comment.
     fn take_alone(&mut self, byte: u8, arbiter: &mut HostArbiter, other: &mut Link, queues: &mut impl Queues) -> bool {
         match Received::in_dialect(byte, queues) {
             Received::Nothing => {
@@ -155,8 +154,8 @@ impl Link {
                     self.is_ambiguous = false;
                     other.void_line(arbiter);
                 }
-                // A realtime command does not cut the other host's line. During that line the other host stays the
-                // active one, and gets the answer even to this host's `?`.
+                // A realtime command does not cut the other host's line. Until the end of that line the other host
+                // stays the active one, so it even gets the answer to a `?` of this host.
                 if !other.mid_line || other.refusing_line {
                     let free = queues.is_free();
                     arbiter.turn_to(|active| active.claim(self.number, free, false), || other.lose_active_role());
@@ -193,10 +192,10 @@ impl Link {
         }
     }
 
-    /// Fast path of [`Link::take`] for text and LF line ends, which nearly all bytes are. Normally the host is the
+    /// Fast path of [`Link::take`] for text and LF line ends, which nearly all bytes are. Applies if the host is the
     /// active one, no byte waits or was lost, and the line is not refused: then only the room in the queue has to be
-    /// checked. The fast path also drops text of a line that is refused or has no room. Returns the number of bytes
-    /// taken from the front.
+    /// checked. Also drops text of a line that is refused or has no room. Returns the number of bytes taken from the
+    /// front.
     #[inline]
     pub fn take_text(&mut self, bytes: &[u8], arbiter: &HostArbiter, queues: &mut impl Queues) -> usize {
         if self.comment.has_begun_character() {
@@ -247,8 +246,9 @@ impl Link {
         self.is_ambiguous
     }
 
-    /// Treats a `!` that may be text as a hold, which [`Link::pass_on`] queues. Call it when nothing has followed the
-    /// `!` for [`AMBIGUOUS_US`] although the link had room, or when the next byte may belong to another line.
+    /// Treats a `!` that may be text as a feed hold, and leaves the hold to [`Link::pass_on`] to be queued. Call it
+    /// if nothing has followed the `!` for [`AMBIGUOUS_US`] although the link had room, or if the next byte may
+    /// belong to another line.
     pub fn take_as_command(&mut self) {
         if core::mem::take(&mut self.is_ambiguous) {
             // There is room: `stuck` contains only what arrived after this `!`, which is at most one command.
@@ -284,8 +284,8 @@ impl Link {
         any
     }
 
-    /// Voids the unfinished line, because the other host has become the active one: the held bytes of the line are
-    /// dropped, and the rest of the line is refused.
+    /// Voids the unfinished line, because the other host has become the active one. Drops all bytes that wait for
+    /// room, and refuses the rest of the line.
     fn lose_active_role(&mut self) {
         self.refusing_line |= self.mid_line;
         self.held.clear();
@@ -313,10 +313,12 @@ impl Link {
         self.comment.leave();
     }
 
-    /// Handles a host that has opened its port. Returns whether it is the active host now. If the other host stays the
-    /// active one, that host's job continues, and this host gets no welcome line. Bytes that wait for the queue are
-    /// dropped: they were sent before the port was opened. The start of their line may already be in the queue, so a
-    /// [`HOST_CHANGED`](crate::messages::HOST_CHANGED) voids it before the host's first line byte.
+    /// Handles a host that has opened its port. Returns whether it is the active host now. If not, the job of the
+    /// other host continues, and this host gets no welcome line.
+    ///
+    /// Bytes that wait for the queue were sent before the port was opened, so they are dropped. The start of their
+    /// line may already be in the queue. A [`HOST_CHANGED`](crate::messages::HOST_CHANGED) before the host's first
+    /// line byte voids it.
     pub fn came(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &impl Queues) -> bool {
         let free = queues.is_free();
         let granted = arbiter.turn_to(|active| active.claim(self.number, free, true), || other.lose_active_role());
@@ -328,8 +330,8 @@ impl Link {
     }
 
     /// Handles the disconnection of this link's host. Returns whether it was the active host. Bytes that wait for the
-    /// queue are dropped. A `HOST_CHANGED` precedes the next host's first byte, which therefore starts a new line; the
-    /// controller does not answer the lines before that `HOST_CHANGED`.
+    /// queue are dropped. A `HOST_CHANGED` comes before the next host's first byte, so this byte starts a new line.
+    /// The controller does not answer the lines before that `HOST_CHANGED`.
     pub fn went(&mut self, arbiter: &mut HostArbiter) -> bool {
         let was_active = arbiter.leave(self.number);
         self.forget();

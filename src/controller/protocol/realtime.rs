@@ -13,12 +13,13 @@ pub enum Received {
     Realtime(Realtime),
     /// No realtime command: the byte belongs to a line.
     Line(u8),
-    /// Neither: bytes from 0x80 up that are no command are dropped, as in Grbl.
+    /// A byte from 0x80 up that is no command. It is dropped, as in Grbl.
     Nothing,
 }
 
 impl Received {
-    /// Like [`Received::of`], and with the commands of grblHAL if hosts are answered like grblHAL.
+    /// Classifies a byte as [`Received::of`] does. If hosts are answered like grblHAL (`$900=3`), also finds the
+    /// commands that only grblHAL has.
     pub(super) fn in_dialect(byte: u8, queues: &impl Queues) -> Received {
         match Received::of(byte) {
             Received::Nothing if FULL_IMAGE && queues.speaks_grblhal() => {
@@ -101,7 +102,7 @@ pub const fn command(byte: u8) -> Option<Realtime> {
     })
 }
 
-/// Returns the realtime command of a byte that is one only if hosts are answered like grblHAL (`$900=3`).
+/// Returns the realtime command of a byte that is a command only with `$900=3` (hosts are answered like grblHAL).
 pub const fn command_of_grblhal(byte: u8) -> Option<Realtime> {
     Some(match byte {
         0x80 => Realtime::Status,
@@ -115,7 +116,8 @@ pub const fn command_of_grblhal(byte: u8) -> Option<Realtime> {
     })
 }
 
-/// Returns the byte of a realtime command; the lowest one, if there are several.
+/// Returns the byte of a realtime command, for the recorder. If two bytes have the same command, such as `?` and 0x80,
+/// returns the lower one.
 pub fn byte_of(wanted: Realtime) -> u8 {
     let of = |byte: &u8| command(*byte).or(if FULL_IMAGE { command_of_grblhal(*byte) } else { None });
     (0..=u8::MAX).find(|byte| of(byte) == Some(wanted)).unwrap_or_default()

@@ -6,7 +6,6 @@ use crate::units::Coordinate;
 
 const MICROSECONDS: u64 = 1_000_000;
 
-// Start and end of each line.
 const BEGIN: &[u8] = b"[REC:";
 const CLOSE: &[u8] = b"]";
 
@@ -73,7 +72,7 @@ fn hex(out: &mut Text, byte: u8) {
     }
 }
 
-/// Appends an input word in hexadecimal; inputs use at most 24 bits.
+/// Appends an input word in hexadecimal, with six digits: inputs use at most 24 bits.
 #[inline(never)]
 fn hex_word(out: &mut Text, word: u32) {
     let [_, bytes @ ..] = word.to_be_bytes();
@@ -162,8 +161,9 @@ fn entry(out: &mut Text, entry: &Noted) {
     }
 }
 
-/// Appends the flags, the hash of the blocks, the tool and the inputs; then the step counter and the position of each
-/// axis; and last the modal state as words.
+/// Appends a state from which a replay can begin. First come the flags (`t`: position trusted, `l`: locked, `i`:
+/// inches), the hash of the blocks, the tool and the inputs. Then come the step counter and the position of each axis,
+/// and last the modal state as words.
 fn put_standing(out: &mut Text, standing: &Standing, blocks: u32) {
     put(out, b"state ");
     let letters = [(standing.trusted, b't'), (standing.locked, b'l'), (standing.inches, b'i')];

@@ -1,5 +1,5 @@
-//! Queue of text for the host, sent in order and in chunks, with room reserved for the answer to the line being
-//! executed. Also decides when a status report is made, and which of the rare fields it has.
+//! Queue of the text that waits to be sent to the host. Some room is always reserved for the answer to the line being
+//! executed. This module also decides when a status report is made, and which of the rare fields (`WCO`, `Ov`) it has.
 
 use super::reply_texts::{is_answer, is_of_one_host};
 use super::status_report::{GrblHalFields, RareFields};
@@ -11,8 +11,8 @@ use crate::messages::{Chunk, Restart};
 const BYTES: usize = 1024;
 /// Free bytes required before a row of a listing or a status report is made, or a byte of a line is taken.
 const RESERVE: usize = 2 * PIECE;
-/// Additional free bytes required for a status report directly after another one. So the answers to lines and the rows
-/// of listings find room between reports, however often a host sends `?`.
+/// Additional free bytes required for a status report directly after another one. Without them, a host that sends `?`
+/// all the time would leave no room for answers to lines and rows of listings.
 const BETWEEN_REPORTS: usize = 64;
 /// Bytes reserved for the answer to the line being executed. The longest one has a line number and a checksum
 /// (`$LC=ON`).
@@ -82,7 +82,7 @@ impl Replies {
         self.echoed
     }
 
-    /// Returns whether no text waits and no status report is due.
+    /// Returns whether the queue is empty and no `?` waits for its report. If not, the controller counts as busy.
     pub fn is_idle(&self) -> bool {
         self.waiting == 0 && !self.status_due
     }
@@ -106,9 +106,11 @@ impl Replies {
         self.hosts_gone != hosts_cut
     }
 
-    /// Queues text. Long text must wait for [`Replies::has_room`]; alarms and messages cannot wait, but are short. Only
-    /// a flood of resets can fill the queue. A text that does not fit is dropped as a whole. The answer to the line
-    /// being executed always fits.
+    /// Queues text. A text that does not fit is dropped as a whole. Only the answer to the line being executed always
+    /// fits.
+    ///
+    /// Call this for long text only while [`Replies::has_room`] returns `true`. Alarms and messages need not wait:
+    /// they are short, and only a flood of resets could fill the queue with them.
     ///
     /// `hosts_cut`: as for [`Replies::has_host_left`]. Answers to lines of a disconnected host are dropped, because the
     /// next host would take them for answers to its own lines.
@@ -166,9 +168,9 @@ impl Replies {
         self.is_full.first_mut().is_some_and(core::mem::take)
     }
 
-    /// Stores the fields of a status report with `$900=3`, and sets whether that report has the field `Sc`. Returns two
-    /// results: whether the fields that come with `WCO` have changed since the previous report, and whether M6 has
-    /// started or stopped waiting for a tool since then.
+    /// Compares the fields of a status report (`$900=3`) with those of the previous report, and stores them. Sets
+    /// `shows_scaling`. The first result is `true` if a field that comes with `WCO` has changed, the second if M6 has
+    /// started or stopped waiting for a tool.
     pub fn note_fields(&mut self, fields: &mut GrblHalFields) -> (bool, bool) {
         let before = self.last_fields.first_mut().and_then(|last| last.replace(*fields));
         fields.shows_scaling = fields.scaled || before.is_some_and(|before| before.scaled);
@@ -195,18 +197,18 @@ impl Replies {
         self.is_full = [false; FULL_IMAGE as usize];
     }
 
-    /// Lets the next report show the changed work offset.
+    /// Makes the field `WCO` due in the next report, because the work offset has changed.
     pub fn offset_changed(&mut self) {
         self.rare_fields.offset_changed();
     }
 
-    /// Lets the next report show the changed overrides or accessories.
+    /// Makes the field `Ov` due in the next report without `WCO`, because an override or an accessory has changed.
     pub fn overrides_changed(&mut self) {
         self.rare_fields.overrides_changed();
     }
 
     /// Returns whether the next status report has the field `WCO`, and whether it has `Ov`. Call it once for each
-    /// report, because it counts the reports.
+    /// report, because it counts the reports. `busy`: the machine moves or its motion is suspended.
     pub fn rare_fields(&mut self, busy: bool) -> (bool, bool) {
         self.rare_fields.next(busy)
     }
@@ -216,8 +218,8 @@ impl Replies {
         self.restart = restart;
     }
 
-    /// Returns the failure to report after a welcome line. The failure is reported after each welcome line until the
-    /// host reads the record with `$RC`, because a single report can be lost.
+    /// Returns the failure to report after a welcome line; `None` if there is none. It is reported again after each
+    /// welcome line until the host sends `$RC`, because a single report can be lost.
     pub fn failure(&self) -> Option<&Restart> {
         (self.restart.is_failure() && !self.restart_read).then_some(&self.restart)
     }

@@ -1,7 +1,8 @@
 //! The text of every reply that a host can get, except the status report: Grbl 1.1h's replies byte for byte, and
 //! Oxmill's additions.
 //!
-//! Pure functions from data to text. Each function makes one or more whole lines, ended by CR LF.
+//! Pure functions from data to text. Each public function for a reply makes whole lines ended by CR LF. The only
+//! exception is `startup_echo`, whose line is ended by the answer that follows.
 
 use super::text::{END, Text, filled, length, put, real, whole};
 use crate::axes::{Axis, AxisMask, LINEAR, PerAxis};
@@ -68,14 +69,14 @@ pub fn welcome(out: &mut Text) {
     put(out, b" ['$' for help]\r\n");
 }
 
-/// Appends `[MSG:text]`.
+/// Appends `[MSG:text]`. `text` must be printable; for text from a program see [`program_message`].
 pub fn message(out: &mut Text, text: &str) {
     put(out, b"[MSG:");
     put(out, text.as_bytes());
     put(out, b"]\r\n");
 }
 
-/// Appends `[MSG:text]` with a number directly after the text.
+/// Appends `[MSG:text]` with a number directly after the text, such as `[MSG:Tool change T3]`.
 pub fn message_number(out: &mut Text, text: &str, number: u32) {
     put(out, b"[MSG:");
     put(out, text.as_bytes());
@@ -92,7 +93,8 @@ pub fn wait_for_input(out: &mut Text, number: u32, seconds: u32) {
     put(out, b"]\r\n");
 }
 
-/// Appends `[MSG:...]` with the message of a program, reduced to printable ASCII characters without square brackets.
+/// Appends `[MSG:...]` with text that comes from a program, such as a message in a comment. Only printable ASCII
+/// characters are kept, and square brackets are left out.
 pub fn program_message(out: &mut Text, text: &[u8]) {
     put(out, b"[MSG:");
     for byte in text.iter().filter(|byte| matches!(byte, b' '..=b'~') && !matches!(byte, b'[' | b']')) {
@@ -101,8 +103,8 @@ pub fn program_message(out: &mut Text, text: &[u8]) {
     put(out, b"]\r\n");
 }
 
-/// Appends the message for an input that has tripped: its name (limit switches: the axes), the machine position, and
-/// the N word `line` (0 = none).
+/// Appends the message for an input that has stopped motion, such as `[MSG:Limit switch X at machine
+/// 1.000,2.000,0.000, line 20]`. `line`: N word of the move; with 0 (none) that part is omitted.
 pub fn trip<const N: usize>(
     out: &mut Text,
     tripped: &Signals,
@@ -195,7 +197,8 @@ pub fn restart(out: &mut Text, restart: &Restart) {
     }
 }
 
-/// Appends a position in micrometres, always printed in mm, because the host's unit is not known yet.
+/// Appends a position, given in micrometres, in mm. The position is never in inches, because the host's unit is not
+/// known yet.
 fn last_place(out: &mut Text, place: &[i32; 3]) {
     for (i, micrometres) in place.iter().enumerate() {
         if i > 0 {
@@ -228,9 +231,10 @@ const fn input_name(bit: usize) -> &'static str {
     }
 }
 
-/// Appends `[PIN:name,level,active,polarity,pull,noise]`, one input of `$PINS`: present level of the pin, state of the
-/// filtered input, the level that makes it active, its pull resistor, and how many changes the filter has rejected.
-/// `grblhal`: `[PIN:IN10,hold,..`, with the number of the input in place of a pin of the chip.
+/// Appends one input of `$PINS`, such as `[PIN:hold,high,inactive,active low,pull-up,noise 0]`. The fields are: name,
+/// present level of the pin, state of the filtered input, level that makes the input active, pull resistor, and number
+/// of changes that the filter has rejected. `grblhal`: begins with the number of the input (`[PIN:IN10,hold,..`),
+/// where grblHAL has the pin of the chip.
 pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &InputWiring, grblhal: bool) {
     let has = |word: u32| word >> bit & 1 != 0;
     put(out, b"[PIN:");
@@ -272,7 +276,7 @@ pub fn help(out: &mut Text, grbl: bool) {
     put(out, b"]\r\n");
 }
 
-/// Appends one row of `$$`.
+/// Appends one row of `$$`, such as `$100=250.000`. The kind of the setting determines the number of decimals.
 pub fn setting(out: &mut Text, entry: &Entry, number: u16, value: f32) {
     put(out, b"$");
     whole(out, u64::from(number));
@@ -305,7 +309,9 @@ pub fn startup_echo(out: &mut Text, line: &[u8]) {
     put(out, b":");
 }
 
-/// Appends `[VER:...]` and `[OPT:...]`. Senders read Grbl's version and a date in `VER`.
+/// Appends `[VER:...]` and `[OPT:...]`, the answer to `$I`. Senders read Grbl's version and a date in `VER`. `user`:
+/// the text stored by `$I=`; `letters`: the options; `blocks`: capacity of the look-ahead; `rx_bytes`: size of the
+/// receive buffer.
 pub fn build_info(out: &mut Text, user: &[u8], letters: &[u8], blocks: usize, rx_bytes: usize) {
     put(out, b"[VER:");
     put(out, GRBL_VERSION.as_bytes());
@@ -346,8 +352,8 @@ pub fn more_options(out: &mut Text, axes: usize, options: &[&str]) {
     put(out, b"]\r\n");
 }
 
-/// Appends `[BOARD:...]` of `$I+`, as in grblHAL, and `[CRYSTAL:...]`: the frequency of the oscillator as measured at
-/// the start. `[CRYSTAL:...]` is omitted if the board has no oscillator (`oscillator_mhz` is 0).
+/// Appends the lines `[BOARD:...]` and `[CRYSTAL:...]` of `$I+`. grblHAL has `BOARD` as well. `CRYSTAL` gives the
+/// frequency of the oscillator as measured at the start; a board without one has no such line (`oscillator_mhz` is 0).
 pub fn board(out: &mut Text, name: &str, oscillator_mhz: u8) {
     put(out, b"[BOARD:");
     put(out, name.as_bytes());

@@ -16,7 +16,7 @@ pub struct Status<const N: usize> {
     pub machine: PerAxis<Coordinate, N>,
     /// Work offset: WCS + G92 + tool length.
     pub offset: PerAxis<Coordinate, N>,
-    /// `$10` bit 0: whether the report shows the machine position instead of the work position.
+    /// `$10` bit 0: `true` if the report shows the machine position, `false` if it shows the work position.
     pub show_machine: bool,
     /// Free blocks, and free bytes of the receive buffer.
     pub buffer: Option<(usize, u16)>,
@@ -28,7 +28,7 @@ pub struct Status<const N: usize> {
     pub speed: f32,
     /// Active inputs.
     pub pins: Signals,
-    /// Whether this report carries `WCO`.
+    /// `true` if this report has the field `WCO` (the work offset).
     pub show_offset: bool,
     /// Overrides in percent (feed, rapid, spindle), spindle direction and coolant, if this report carries them.
     pub overrides: Option<([u8; 3], SpindleDirection, Coolant)>,
@@ -45,7 +45,7 @@ pub struct GrblHalFields {
     pub alarm: u8,
     /// The active coordinate system: `G54` and so on.
     pub system: &'static str,
-    /// The tool in the spindle.
+    /// Number of the tool in the spindle.
     pub tool: u32,
     /// Whether the machine is homed, and a mask of the homed axes; `None` if homing is off.
     pub homed: Option<(bool, u8)>,
@@ -122,7 +122,8 @@ pub fn status<const N: usize>(out: &mut Text, status: &Status<N>, form: PlaceFor
     put(out, b">\r\n");
 }
 
-/// Appends the fields after `Ov`. Fields that change rarely come together with `WCO`.
+/// Appends the fields that follow `Ov` with `$900=3`. `rare`: the report has `WCO`; the other fields that change
+/// rarely come with it. `accessories`: the report has `Ov`; the field `A` comes with it.
 #[inline(never)]
 fn fields_of_grblhal(out: &mut Text, more: &GrblHalFields, rare: bool, accessories: bool) {
     if accessories || more.waits_for_tool {
@@ -192,10 +193,11 @@ fn accessories(out: &mut Text, spindle: SpindleDirection, coolant: Coolant) {
     }
 }
 
-/// Decides which reports carry `WCO` and `Ov`. Both change rarely, so most reports omit them.
+/// Decides which reports have the fields `WCO` and `Ov`. Both change rarely, so most reports omit them.
 ///
-/// `WCO` is in the first report and then in every 10th (every 30th while the machine is busy); `Ov` in every 10th
-/// (every 20th while busy). A change makes the field due. If `WCO` is printed, `Ov` waits for the next report.
+/// `WCO` is in the first report and then in every 10th (every 30th while the machine is busy). `Ov` is in every 10th
+/// (every 20th while busy). A change makes the field due earlier. If both fields are due, `Ov` waits for the report
+/// after the one with `WCO`, because both are long.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RareFields {
     offset_in: u8,
@@ -216,12 +218,12 @@ impl RareFields {
         self.overrides_in = 0;
     }
 
-    /// Returns whether the next report carries `WCO` and `Ov`, in this order.
+    /// Returns whether the next report has `WCO`, and whether it has `Ov`. Counts the report, so call this once for
+    /// each.
     pub fn next(&mut self, busy: bool) -> (bool, bool) {
         let offset = self.offset_in == 0;
         if offset {
             self.offset_in = if busy { 29 } else { 9 };
-            // A report carries only one of the two long fields, so `Ov` waits for the next report.
             self.overrides_in = self.overrides_in.max(1);
         } else {
             self.offset_in -= 1;

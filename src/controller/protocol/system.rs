@@ -54,14 +54,14 @@ pub enum System<'a> {
     Pins,
     /// `$PINS=0`: clears the noise counters of the input pins.
     ClearNoise,
-    /// `$LC=ON`: switches line checksums on; contains the letters of the session, or nothing. `$LC=OFF` (`None`):
-    /// switches them off.
+    /// `$LC=ON`: switches line checksums on. `Some` holds the letters after `ON`, which name the session; they can be
+    /// empty. `$LC=OFF` (`None`): switches line checksums off.
     CheckLines(Option<&'a [u8]>),
     /// `$SLP`: puts the machine to sleep.
     Sleep,
     /// `$REBOOT`: restarts the board. `$DFU`: restarts it into the boot loader of the chip.
     Reboot {
-        /// Whether the command is `$DFU`.
+        /// `true` for `$DFU`, `false` for `$REBOOT`.
         into_loader: bool,
     },
     /// `$n=v`: sets setting `n` to `v`.
@@ -80,8 +80,8 @@ pub enum Format {
 }
 
 impl System<'_> {
-    /// Checks whether Grbl has the command. For a command that it does not have, Grbl tries to read the letter as the
-    /// number of a setting, and answers with an error. This function returns the same error.
+    /// Checks that Grbl has this command. If Grbl does not know a letter after `$`, it tries to read a setting number
+    /// there, and answers with an error. For a command that Grbl lacks, this function returns that error.
     ///
     /// # Errors
     /// [`Error::BadNumber`], [`Error::InvalidStatement`].
@@ -114,9 +114,9 @@ pub enum Described {
     Errors,
     /// The meanings of `ALARM:N`.
     Alarms,
-    /// The meanings of `error:N` as comma-separated values, only with `$900=3`.
+    /// `$EEG`, only with `$900=3`: the meanings of `error:N` as comma-separated values.
     ErrorTable,
-    /// The meanings of `ALARM:N` as comma-separated values, only with `$900=3`.
+    /// `$EAG`, only with `$900=3`: the meanings of `ALARM:N` as comma-separated values.
     AlarmTable,
 }
 
@@ -134,7 +134,7 @@ pub enum Restore {
 /// States in which a `$` command is allowed. The state is checked before the rest of the line is parsed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Allowed {
-    /// Allowed in any state. (Later, `$$` is refused while the machine moves.)
+    /// Allowed in any state. (`$$` is checked once more when it is executed: it is refused while the machine moves.)
     Always,
     /// Allowed only in idle or alarm.
     AtRest,
@@ -210,7 +210,8 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
             }
         }
         Some(b'M') if rest.is_empty() => Ok(System::Macros),
-        // Any error in the number is reported as `BadNumber`, because Grbl has no `$M` and answers unknown letters so.
+        // Grbl has no `$M`, and answers `BadNumber` to an unknown letter. So any error in the number becomes
+        // `BadNumber`.
         Some(b'M') => {
             let (index, line) = numbered(rest).map_err(|_| Error::BadNumber)?;
             Ok(System::SetMacro(usize::from(index), line))
@@ -223,8 +224,8 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
     }
 }
 
-/// Parses the part of a line after `$E`. An unknown command gets the error that Grbl gives to each `$E` line, because
-/// Grbl has no such command.
+/// Parses the part of a line after `$E`. Grbl has no such command and answers `BadNumber` to every `$E` line. So does
+/// this function if the part is unknown.
 fn describe(rest: &[u8]) -> Result<System<'_>, Error> {
     Ok(System::Describe(match rest {
         b"" => return Ok(System::Refusal),

@@ -40,14 +40,16 @@ const CLOSED: u32 = u32::from_le_bytes(*b"ends");
 
 /// Maximum number of bytes of a line gathered before they are written to the ring.
 const PLAIN: usize = 64;
-/// Maximum number of bytes of a line end and its time entry.
+/// Maximum number of bytes of a line end and its time entry: a tag, ten bytes of time, and the line end.
 const LINE_END: usize = 1 + 10 + 1;
 
-/// Upper bound, in microseconds, of the time between `Crash::moment` (the start of a round of the control task) and a
-/// failure in the next round. The watchdog ends a round that hangs after half a second or two seconds.
+/// Maximum time, in microseconds, by which the last entry can be later than `Crash::moment`. That moment is the start
+/// of a round of the control task, and the failure can happen in the next round. The watchdog ends a round that hangs
+/// after half a second or two seconds.
 const LONGEST_TURN_US: u32 = 10_000_000;
 
-// Basis and prime of 32-bit FNV-1a, here applied to whole words.
+// Basis and prime of the 32-bit hash FNV-1a, used for the hash of blocks. Each step of the hash takes a whole word
+// here, not a byte.
 const BASIS: u32 = 0x811C_9DC5;
 const PRIME: u32 = 0x0100_0193;
 /// Factor in the checksum of a page: odd, so that one wrong byte always changes the checksum.
@@ -93,8 +95,7 @@ impl Page {
     /// A page without contents.
     pub const EMPTY: Page = Page { mark: 0, number: 0, time: 0, state: 0, bytes: [0; ROOM] };
 
-    /// Returns the bytes of the pages as RAM holds them (little-endian), for tests of RAM contents after a reset or a
-    /// power-up.
+    /// Returns the bytes of the pages as RAM holds them (little-endian). Only tests need them, to damage RAM contents.
     pub fn bytes_of(pages: &[Page]) -> impl Iterator<Item = u8> {
         pages.iter().flat_map(|page| {
             let head = page.mark.to_le_bytes().into_iter().chain(page.number.to_le_bytes());
@@ -102,7 +103,8 @@ impl Page {
         })
     }
 
-    /// Returns the page that these 256 bytes of RAM (little-endian) hold. The result is never `None`.
+    /// Returns the page that these 256 bytes of RAM (little-endian) hold. The result is never `None`, because 256
+    /// bytes are enough.
     pub fn of_bytes(bytes: &[u8; 256]) -> Option<Page> {
         let mut rest = Bytes(bytes);
         let (mark, number) = (rest.word()?, rest.word()?);
@@ -110,7 +112,8 @@ impl Page {
         Some(Page { mark, number, time, state: rest.word()?, bytes: rest.some()? })
     }
 
-    /// Makes the page valid with its present contents, as page `number`.
+    /// Makes the page valid as page `number`, with its present contents: sets the mark, the number and the sum. For
+    /// tests.
     pub fn seal(&mut self, number: u32) {
         (self.mark, self.number) = (OPEN, number);
         let used = self.used().min(ROOM);
@@ -172,8 +175,9 @@ fn add_to_sum(sum: u32, byte: u8) -> u32 {
 }
 
 /// Packs a byte of a line into a word: its epoch in the upper 16 bits, [`LineByte::damaged`] in bit 8, and the byte in
-/// the lower 8 bits. So the plain bytes of an epoch (undamaged, blank to `~`) are a range of words. Before the
-/// rotation, the three parts are in the order of the fields in memory, which makes the packing cheap.
+/// the lower 8 bits. So the plain bytes of an epoch (undamaged, blank to `~`) are consecutive words, and one
+/// comparison recognises them. The parts are joined in the order of the fields in memory and then rotated, because
+/// that is cheap.
 #[inline(always)]
 fn word_of(byte: LineByte) -> u32 {
     (u32::from(byte.epoch) | u32::from(byte.byte) << 16 | u32::from(byte.damaged) << 24).rotate_left(16)
@@ -215,13 +219,13 @@ pub struct Recorder<P> {
     early: Option<u8>,
     /// The ring holds the recording from before the reset, which is kept.
     kept: bool,
-    /// A line whose bytes are not recorded has begun and has not ended yet.
+    /// While a recording is kept: a line has begun and not ended. Its bytes are not recorded.
     in_line: bool,
     /// Something has been recorded since [`Recorder::at_rest`] last recorded a machine at rest.
     news: bool,
-    /// No recorded state can start a replay, so the next state at rest must be recorded.
+    /// No state recorded so far can start a replay, so the next state at rest must be recorded.
     wants_standing: bool,
-    /// Hash of all blocks passed to the step task since the last stop.
+    /// Hash of all blocks passed to the step task since the last stop. A replay must make the same blocks.
     blocks: u32,
     /// Value of `blocks` when it was last recorded.
     blocks_recorded: u32,
@@ -264,12 +268,13 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         recorder
     }
 
-    /// Returns the pages of the ring.
+    /// Returns the pages of the ring, for tests of what a reset leaves in RAM.
     pub fn pages(&self) -> &[Page] {
         self.pages.as_ref()
     }
 
-    /// Returns whether a recording from before the reset is kept.
+    /// Returns whether a recording from before the reset is kept. While it is kept, nothing is recorded. The message
+    /// about the restart then names `$REC`.
     pub fn is_kept(&self) -> bool {
         self.kept
     }
@@ -282,7 +287,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         if self.page(number).is_none_or(|page| page.mark == CLOSED) {
             return;
         }
-        // Read to the end, because the time of the recording is that of its last entry.
+        // Read to the end: the last entry tells the time at which the recording ends.
         self.rewind();
         while self.next_entry().is_some() {}
         self.time = self.reading.time;
@@ -447,9 +452,9 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.put_tagged(tag, rest);
     }
 
-    /// Records text, which is bytes that only extend a line. `epoch` is the epoch of these bytes. Unlike
-    /// [`Recorder::record`], it can be called after the controller has taken them at `now`, because text changes
-    /// nothing that the recorder reads from the controller.
+    /// Records text: bytes of `epoch` that only extend a line. The controller takes the text at `now`. Unlike
+    /// [`Recorder::record`], this may be called after that, because text changes nothing that the recorder reads from
+    /// the controller.
     #[inline]
     pub fn record_text<const N: usize>(&mut self, now: Instant, epoch: u16, text: &[u8], controller: &Controller<N>) {
         // Text has no damaged bytes and no control characters, so all of it is plain if its epoch is the current one.
@@ -543,8 +548,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         if let Event::Realtime(Realtime::Reset | Realtime::Stop) = event {
             self.reset_epoch = self.epoch;
         }
-        // Epochs are compared by their signed difference, so `reset_epoch` must never be half of the range or more
-        // behind `epoch`.
+        // Epochs are compared by the sign of their 16-bit difference. So `reset_epoch` must stay less than 2^15 behind
+        // `epoch`.
         if self.epoch.wrapping_sub(self.reset_epoch) > EPOCHS {
             self.reset_epoch = self.epoch.wrapping_sub(EPOCHS);
         }
@@ -590,8 +595,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             StepEvent::Underrun { position, .. } => (3, position),
             StepEvent::Miscounted { position, .. } => (4, position),
         };
-        // The number of blocks handed to the step task before a stop depends on the exact time of the stop. So the hash
-        // of the blocks starts again.
+        // How many blocks the step task gets before a stop depends on the exact time of the stop, so it can differ in
+        // a replay. The hash therefore starts again after each stop.
         (self.blocks, self.blocks_recorded) = (BASIS, BASIS);
         let mut rest = Rest::new();
         let _ = rest.push(kind);
@@ -615,12 +620,14 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
-    /// Returns the hash of all blocks passed to the step task since the last stop.
+    /// Returns the hash of all blocks passed to the step task since the last stop. A replay compares it with the
+    /// recorded one.
     pub fn blocks(&self) -> u32 {
         self.blocks
     }
 
-    /// Sets the hash of the blocks to its recorded value at the state from which a replay begins.
+    /// Sets the hash of the blocks for a replay: to the value that was recorded with the state from which the replay
+    /// begins.
     pub fn follow_blocks(&mut self, blocks: u32) {
         self.blocks = blocks;
     }
@@ -689,9 +696,9 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.reading = Reading { number, at: 0, time, line: heapless::Vec::new(), records: Some(0), begun: false };
     }
 
-    /// Passes the next item of the `$REC` listing (the board, a stored record, the start time, an entry or the end) to
-    /// `tell`. `first`: begins the listing again. The second argument is the board's name and the frequency of its step
-    /// clock in Hz. `record` returns stored records by index.
+    /// Passes the next item of the `$REC` listing to `tell`: the board, a stored record, the start time, an entry or
+    /// the end. `first`: begins the listing again. `name`: name of the board; `step_clock_hz`: frequency of its step
+    /// clock. `record` returns the stored record (a setting, an offset) with this index.
     pub fn read(
         &mut self,
         first: bool,
@@ -719,7 +726,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
     }
 
-    /// Returns the next entry; its time is in `reading`.
+    /// Returns the next entry; its time is then in `self.reading.time`. `None`: the recording ends here.
     #[inline(never)]
     fn next_entry(&mut self) -> Option<Noted> {
         loop {
@@ -742,7 +749,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
                 self.reading.number = None;
                 continue;
             };
-            // The entry may void the unfinished line (a reset, a disconnected host), so that line is returned first.
+            // The entry may be one that voids the unfinished line (a reset, a disconnected host). So return that line
+            // first.
             if matches!(found, Found::Noted(_)) && !self.reading.line.is_empty() {
                 return self.take_line();
             }
@@ -828,7 +836,8 @@ impl Bytes<'_> {
     }
 }
 
-/// Returns the number of bytes after the tag, and the decoded entry; `None` if it is incomplete or unknown.
+/// Decodes the entry with this tag; `rest`: the bytes after the tag. Returns how many of these bytes the entry has,
+/// and the decoded entry. `None` if the entry is incomplete or unknown.
 fn decode(tag: u8, rest: &[u8]) -> Option<(usize, Found)> {
     let mut bytes = Bytes(rest);
     let found = match tag {

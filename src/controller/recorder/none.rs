@@ -1,4 +1,4 @@
-//! Replaces the recorder in the small image: the same functions, but they do nothing.
+//! Replaces the recorder in the small firmware image. It has the same functions, but they do nothing.
 
 use crate::dispatch::Controller;
 use crate::messages::{Event, Record, Recorded, Restart, ToStep};
@@ -13,7 +13,7 @@ impl Page {
     pub const EMPTY: Page = Page;
 }
 
-/// Records nothing.
+/// Stands in for the recorder of the full image, and takes no memory.
 #[derive(Clone, Debug)]
 pub struct Recorder<P>(core::marker::PhantomData<P>);
 

@@ -10,12 +10,12 @@ use crate::axes::LINEAR;
 use crate::error::Error;
 use crate::units::{DECIMAL_ONE, Decimal};
 
-/// Number of the setting that switches homing on.
 const HOMING: u16 = Key::Homing.number();
 
 impl<const N: usize> Settings<N> {
-    /// Returns how many axes have settings. Outside Grbl's dialect these are all axes that the board has motors for,
-    /// even if `$930` puts fewer in use: the settings of A may be restored before `$930`.
+    /// Returns how many axes have settings: in Grbl's dialect at most three, otherwise all axes for which the board
+    /// has motors. An axis that `$930` does not put in use counts too, because a sender may restore the settings of A
+    /// before `$930`.
     fn axes_to_set(&self) -> usize {
         if N <= LINEAR || self.value(Key::Dialect) == 0.0 { N.min(LINEAR) } else { self.axes_with_motors() }
     }
@@ -43,7 +43,7 @@ impl<const N: usize> Settings<N> {
         let (index, value) = self.placed(number, value)?;
         self.put(index, value);
         if number == HOMING && value == 0.0 {
-            // Soft limits mean nothing without a homed position, so `$22=0` switches them off too.
+            // Soft limits need a homed position, so `$22=0` switches them off too.
             self.put(Index::Scalar(Key::SoftLimits as usize), 0.0);
         }
         Ok(())
@@ -61,8 +61,8 @@ impl<const N: usize> Settings<N> {
         }
         let (entry, _) = index.row().ok_or(Error::InvalidStatement)?;
         let value = self.checked(entry.kind, value)?;
-        // Other dialects accept `$20=1` without homing, so that settings can be restored in any order, and lock motion
-        // until homing is on.
+        // Other dialects accept `$20=1` without homing, so that a sender can restore settings in any order. They lock
+        // motion until homing is on.
         let grbl = self.value(Key::Dialect) == 0.0;
         if number == SOFT_LIMITS && value != 0.0 && !self.is_on(Key::Homing) && grbl {
             return Err(Error::SoftLimitNeedsHoming);
@@ -88,10 +88,11 @@ impl<const N: usize> Settings<N> {
         }
     }
 
-    /// Checks the step pulse. Returns it in microseconds, a multiple of 0.1. Grbl's dialect truncates to whole
-    /// microseconds and refuses less than 3 us. Other dialects do not round: they refuse anything but whole tenths.
+    /// Checks the length of the step pulse (`$0`), and returns it in microseconds as a multiple of 0.1. Grbl's dialect
+    /// truncates to whole microseconds and refuses less than 3 us. The other dialects refuse a value that is no
+    /// multiple of 0.1.
     fn tenths(&self, kind: Kind, value: Decimal) -> Result<f32, Error> {
-        /// A tenth, as raw [`Decimal`]. Values up to the longest pulse, 2550 tenths, fit into 32 bits.
+        /// 0.1 as a raw [`Decimal`]. The longest pulse, 2550 tenths, fits into 32 bits in this form.
         const TENTH: u32 = (DECIMAL_ONE / 10) as u32;
         let Ok(value) = u32::try_from(value.0) else { return Err(Error::StepPulseTooShort) };
         let (mut tenths, rest) = (value / TENTH, value % TENTH);
@@ -132,8 +133,8 @@ mod tests {
         assert_eq!(s.by_number(102), Some(80.5));
     }
 
-    /// Only Grbl's dialect truncates fractions. A switch is 0 or 1; in Grbl's dialect any other whole number up to 255
-    /// counts as 1.
+    /// Only Grbl's dialect truncates fractions; the others refuse them. A switch is 0 or 1, but in Grbl's dialect any
+    /// whole number from 1 to 255 counts as 1.
     #[test]
     fn whole_numbers_have_no_fraction_and_switches_are_0_or_1() {
         for (number, thousandths, taken, in_grbl) in [

@@ -4,7 +4,7 @@ use super::row::Entry;
 use super::table::{Key, PER_AXIS, SCALARS};
 use crate::axes::Axis;
 
-/// Where a setting is in the two tables.
+/// The row of a setting: in [`SCALARS`] or in [`PER_AXIS`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Index {
     /// A row of [`SCALARS`].
@@ -31,7 +31,8 @@ impl Index {
         Some(Self::PerAxis(line.checked_div(axes)?, *Axis::ALL.get(line.checked_rem(axes)?)?))
     }
 
-    /// Returns the row, if there is one, and the number after `$`, which depends on the axis.
+    /// Returns the row and the number after `$`. All axes share a row, so the number depends on the axis: the row of X
+    /// at `$100` is used for Y at `$101`.
     pub(super) fn row(self) -> Option<(&'static Entry, u16)> {
         match self {
             Self::Scalar(i) => SCALARS.get(i).map(|entry| (entry, entry.number)),

@@ -1,5 +1,5 @@
-//! The rows of `$$`, one at a time, for a machine with a given number of axes. For senders that request descriptions,
-//! also the name and unit of each row.
+//! Makes the rows of `$$` one at a time, for a machine with a given number of axes. For senders that request
+//! descriptions, also returns the name and unit of each row.
 
 use super::index::Index;
 use super::row::{Entry, Row};
@@ -22,7 +22,8 @@ impl<const N: usize> Settings<N> {
         Some((*entry, number, self.at(index)?))
     }
 
-    /// Returns row `line` of `$$` (0 is the first) with its description, if `axes` axes are in use.
+    /// Returns row `line` of `$$` (0 is the first) with its description; `None` after the last row. `axes`: number of
+    /// axes in use.
     pub fn described(line: usize, axes: usize) -> Option<Row> {
         let index = Index::of_line(line, axes)?;
         let (axis, description) = match index {

@@ -1,6 +1,6 @@
-//! Settings that are masks in grblHAL and have fewer values here. With `$900=3`, hosts write and read the masks. A bit
-//! of a mask is one of three kinds: a function that is always on here, a value of a setting here, or a function that
-//! does not exist here. Bits of the last kind are refused.
+//! Settings (`$10`, `$22`) that are masks in grblHAL and have fewer values here. With `$900=3`, hosts write and read
+//! grblHAL's mask. There are three kinds of bits: part of the value of a setting here, a function that is always on
+//! here, and a function that does not exist here. Bits of the last kind are refused.
 
 use super::table::Key;
 use super::values::Settings;
@@ -11,11 +11,12 @@ pub struct GrblHalMask {
     number: u16,
     /// Bits that are the value of this setting (`number`).
     pub own: u32,
-    /// Bits that are the value of another setting: in the mask of `$22`, the bit that is the value of `$932`.
+    /// Bits that are the value of another setting. Only the mask of `$22` has such a bit, which is the value of
+    /// `$932`.
     elsewhere: u32,
     /// Bits of functions that are always on in this firmware.
     always: u32,
-    /// Meanings of the bits from the lowest, separated by commas.
+    /// Meanings of the bits from the lowest, separated by commas; `N/A` for a bit without a function.
     pub labels: &'static str,
 }
 
@@ -51,8 +52,8 @@ impl GrblHalMask {
         self.own | self.elsewhere | self.always
     }
 
-    /// Returns the mask that a host reads after it has written `written`. In it, the bits of all functions that are
-    /// always on are set, unless the mask is that of `$22` and homing is off.
+    /// Returns the mask that a host reads after it has written `written`. The bits of functions that are always on are
+    /// set in it. But if homing is off in the mask of `$22`, the whole mask reads as 0.
     pub fn read_back(&self, written: u32) -> u32 {
         if self.is_in_force(written) { written | self.always } else { written & self.own }
     }
@@ -63,7 +64,8 @@ impl GrblHalMask {
         self.elsewhere == 0 || bits & self.own != 0
     }
 
-    /// Returns the value of `$932` that a mask sets, if it sets one.
+    /// Returns the value of `$932` that the mask `written` sets; `None` if this is not the mask of `$22`, or if
+    /// `written` switches homing off.
     pub fn zero_at_pull_off(&self, written: u32) -> Option<bool> {
         (self.elsewhere != 0 && self.is_in_force(written)).then_some(written & ZERO_AT_PULL_OFF != 0)
     }

@@ -28,7 +28,7 @@ pub enum Kind {
     Axes,
 }
 
-/// Maximum magnitude of a number: that of the largest [`Decimal`](crate::units::Decimal).
+/// Maximum magnitude of a value, about 9.2e11. A [`Decimal`](crate::units::Decimal) cannot be larger.
 const GREATEST: f32 = (i64::MAX / DECIMAL_ONE) as f32;
 
 impl Kind {
@@ -97,8 +97,8 @@ impl Description {
         if self.labels == AXIS_LABELS { Self { labels, ..self } } else { self }
     }
 
-    /// Returns the description of a per-axis setting for one axis: the unit of a rotary axis has degrees in place of
-    /// mm.
+    /// Returns the description of a per-axis setting for `axis`. For a rotary axis, the unit has degrees in place of
+    /// mm (`steps/deg`).
     pub(super) fn of_axis(self, axis: Axis) -> Self {
         let unit = match self.unit {
             unit if !axis.is_rotary() => unit,
@@ -118,8 +118,8 @@ impl Description {
 pub struct Row {
     /// The number after `$`.
     pub number: u16,
-    /// The axis of a per-axis setting. For `$44` and on, which are numbered by homing cycle, the axis with the index of
-    /// the cycle: X for the first cycle.
+    /// The axis of a per-axis setting; `None` for other settings. `$44` and the numbers after it stand for homing
+    /// cycles, not for axes. There, X means the first cycle, Y the second, and so on.
     pub axis: Option<Axis>,
     /// Kind and default of the value, and whether Grbl 1.1h has the setting.
     pub entry: Entry,
@@ -141,7 +141,7 @@ codes! {
     Door = 9, "Safety door and parking";
     GangedAxis = 10, "Axis with two motors";
     Program = 11, "Program";
-    /// Groups of the single axes, X to C, have the numbers after this one.
+    /// The numbers after this one are the groups of the single axes: 13 for X, 14 for Y, and so on to C.
     Axes = 12, "Axes";
 }
 

@@ -20,9 +20,7 @@ const MOST_BACKLASH: f32 = 10_000.0;
 const GREATEST_DEVIATION: f32 = 1.0e3;
 /// Minimum arc tolerance, mm.
 const LEAST_TOLERANCE: f32 = 1.0e-4;
-/// Number of the setting for the step pulse.
 const STEP_PULSE: u16 = Key::StepPulse.number();
-/// Number of the setting that names the axis with two motors.
 const GANGED_AXIS: u16 = Key::GangedAxis.number();
 
 impl<const N: usize> Settings<N> {
@@ -70,14 +68,15 @@ impl<const N: usize> Settings<N> {
                 None
             }
         });
-        // The second motor of an axis uses the board's fourth driver, as A does. So a machine cannot have both.
+        // A second motor and the axis A would use the same driver, the fourth of the board. So a machine cannot have
+        // both.
         let cannot = |axis: &Axis| !has_second_motor || in_use > LINEAR || (core_xy && *axis != Axis::Z);
         let ganged = self.ganged_axis().filter(cannot).map(|_| GANGED_AXIS);
         of_axis.or(ganged).or_else(|| self.unrunnable_cycle())
     }
 
-    /// Returns whether a cycle at this rate might never end, because the rate is outside the range that motion can
-    /// compute with.
+    /// Returns whether the rate in the setting `rate` is outside the range that motion can compute with. A cycle
+    /// (homing, parking) at such a rate might never end.
     pub fn is_rate_out_of_range(&self, rate: Key) -> bool {
         !RATES.contains(&self.value(rate))
     }

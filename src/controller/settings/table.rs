@@ -8,18 +8,16 @@ use crate::image::FULL_IMAGE;
 const CONTROL: Kind = Kind::Mask(0b1_0100_1111);
 /// Bits of the limit inputs: six axes, and the switch of a second motor.
 const LIMITS: Kind = Kind::Mask(0x7F);
-/// Labels of the reactions of motion and spindle to a fault: see `states::stops::reaction`.
+/// Labels of the values 0 to 5 of a reaction to a fault, such as `$924`: see `states::stops::reaction`.
 const REACTIONS: &str =
     "Stop,Brake,Brake and retract,Stop (spindle on),Brake (spindle on),Brake and retract (spindle on)";
-/// Labels of the bits of the control inputs.
 const CONTROL_LABELS: &str = "Reset,Feed hold,Cycle start,Safety door,N/A,N/A,Emergency stop,N/A,Driver fault";
-/// Labels of the bits of the limit inputs.
 const LIMIT_LABELS: &str = "X axis,Y axis,Z axis,A axis,B axis,C axis,Second motor";
 
-// Maximum value of `$900`, and the names of the dialects. The small image lacks the dialect of grblHAL.
+// Maximum value and labels of `$900`. The small image lacks the dialect of grblHAL.
 const MOST_DIALECT: u32 = if FULL_IMAGE { GRBLHAL } else { 2 };
 const DIALECT_LABELS: &str = if FULL_IMAGE { "Grbl,Oxmill,Seed document,grblHAL" } else { "Grbl,Oxmill,Seed document" };
-/// Value of `$900` with which hosts are answered like grblHAL.
+/// Value of `$900` for the dialect in which hosts are answered like grblHAL.
 pub(super) const GRBLHAL: u32 = 3;
 
 table! {
@@ -145,7 +143,8 @@ impl AxisKey {
         PER_AXIS[self as usize].number
     }
 
-    /// Returns the axis of a number, if the number belongs to this setting.
+    /// Returns the axis to which `number` belongs, for example Y for 101 of `Resolution`; `None` if this setting does
+    /// not have that number.
     pub fn axis(self, number: u16) -> Option<Axis> {
         Axis::ALL.get(usize::from(number.checked_sub(self.number())?)).copied()
     }
@@ -161,7 +160,6 @@ pub(super) const fn homing_cycle(n: usize) -> u8 {
     }
 }
 
-/// Number of the setting that switches soft limits on.
 pub(super) const SOFT_LIMITS: u16 = Key::SoftLimits.number();
 /// Number of the only setting that may be negative.
 pub(super) const PARKING_PLACE: u16 = Key::ParkingTarget.number();

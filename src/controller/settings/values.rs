@@ -19,8 +19,8 @@ pub struct Settings<const N: usize> {
     present: usize,
 }
 
-/// Stored form of `$20=1` while homing is off. A stored 1 is valid only with homing on. So the record of `$22=0` alone
-/// switches off both homing and soft limits, even if the power is cut right after that record.
+/// Stored form of `$20=1` (soft limits on) while homing is off. A stored 1 counts only with homing on. So the single
+/// record `$22=0` switches off homing and soft limits at once, even if the power is cut right after it.
 const BEFORE_HOMING: f32 = 2.0;
 
 /// Returns the mask of `axes` axes, bit 0 for X.
@@ -75,7 +75,7 @@ impl<const N: usize> Settings<N> {
         (self.whole(Key::Axes) as usize).clamp(LINEAR, self.axes_with_motors())
     }
 
-    /// Returns how many axes can be in use: those for which the board has motors.
+    /// Returns how many axes can be in use. These are the axes for which the board has motors, but at least three.
     pub(super) fn axes_with_motors(&self) -> usize {
         self.present.max(LINEAR)
     }
@@ -113,7 +113,7 @@ impl<const N: usize> Settings<N> {
         self.value(key) != 0.0
     }
 
-    /// Returns the values of a per-axis setting.
+    /// Returns the values of a per-axis setting, in the unit of its row.
     pub fn axes(&self, key: AxisKey) -> PerAxis<f32, N> {
         self.per_axis.get(key as usize).copied().unwrap_or(PerAxis::all(0.0))
     }
@@ -143,14 +143,14 @@ impl<const N: usize> Settings<N> {
         if self.whole(Key::Kinematics) == 1 { Arrangement::CoreXy } else { Arrangement::Cartesian }
     }
 
-    /// Returns the axis that two motors move (`$905`).
+    /// Returns the axis that two motors move (`$905`); `None` if each axis has one motor.
     pub fn ganged_axis(&self) -> Option<Axis> {
         Axis::ALL.get((self.whole(Key::GangedAxis) as usize).checked_sub(1)?).copied()
     }
 
-    /// Restores a stored value. Returns whether the setting can have this value in at least one dialect; if not,
-    /// nothing changes. For a number that is no setting of this board, nothing changes and `true` is returned, because
-    /// the value may come from other firmware.
+    /// Restores a stored value. Returns `false`, without a change, if the setting cannot have this value in any
+    /// dialect. A number that is no setting of this board may come from other firmware: then nothing changes, and the
+    /// result is `true`.
     pub fn restore(&mut self, number: u16, value: f32) -> bool {
         let axes = self.axes_with_motors();
         let index = Index::of_number(number, axes);
@@ -163,8 +163,8 @@ impl<const N: usize> Settings<N> {
         can_be
     }
 
-    /// Call this after the stored values have been restored at power-up. If homing is off, soft limits that were stored
-    /// while homing was on are switched off.
+    /// Completes the restoring of stored values. Call it at power-up, after [`Settings::restore`] was called for each
+    /// of them. If homing is off, switches off soft limits that were stored while homing was on.
     pub fn settle(&mut self) {
         let kept = self.value(Key::SoftLimits) == BEFORE_HOMING || self.is_on(Key::Homing);
         let on = kept && self.is_on(Key::SoftLimits);
@@ -179,9 +179,9 @@ impl<const N: usize> Settings<N> {
         self.at(Index::of_number(number, N)?)
     }
 
-    /// Returns the value of `$20` (soft limits) to be stored just before a new value of `$22` (homing); `None` if the
-    /// stored `$20` remains right. So the record of `$22` changes both settings at once (see `settle`). `were_on`:
-    /// whether soft limits were on before `$22` was changed.
+    /// Returns the value of `$20` (soft limits) that must be stored just before a changed `$22` (homing); `None` if
+    /// the stored `$20` can stay. Then the record of `$22` changes both settings at once: see `settle`. `were_on`:
+    /// `true` if soft limits were on before `$22` changed.
     pub fn soft_limits_before_homing(&self, were_on: bool) -> Option<f32> {
         match (self.is_on(Key::Homing), were_on) {
             (true, true) => None,
@@ -190,12 +190,13 @@ impl<const N: usize> Settings<N> {
         }
     }
 
-    /// Returns a number that is different after each change of a setting.
+    /// Returns the number of changes so far (wrapping). Code that keeps a result computed from settings computes it
+    /// again when this number differs.
     pub fn revision(&self) -> u32 {
         self.revision
     }
 
-    /// Replaces all values by those of `others`. The number of axes with motors stays.
+    /// Replaces all values by those of `others`, for `$RST`. The number of axes with motors stays.
     pub fn replace(&mut self, others: Self) {
         *self = Self { revision: self.revision.wrapping_add(1), present: self.present, ..others };
     }
@@ -208,7 +209,7 @@ impl<const N: usize> Settings<N> {
         }
     }
 
-    /// Sets the value at an index.
+    /// Sets the value at an index without a check, and counts the change in `revision`.
     pub(super) fn put(&mut self, index: Index, value: f32) {
         self.revision = self.revision.wrapping_add(1);
         match index {
@@ -272,7 +273,8 @@ mod tests {
         assert_eq!(s.by_number(103), Some(250.0));
     }
 
-    /// Both settings change at once, even if the power is cut between the two records that a change of `$22` stores.
+    /// After a power cut at any time, homing and soft limits are either both as before a change of `$22`, or both as
+    /// after it. The change stores two records, and the power can be cut between them.
     #[test]
     fn soft_limits_and_homing_change_at_once() {
         let switch = |on: bool| Decimal::from_int(i32::from(on));
@@ -306,12 +308,11 @@ mod tests {
         }
     }
 
-    /// Number of dialects in this image (values of `$900`).
+    /// Number of dialects: the values of `$900` that this image has.
     const DIALECTS: i32 = if crate::image::FULL_IMAGE { 4 } else { 3 };
 
     proptest::proptest! {
-        /// A value that can be set can also be restored, whatever dialects are in force when it is set and when it is
-        /// restored.
+        /// A value that can be set can also be restored, even if another dialect is in force then.
         #[test]
         fn what_can_be_set_is_taken_over(value: i64, shift in 0..64_u32, set_in in 0..DIALECTS, in_force in 0..DIALECTS) {
             let of = |dialect| {
@@ -332,8 +333,8 @@ mod tests {
         }
     }
 
-    /// The stored form of the step pulse is in microseconds, even for tenths. Records that were written when only whole
-    /// microseconds were possible are read unchanged.
+    /// The step pulse is stored in microseconds, even if it has tenths. So records of older firmware, which had only
+    /// whole microseconds, are read unchanged.
     #[test]
     fn a_step_pulse_stored_in_whole_microseconds_is_read_as_it_was() {
         for (record, tenths) in

@@ -17,7 +17,8 @@ use crate::work::line::Message;
 use crate::work::task::Task;
 
 impl<const N: usize> Controller<N> {
-    /// Completes every power-up and reset.
+    /// Completes a power-up, a reset or a failed homing: resets accessories, overrides and replies, greets the host,
+    /// and checks the inputs. If the machine is not locked, also starts the startup lines.
     pub(crate) fn initialise(&mut self) {
         self.m.pins.drive(GangedMotors::Both);
         let mark = self.m.motion.begun_mark();
@@ -56,7 +57,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Locks the machine until `$X`, `$H` or a reset.
+    /// Reports the alarm, and locks the machine until `$X`, `$H` or a reset.
     pub(crate) fn lock(&mut self, alarm: Alarm) {
         self.tell_alarm(alarm);
         self.enter(State::Alarm(Some(alarm)));
@@ -85,8 +86,8 @@ impl<const N: usize> Controller<N> {
 /// Minimum feed in Grbl's dialect, mm/min: Grbl raises slower feeds to it.
 const GRBL_LEAST_FEED: f32 = 1.0;
 
-/// Converts the settings for motion. A resolution that cannot be used counts as 1: motion is locked until it is
-/// corrected (`Settings::unrunnable`).
+/// Converts the settings to the units of motion. If motion cannot compute with a resolution, 1 step/mm takes its
+/// place. Motion is locked until that setting is corrected (`Settings::unrunnable`).
 fn motion_settings<const N: usize>(settings: &Settings<N>, step_clock_hz: u32) -> MotionSettings<N> {
     MotionSettings {
         arrangement: settings.arrangement(),

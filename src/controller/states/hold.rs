@@ -26,7 +26,7 @@ pub(crate) struct Hold {
 impl Hold {
     pub(crate) const BEGUN: Hold = Hold { turns_at: None, leaves: false };
 
-    /// Returns when the spindle's spin-up time ends, if the end of the hold waits for the spindle.
+    /// Returns the end of the spin-up time if `~` was received and the hold waits for the spindle; otherwise `None`.
     pub(crate) fn ends_with_spindle(&self) -> Option<Instant> {
         self.turns_at.filter(|_| self.leaves)
     }
@@ -44,7 +44,7 @@ impl<const N: usize> Controller<N> {
         match self.state {
             State::Normal => {
                 self.m.motion.hold();
-                // A jog that has been read but not queued yet ends here, like a jog that moves.
+                // A jog that waits for room in the look-ahead ends here, as a jog that moves does.
                 self.task.forget_jog();
                 self.task.suspend(self.m.now);
                 self.enter(State::Hold(Hold::BEGUN));
@@ -137,7 +137,8 @@ impl<const N: usize> Controller<N> {
             return;
         }
         if let State::Door(door) = &mut self.state {
-            // The door takes precedence; the job is dropped when the door is closed.
+            // An open door takes precedence. The job is dropped later: after `~` at the closed door, when the tool is
+            // back.
             return door.stop_job();
         }
         let going = matches!(self.state, State::Normal | State::Jog { .. } | State::Hold(_));
@@ -171,9 +172,8 @@ impl<const N: usize> Controller<N> {
         self.m.probe.break_off();
         self.m.interpreter.set_position(self.m.motion.machine_position());
         self.m.start_idle_delay();
-        // A laser must not burn one point, the spindle of a locked machine must not turn, a suspended spindle stays
-        // off, and a spindle that spins up for a dropped cut is not needed. In all other cases the spindle stays as it
-        // is.
+        // The spindle stops in four cases: it is a laser, which would burn one point; the machine is locked; the
+        // spindle is suspended; or it spins up for a cut that is dropped. Otherwise it stays as it is.
         let turns = !self.m.accessories.is_suspended() && !self.task.waits_for_spindle();
         if locked || !turns || self.m.settings.is_on(Key::Laser) {
             self.m.accessories.stop_spindle();
@@ -201,17 +201,17 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Jog { cancelling: true });
     }
 
-    /// Makes the controller skip the jogs among the line bytes received so far. After a reset or a jog cancel, the
-    /// epoch of a byte shows that it is older (see `protocol::intake`). A hold or a door begins no epoch, so here the
-    /// older bytes are counted. In Grbl's dialect, a hold or a door voids jogs only while a jog moves.
+    /// Makes the controller skip the jogs among the line bytes received so far. A hold or a door, unlike a reset or a
+    /// jog cancel, begins no epoch that marks later bytes (see `protocol::intake`). So the bytes received so far are
+    /// counted. In Grbl's dialect this has an effect only while a jog moves.
     pub(crate) fn forget_received_jogs(&mut self) {
         if self.dialect() != Dialect::Grbl || matches!(self.state, State::Jog { .. }) {
             self.m.lines.end_received_jogs(self.m.step_supply.observed().received);
         }
     }
 
-    /// Ends a jog. The program's position is then the exact target of the jog, not the nearest step, so that small jogs
-    /// add up. After a cancelled jog it is the position where the machine has stopped.
+    /// Ends a jog. The next jog starts from the exact target of this one, not from the nearest step, so that small
+    /// jogs add up. After a cancelled jog, it starts from the position where the machine has stopped.
     #[inline(never)]
     pub(crate) fn end_jog(&mut self, cancelled: bool) {
         if cancelled {

@@ -33,8 +33,8 @@ pub(crate) use homing::Homing;
 /// What the machine is doing.
 #[allow(clippy::large_enum_variant, reason = "there is one, in a static place; boxes do not exist here")]
 #[derive(Clone, Debug)]
-// `repr(u8)` makes the tag a byte of its own instead of hiding it in the data of a variant, because the tag is read
-// before each output.
+// `repr(u8)` makes the tag (the number of the variant) a byte of its own. The tag is read before each output, so it
+// must not be hidden in the data of a variant.
 #[repr(u8)]
 pub(crate) enum State<const N: usize> {
     /// Program lines are executed.
@@ -126,7 +126,7 @@ impl<const N: usize> State<N> {
         matches!(self, State::Hold(_) | State::Braking { .. } | State::Door(_) | State::Sleep(_) | State::Critical(_))
     }
 
-    /// Returns whether a door has been closed, and the machine is on its way back to the job.
+    /// Returns whether `~` was received at a closed door, and the machine is on its way back to the job.
     pub fn is_resuming(&self) -> bool {
         matches!(self, State::Door(door) if door.phase.is_resuming())
     }
@@ -179,7 +179,7 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn enter(&mut self, next: State<N>) {
         debug_assert!(self.state.may_become(&next), "{:?} to {:?}", self.state, next);
         if self.state.is_suspended() {
-            // Lines had to wait in the suspended state, so the time in that state does not count as a pause of the
+            // Lines had to wait in the suspended state. So the time in that state does not count as silence of the
             // host.
             self.m.last_line_at = self.m.now;
         }

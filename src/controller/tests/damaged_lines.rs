@@ -30,7 +30,8 @@ fn answers(bytes: &[(u8, bool)]) -> String {
     text.split_once("help]\r\n").unwrap().1.to_string()
 }
 
-/// Sends lines. `~` stands for lost bytes: the byte after it is marked as damaged.
+/// Sends lines to a new controller, and returns its replies after the welcome line. A `~` in `text` is not sent: it
+/// stands for lost bytes, so the byte after it is marked as damaged.
 fn with_gap(text: &str) -> String {
     let mut damaged = false;
     let mut bytes = Vec::new();

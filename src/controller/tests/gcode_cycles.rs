@@ -1,12 +1,15 @@
-//! Compares the moves of canned cycles, line by line, with those that RS274NGC prescribes, written out by hand.
+//! Compares the moves of each canned cycle with a list that was written by hand from RS274NGC, the NIST standard of
+//! G-code.
 //!
-//! `r` is a rapid and `f` a feed move to machine coordinates in mm. Moves of no length are left out.
+//! In a list, `r 2 1 10` is a rapid to X2 Y1 Z10, and `f 2 1 -1` a feed move to X2 Y1 Z-1 (machine coordinates, mm).
+//! Moves of no length are left out.
 
 use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{Action, CycleStep, Dialect, MotionCommand};
 use oxmill_controller::units::Coordinate;
 
-/// The default peck clearance (`$921`), 0.01 inch.
+/// Height above the bottom of a peck at which the next peck begins to feed: the default of `$921`, 0.01 inch (0.254
+/// mm).
 const CLEARANCE: Coordinate = Coordinate(2_540_000);
 const NEW: [Dialect; 2] = [Dialect::Oxmill, Dialect::Seed];
 
@@ -44,7 +47,7 @@ fn steps_of(checked: &Action<3>, mut before: [f64; 3]) -> Vec<String> {
     list
 }
 
-/// Runs a line and compares its steps with `expected`.
+/// Runs a line and compares its steps with `expected`, a list with commas between the steps.
 fn expect(program: &mut Program, line: &str, expected: &str) {
     let before = program.machine();
     let checked = program.run(line);
@@ -59,7 +62,8 @@ fn ready(dialect: Dialect) -> Program {
     program
 }
 
-/// Runs the lines one after the other, in both dialects that have cycles.
+/// Runs the lines one after the other, in both dialects that have cycles. Each line comes with its expected steps; an
+/// empty text means that they are not compared.
 fn play(lines: &[(&str, &str)]) {
     for dialect in NEW {
         let mut program = ready(dialect);
@@ -105,8 +109,8 @@ fn g83_leaves_the_hole_after_each_peck() {
         ("X5 Z-4", "r 5 3 10, r 5 3 2, f 5 3 -1, r 5 3 2, r 5 3 -0.746, f 5 3 -4, r 5 3 10"),
         // Q is deeper than the hole, so there is one peck.
         ("X6 Q7", "r 6 3 10, r 6 3 2, f 6 3 -4, r 6 3 10"),
-        // The first peck is shorter than the clearance. The next peck begins at R, because the clearance above the
-        // bottom of the first peck ends above R.
+        // Q (0.2 mm) is less than the clearance (0.254 mm). The first peck ends at Z1.8, and 1.8 + 0.254 is above R.
+        // So the second peck feeds from R.
         (
             "G99 X7 Z1.5 R2 Q0.2",
             "r 7 3 10, r 7 3 2, f 7 3 1.8, r 7 3 2, f 7 3 1.6, r 7 3 2, r 7 3 1.854, f 7 3 1.5, r 7 3 2",
@@ -161,8 +165,8 @@ fn levels_of_g98_and_g99() {
     play(&[
         ("G99 G81 X2 Z-1 R2", "r 2 1 10, r 2 1 2, f 2 1 -1, r 2 1 2"),
         ("X3", "r 3 1 2, f 3 1 -1, r 3 1 2"),
-        // The clear level (the height to which G98 retracts) is that at which the first of these cycles began, even
-        // after a change of the cycle word.
+        // G98 retracts to the clear level: the height at which this series of cycles began, here Z10. Another cycle
+        // word does not end the series and does not change the clear level.
         ("G98 X4", "r 4 1 2, f 4 1 -1, r 4 1 10"),
         ("G99 G82 X5 Z-1 R3 P0", "r 5 1 10, r 5 1 3, f 5 1 -1, dwell 0, r 5 1 3"),
         ("G98 X6", "r 6 1 3, f 6 1 -1, dwell 0, r 6 1 10"),
@@ -175,8 +179,8 @@ fn levels_of_g98_and_g99() {
     ]);
 }
 
-/// With G98 a longer tool clears the same obstacles, because the clear level, and R with G91, are heights of the tool's
-/// tip.
+/// The clear level (the height to which G98 retracts) is a height of the tool's tip, and so is R with G91. So with a
+/// longer tool the machine retracts higher, and the tip clears the same obstacles.
 #[test]
 fn a_longer_tool_goes_back_to_a_higher_level() {
     play(&[
@@ -187,15 +191,15 @@ fn a_longer_tool_goes_back_to_a_higher_level() {
         ("G49 G81 X4 Z-1 R2", "r 4 1 15, r 4 1 2, f 4 1 -1, r 4 1 10"),
         ("G91 G43 H2 G81 X1 Z-1 R-3", "r 4 1 12, r 5 1 12, f 5 1 11, r 5 1 15"),
         ("G49 X1", "r 6 1 15, r 6 1 7, f 6 1 6, r 6 1 10"),
-        // If a line changes the tool length and begins a series of cycles, the clear level is the present height,
-        // without that change.
+        // A line that begins a series can also change the tool length. Then the clear level is the height of the
+        // machine at the start of the line (here Z10); the new length does not raise it.
         ("G90 G0 Z10", ""),
         ("G43 H2 G81 X7 Z-1 R2", "r 7 1 10, r 7 1 7, f 7 1 4, r 7 1 10"),
     ]);
 }
 
-/// The end of a program does not change G98 or G99. LinuxCNC does the same: its `rs274`, fed line by line, drills from
-/// and to the same levels before and after M2.
+/// The end of a program (M2, M30) does not change G98 or G99. LinuxCNC does the same: its interpreter `rs274`, which
+/// was fed line by line, makes the same moves before and after M2.
 #[test]
 fn the_end_of_a_program_leaves_the_retract_mode() {
     for end in ["M2", "M30"] {
@@ -235,7 +239,8 @@ fn incremental_words_and_repetitions() {
         ),
         // L is not modal.
         ("X1", "r 8 4 10, r 8 4 8, f 8 4 5, r 8 4 10"),
-        // Z and R stay in force with the numbers of the line with G91. Under G90 these numbers are coordinates.
+        // Z and R keep the numbers of the line with G91, here Z-3 and R-2. Under G90 these numbers are coordinates,
+        // and no longer distances.
         ("G90 X9", "r 9 4 10, r 9 4 -2, f 9 4 -3, r 9 4 10"),
         ("X8 L2", "r 8 4 10, r 8 4 -2, f 8 4 -3, r 8 4 10, r 8 4 -2, f 8 4 -3, r 8 4 10"),
     ]);
@@ -268,7 +273,7 @@ fn inches_and_offsets() {
         ("G10 L2 P1 X10 Z-4", ""),
         ("G92 Y1", ""),
         ("G43.1 Z1", ""),
-        // The offsets of Z together place R and Z 3 mm lower in the machine.
+        // The offsets of Z are -4 mm (G10) and +1 mm (G43.1). Together they place R and Z 3 mm lower in the machine.
         ("G20 G81 X0.1 Z-0.1 R0.1", "r 12.54 1 10, r 12.54 1 -0.46, f 12.54 1 -5.54, r 12.54 1 10"),
         ("G21 X0", "r 10 1 10, r 10 1 -0.46, f 10 1 -5.54, r 10 1 10"),
     ]);
@@ -350,7 +355,6 @@ fn what_is_refused() {
     }
 }
 
-/// Grbl's dialect has none of these words.
 #[test]
 fn grbl_has_no_cycles() {
     let program = ready_in_grbl();

@@ -1,5 +1,5 @@
-//! Tests with the worked examples of the document with which the project began. They also show what happens where the
-//! document disagrees with Grbl or NIST.
+//! Tests the worked examples of the "seed document", a description of G-code with which the project began. Where the
+//! document disagrees with Grbl or NIST, a test shows what happens instead.
 
 use crate::program::{DIALECTS, Program, in_mm, target, via};
 use oxmill_controller::gcode::{
@@ -8,7 +8,7 @@ use oxmill_controller::gcode::{
 use oxmill_controller::messages::SpindleDirection;
 use oxmill_controller::units::Duration;
 
-/// Returns a program that starts at a machine position.
+/// Returns a program whose tool is at `place` (axis words such as `X3 Y4`) in machine coordinates.
 fn at(dialect: Dialect, place: &str) -> Program {
     let mut program = Program::new(dialect);
     program.run(&format!("G53 G0 {place}"));
@@ -74,8 +74,8 @@ fn non_modal_commands_3_g10_l20() {
     }
 }
 
-/// The document takes the second G92 for the inverse of the first. In fact G92 sets the current position to the new
-/// values; G92.1 undoes G92.
+/// In the document, a second G92 takes back the first one. In fact each G92 makes the current position read the new
+/// values, and G92.1 takes back G92.
 #[test]
 fn non_modal_commands_4_g92() {
     for dialect in DIALECTS {
@@ -159,7 +159,7 @@ fn order_within_a_line() {
         // Nothing moves, because the axis words belong to G92. G92 acts before M2 changes the modal state.
         let offset = program.run("G92 X0 M2");
         assert_eq!((offset.motion, offset.flow), (MotionCommand::None, Flow::End));
-        // M2 has returned to G54. The offset of G92, which was computed in G55, acts in G54 as well.
+        // M2 has returned to G54. The offset of G92 was computed in G55, and acts in G54 as well.
         assert_eq!(g92(&program), [7.0, 0.0, 0.0]);
         assert_eq!(program.work(), [100.0, 0.0, 2.0]);
     }
@@ -222,7 +222,8 @@ fn arc_end_off_the_circle() {
     assert_eq!(program.error("G2 X3.004 Y0 I1"), 33);
 }
 
-/// I and J are coordinates with G90.1, and distances with G91.1 and at power-up.
+/// With G90.1, I and J are coordinates of the centre. With G91.1 and at power-up, they are distances from the start to
+/// the centre.
 #[test]
 fn arc_distance_modes() {
     for dialect in [Dialect::Oxmill, Dialect::Seed] {
@@ -254,7 +255,8 @@ fn dwell_of_a_second() {
     }
 }
 
-/// The document adds the values of L20 to the system. In fact L20 makes the current position read these values.
+/// According to the document, L20 adds its values to the coordinate system. In fact L20 makes the current position
+/// read these values.
 #[test]
 fn g10() {
     for dialect in DIALECTS {
@@ -272,15 +274,15 @@ fn g10() {
         assert!(!program.run("G10 L2 P1 X-200").work_offset_changed);
         program.run("G10 L2 P1 X0 Y0 Z0");
         assert_eq!(program.work(), program.machine());
-        // P0 and a missing P mean the active system. In this line that is G55, which the line itself selects.
+        // P0 and a missing P mean the active system. G55 in the same line acts first, so that system is G55.
         program.run("G55 G10 L2 P0 X1");
         program.run("G10 L2 Y2");
         assert_eq!(system(&program, CoordinateSystem::G55), [1.0, 2.0, 7.0]);
     }
 }
 
-/// According to the document G28.1 stores the given values. In fact it stores the machine's position, and axis words
-/// move as always.
+/// According to the document, G28.1 stores the values of its axis words. In fact G28.1 stores the position of the
+/// machine, and its axis words are those of a normal move.
 #[test]
 fn g28() {
     for dialect in DIALECTS {
@@ -398,7 +400,7 @@ fn local_coordinates() {
     }
 }
 
-/// According to the document, G10 L2 has no effect with G91. In fact it has the same effect as with G90.
+/// According to the document, G10 L2 does nothing with G91. In fact it acts as with G90.
 #[test]
 fn g10_l2_with_g91() {
     for dialect in DIALECTS {
@@ -428,8 +430,8 @@ fn tool_length_is_the_third_offset() {
     }
 }
 
-/// (A) One program for several workpieces, each with its own origin. (B) One program that sets several origins with
-/// G10.
+/// One program cuts several workpieces, each with its own origin: G54, G55. Later, the program itself moves an origin
+/// with G10.
 #[test]
 fn one_program_at_several_origins() {
     for dialect in DIALECTS {
@@ -443,7 +445,7 @@ fn one_program_at_several_origins() {
     }
 }
 
-/// G59.1 to G59.3 are systems of their own. The document calls it an error to read G59.1 as G59.
+/// G59.1 to G59.3 are coordinate systems of their own. In the document, a control that reads G59.1 as G59 is in error.
 #[test]
 fn systems_beyond_g59() {
     for dialect in [Dialect::Oxmill, Dialect::Seed] {
@@ -500,8 +502,8 @@ fn circles(program: &mut Program, text: &str) -> Vec<[f64; 3]> {
     circles
 }
 
-/// As printed in the document, the circles end at X-10, which is off the circle. Only the dialect `seed` takes them for
-/// full circles.
+/// In the document, the circles end at X-10, which is off the circle. The dialect `seed` takes them for full circles;
+/// the other dialects refuse them.
 #[test]
 fn five_circles() {
     let cross = [[-1.0, 0.0, -1.0], [9.0, 0.0, -1.0], [-11.0, 0.0, -1.0], [-1.0, 10.0, -1.0], [-1.0, -10.0, -1.0]];
@@ -567,8 +569,8 @@ fn g80_beside_a_motion_word() {
     }
 }
 
-/// The document's drilling example has a bare `X-7 Y-4` after G80. Grbl and Oxmill refuse it (`error:31`); in the
-/// dialect `seed` it moves like the last G0 or G1.
+/// In the document's drilling example, a line after G80 has only `X-7 Y-4`. Grbl and Oxmill refuse it (`error:31`). In
+/// the dialect `seed` it moves in the mode of the last G0 or G1.
 #[test]
 fn axis_words_after_g80() {
     for dialect in [Dialect::Grbl, Dialect::Oxmill] {
@@ -583,6 +585,6 @@ fn axis_words_after_g80() {
     assert_eq!((target(&rapid), feed(&rapid)), ([-7.0, -4.0, 0.0], Feed::Rapid));
     program.run_all("G1\nG80");
     assert_eq!(feed(&program.run("G53 X0")), Feed::PerMinute(100.0 / 60.0));
-    // If G80 is on the line itself, the axis words have no motion mode to use.
+    // Here G80 is on the line itself. Then the axis word is refused, even in the dialect `seed`.
     assert_eq!(program.error("G80 X1"), 31);
 }

@@ -1,11 +1,12 @@
-//! Tests of error numbers and their order, of motions that the recordings of Grbl do not contain, and of Oxmill's own
-//! words.
+//! Tests of three things: error numbers and which of two errors is reported, motions that are missing from the
+//! recordings of Grbl, and words that Grbl does not have.
 
 use crate::program::{DIALECTS, Program, target};
 use oxmill_controller::gcode::{Action, Dialect, Feed, Flow, Interpreter, MotionCommand};
 use oxmill_controller::messages::{Coolant, SpindleDirection};
 
-/// Lines that cause each error in every dialect. F is 100, the plane XY, the motion mode G0, the position (0,0,0).
+/// Error numbers, each with lines that cause it in every dialect. Each line comes after `F100`, in the XY plane, in
+/// motion mode G0, at the position (0,0,0).
 const ERRORS: &[(u8, &[&str])] = &[
     (1, &["1", "%", "G1 X1..2", "X1*2", "!", "X1,5", "g0"]),
     (2, &["X", "G", "M", "X.", "X-", "X+", "G1 XY"]),
@@ -33,7 +34,7 @@ const ERRORS: &[(u8, &[&str])] = &[
     (38, &["T100000", "T99999999999999999999", "T100000 T1"]),
 ];
 
-/// Errors of Grbl's dialect only. In the other dialects these lines have a meaning or another error.
+/// Errors of Grbl's dialect only. In the other dialects these lines are correct or have another error.
 const ERRORS_OF_GRBL: &[(u8, &[&str])] = &[
     (20, &["G43", "G43.2 H0", "G81", "G98", "M6", "X1 Q1", "X1 H1", "G5", "M99", "G10 L2 P1 R1 X1"]),
     (20, &["D1", "U1", "V1", "W1", "G12", "G13", "G31", "G65", "G66", "M97"]),
@@ -75,13 +76,14 @@ fn every_error() {
                 assert_eq!(program.error(line), *code, "{line} in {dialect:?}");
             }
         }
-        // Where values are expressions, several signs are allowed.
+        // With the feature `full`, values are expressions (except in Grbl's dialect), so two signs are allowed.
         let is_plain = dialect == Dialect::Grbl || cfg!(not(feature = "full"));
         assert_eq!(program.error("G0 X--1") == 2, is_plain, "{dialect:?}");
         for (code, lines) in ERRORS_OF_GRBL {
             for line in lines.iter() {
                 let same = program.error(line) == *code;
-                // D is a word that CAM programs write out of habit. Without the feature `full` these words are refused.
+                // D is one of the words that CAM programs write out of habit. Without the feature `full`, D is refused
+                // as in Grbl's dialect.
                 let is_left_out = line.starts_with('D') && cfg!(not(feature = "full"));
                 assert_eq!(same, dialect == Dialect::Grbl || is_left_out, "{line} in {dialect:?}");
             }
@@ -122,7 +124,8 @@ fn order_of_checks() {
     }
 }
 
-/// While G80 is in force, commands that use axis words themselves are allowed, except in Grbl's dialect.
+/// While G80 is in force, axis words are allowed if a command of the line uses them (such as G28 or G92). Grbl's
+/// dialect refuses them.
 #[test]
 fn axis_words_of_other_commands_under_g80() {
     for line in ["G28 Z0", "G30 X1", "G92 X1", "G10 L2 P1 X1", "G43.1 Z1", "G80 G28 Z0"] {
@@ -134,7 +137,8 @@ fn axis_words_of_other_commands_under_g80() {
     }
 }
 
-/// CAM programs round each word to a resolution. A mismatch that this rounding explains is not an error of the arc.
+/// CAM programs round each word to a resolution, such as 0.001 mm. If rounding explains why the words of an arc do not
+/// fit together, the arc is accepted.
 #[test]
 fn arcs_of_rounded_words() {
     let new = [Dialect::Oxmill, Dialect::Seed];
@@ -166,8 +170,8 @@ fn arcs_of_rounded_words() {
         assert_eq!(["G2 X10.002 R5", "G2 X10.003 R5"].map(|line| program.error(line)), [0, 34], "{factor}");
     }
     for (line, error) in [
-        // The words have at most two decimals, so rounding explains a difference of the radii of up to 0.028 mm (2.8
-        // units of the last decimal).
+        // With at most two decimals, a unit of the last decimal is 0.01 mm. The radii at the start and the end may
+        // differ by 2.8 such units (0.028 mm).
         ("G2 X5.02 I2.5", 0),
         ("G2 X5.02 I2.50", 0),
         ("G2 X5.03 I2.5", 33),
@@ -183,16 +187,16 @@ fn arcs_of_rounded_words() {
     ] {
         assert_eq!(ready(Dialect::Oxmill).error(line), error, "{line}");
     }
-    // In the dialect `seed` an arc ends on the circle around its centre, even if the programmed target is off that
-    // circle. Grbl's dialect rejects this arc, and also the half circle with R that Oxmill's dialect accepts above.
+    // In the dialect `seed` an arc ends on the circle, even if the program's end point is off the circle. Grbl's
+    // dialect rejects this arc, and also the half circle with R that Oxmill's dialect accepts above.
     let MotionCommand::Arc(arc) = ready(Dialect::Seed).run("G2 X5.02 I2.5").motion else { panic!() };
     assert_eq!(arc.target.0[0].0, 50_000_000);
     let grbl = ready(Dialect::Grbl);
     assert_eq!(["G3 X4.9287 Y0 R2.4643", "G2 X5.02 I2.5"].map(|line| grbl.error(line)), [34, 33]);
 }
 
-/// Grbl keeps only the lowest byte of these numbers, and so takes them for another word or for a number that is not
-/// whole. The other dialects refuse them as unknown.
+/// Grbl keeps only the lowest byte of these numbers. For example, it reads G256 as G0 with a fraction, which is
+/// another error. The other dialects refuse the numbers as unknown.
 #[test]
 fn numbers_that_no_word_has() {
     for dialect in DIALECTS.into_iter().filter(|dialect| *dialect != Dialect::Grbl) {
@@ -270,8 +274,8 @@ fn turns_of_arcs() {
     }
 }
 
-/// The direction of an arc is the one seen from the positive end of the third axis of its plane, so in G18 a G3 turns
-/// from Z towards X.
+/// The direction of an arc is seen from the positive end of the axis outside of its plane. So in G18, G3 turns from Z
+/// towards X.
 #[test]
 fn planes() {
     for dialect in DIALECTS {
@@ -288,7 +292,7 @@ fn planes() {
     }
 }
 
-/// If the centre is at the start, there is no arc, but the axis outside of the plane still moves.
+/// If the centre is at the start, the arc has no radius: X and Y stay, and only the axis outside of the plane moves.
 #[test]
 fn arc_without_radius() {
     for dialect in DIALECTS {
@@ -375,7 +379,8 @@ fn jogs_leave_the_state_alone() {
     }
 }
 
-/// Angles are in degrees whatever the unit of lengths is, and A belongs to no plane.
+/// Words of the rotary axis A are in degrees, with G20 as with G21. A belongs to no plane: during an arc it only turns
+/// along.
 #[test]
 fn four_axes() {
     for dialect in DIALECTS {

@@ -7,7 +7,8 @@ use crate::subprogram_sender::{Sender, calling, fails, goes, with_macro};
 fn loops_of_fanuc() {
     let count = "#1=0\nWHILE [#1 LT 3] DO1\n#1=[#1+1]\nX#1\nEND1";
     goes(&calling(count), &[1, 1, 2, 3, 9]);
-    // In the main program, the lines of these loops are stored like those of the loops of O words.
+    // A loop in the main program works in the same way as a loop of O words: its lines are stored until its end has
+    // come.
     goes(&format!("G0 X7\n{count}\nX9\nM30"), &[7, 1, 2, 3, 9]);
     goes("G0 X7\nN10 WHILE [1 EQ 2] DO 3\nX1\nN20 END 3\nX9\nM30", &[7, 9]);
     // Loops can be nested, and two loops with the same number can follow each other.
@@ -15,7 +16,8 @@ fn loops_of_fanuc() {
     goes(&calling(nested), &[1, 0, 1, 10, 11, 9]);
     goes(&calling(&format!("{count}\n{count}")), &[1, 1, 2, 3, 1, 2, 3, 9]);
     goes(&format!("{nested}\nG0 X9\nM30").replacen('#', "G0 X4\n#", 1), &[4, 0, 1, 10, 11, 9]);
-    // M99 within a loop returns to the caller. The definition of the subprogram ends at the M99 after the loop.
+    // M99 within a loop returns to the caller. The subprogram does not end there: its last line is the M99 after the
+    // loop.
     goes(&calling("WHILE [1] DO1\nX5\nM99\nEND1\nX6"), &[1, 5, 9]);
     fails("G0 X1\nEND1\nX2\nM30", &[81], &[1, 2]);
     fails("G0 X1\nWHILE [#1 LT 2] DO1\nX5\nEND2\nM30\n%\nX2", &[81], &[1, 2]);
@@ -55,13 +57,13 @@ fn jumps_of_fanuc() {
     goes(&calling(again), &[1, 1, 3, 9]);
     goes(&calling("o7 repeat [3]\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 5\nX#1\nN5 o7 endrepeat"), &[1, 1, 3, 9]);
     goes(&calling("o7 do\n#1=[#1+1]\nIF [#1 EQ 2] GOTO 5\nX#1\nN5 o7 while [#1 LT 3]"), &[1, 1, 3, 9]);
-    // GOTO works in the part of a program that is stored because its subprogram comes later, in a loop of the main
-    // program, and in a G65 call, which has parameters of its own.
+    // GOTO also works in three other places: in the part of a program that is stored because its subprogram comes
+    // later, in a loop of the main program, and in a G65 call.
     goes("G0 X1\nM98 P1\nN5 #1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 5\nM30\nO1\nX9\nM99\n%", &[1, 9, 1, 2, 3]);
     goes("G0 X7\nWHILE [1] DO1\n#1=[#1+1]\nX#1\nIF [#1 LT 3] GOTO 5\no1 break\nN5 END1\nM30", &[7, 1, 2, 3]);
     goes("G0 X1\nG65 P1 A2\nX9\nM30\nO1\nIF [#1 EQ 2] GOTO 6\nX5\nN6 X6\nM99\n%", &[1, 6, 9]);
-    // GOTO is an error if the line with its number is in the main program or in another subprogram, or if there is
-    // none.
+    // In a subprogram, GOTO reaches only lines of that subprogram. If the number is in the main program, in another
+    // subprogram or nowhere, GOTO is an error.
     for body in ["GOTO 5", "GOTO 7", "GOTO 8", "GOTO 1.5", "GOTO -5"] {
         let file = format!("N8 G0 X1\nM98 P1\nN5 X9\nM30\nO1\n{body}\nM99\nO2\nN7 X7\nM99\n%");
         fails(&file, &[81, 203, 203, 203], &[1]);
@@ -78,8 +80,8 @@ fn jumps_of_fanuc() {
 #[test]
 fn modal_calls() {
     let drill = "O1\nX[#1+50]\nM99\n%";
-    // First the subprogram that G66 calls comes after the end of the program, so the lines from G66 on are stored until
-    // it has come. Then it is a subroutine that is defined before G66.
+    // In the first case, the subprogram comes after the end of the program. So the lines from G66 on are stored until
+    // the subprogram has come. In the second case, a subroutine is defined before G66.
     goes(
         &format!("G0 X1\nG66 P1 A2\nX3\nM8\nG4 P0\nY4\nG92 Y0\nX5\nG67\nX6\nM30\n{drill}"),
         &[1, 3, 52, 52, 52, 5, 52, 6],
@@ -92,8 +94,8 @@ fn modal_calls() {
     );
     // Moves in the subprogram that G66 calls trigger no modal call. Moves in a subprogram that M98 calls do.
     goes("G0 X1\nG66 P1\nM98 P2\nX7\nG67\nX9\nM30\nO1\nX2\nX3\nM99\nO2\nX4\nM99\n%", &[1, 4, 2, 3, 7, 2, 3, 9]);
-    // Moves in a loop trigger the modal call, too. A new G66 replaces the first one. A G66 in a subprogram ends with
-    // that subprogram.
+    // Moves in a loop trigger the modal call, too. A new G66 replaces the first one. A G66 in a subprogram acts only
+    // until that subprogram ends.
     goes(
         &format!("G0 X1\nG66 P1\no7 repeat [2]\nX3\no7 endrepeat\nG66 P1 A1\nX4\nM30\n{drill}"),
         &[1, 3, 50, 3, 50, 4, 51],
@@ -105,7 +107,7 @@ fn modal_calls() {
     fails("G0 X1\nG66 A1\nX3\nM30", &[28], &[1, 3]);
     // Letters in a message or in the name of a function are not axis words, so they trigger no modal call.
     goes(&format!("G0 X1\nG66 P1\nX3\n(MSG, All X)\n#5=ABS[#4]\nX5\nM30\n{drill}"), &[1, 3, 50, 5, 50]);
-    // A modal call ends with the subprogram that contains its G66, so it is not in force in the next subprogram.
+    // The modal call ends with the subprogram O2 that contains its G66. The next subprogram, O3, runs without it.
     goes("G0 X1\nG65 P2\nG65 P3\nM30\nO1\nX50\nM99\nO2\nG66 P1\nX4\nM99\nO3\nX7\nM99\n%", &[1, 4, 50, 7]);
     // The move and the G67 may follow a condition. An M98 on the line of a move is run after the modal call.
     goes(&format!("G0 X1\nG66 P1\nIF [1] THEN X3\nIF [1] THEN G67\nX5\nM30\n{drill}"), &[1, 3, 50, 5]);
@@ -113,7 +115,7 @@ fn modal_calls() {
     goes(&format!("{two}\nG0 X1\nG66 P1\nX3 M98 P2\nG67\nX5\nM30"), &[1, 3, 50, 5]);
     // A G66 within the subprogram that G66 calls would replace the outer one, so it is an error.
     fails("G0 X1\nG66 P1\nX3\nM30\nO1\nX50\nG66 P1\nM99\n%", &[82], &[1, 3, 50]);
-    // The modal call is not in force in the next program, even if the program before it had no M30.
+    // A modal call ends with its program, even if the program has no M30 and ends with `%`.
     goes(&format!("{two}\nG0 X1\nG66 P1\nX3\n%\nX4\nM30"), &[1, 3, 50, 4]);
     fails(&format!("{two}\nG0 X1\nG66 P1\nX3\nG66 P2 A#5\nX4\nM30"), &[121], &[1, 3, 50, 4]);
     // A refused line ends the modal call, so that nothing is called where the program did not mean to.
@@ -132,8 +134,8 @@ fn m_words_of_macros() {
     assert_eq!(send("G0 X1\nM10\nX2\nM150 P7 Q[2*4]\nN5 M150P6\nM30"), (vec![1, 3, 2, 7, 8, 6, 0], vec![]));
     assert_eq!(send("G0 X1\no1 repeat [2]\nM010\no1 endrepeat\nM30"), (vec![1, 3, 3], vec![]));
     assert_eq!(send(&calling("M10\nM150 P5 Q6")), (vec![1, 3, 5, 6, 9], vec![]));
-    // A line is refused if the number has no macro, or if the line has other words. A subroutine of the program is not
-    // called.
+    // An M word without a macro of its number is refused, and so is an M word with other words on its line. A
+    // subroutine of the program with that number is not called in place of a macro.
     for (line, error) in [("M11", 20), ("M151", 20), ("M10.1", 23), ("M10 X5", 36), ("X5 M10", 20), ("M150 Q2 P1", 36)]
     {
         assert_eq!(send(&format!("G0 X1\n{line}\nX2\nM30")), (vec![1, 2], vec![error]), "{line}");

@@ -6,7 +6,7 @@ use crate::subprogram_sender::{Sender, fails};
 use oxmill_controller::gcode::{Direction, Interpreter};
 use proptest::prelude::*;
 
-/// Checks the X targets of a program that has no errors.
+/// Runs a program. Checks that it has no errors and moves to the X targets `places` (mm).
 #[track_caller]
 fn goes(text: &str, places: &[i64]) {
     let mut sender = Sender::new();
@@ -71,7 +71,7 @@ fn loops() {
     }
     goes("o1 repeat [-1]\nX1\no1 endrepeat\nX9", &[9]);
     goes("o1 repeat [0]\nX1\no1 endrepeat\nX9", &[9]);
-    // A count above the maximum of passes is refused before the first pass.
+    // A count above 100,000, the maximum of passes, is refused before the first pass.
     for count in ["100001", "100000.6", "200000-1", "9999999999"] {
         fails(&format!("o1 repeat [{count}]\nX1\no1 endrepeat\nX9"), &[202], &[9]);
     }
@@ -250,8 +250,8 @@ fn refused_in_full_memory() {
     for free in 0..300 {
         for label in ["2", "<a_name>", &format!("<{}>", "a".repeat(70)), &format!("<{}>", "a".repeat(150))] {
             let mut sender = Sender::new();
-            // Each line takes one byte more than its length. The first and the last line of the subroutine together
-            // take 15 bytes.
+            // `body` fills the memory except for `free` bytes. Each line takes one byte more than its length, and the
+            // first and last line of the subroutine take 15 bytes together.
             let body = 6144 - 64 - 15 - free;
             let body = line(61).repeat(body / 62 - 1) + &line(61 + body % 62);
             sender.send_all(&format!("o1 sub\n{body}o1 endsub"));
@@ -289,7 +289,8 @@ fn the_end_of_a_program() {
     assert_eq!(sender.went, [2, 4]);
 }
 
-/// `open_since` returns the line with which the outermost open block began, even after the end of the program.
+/// `open_since` returns the number of the line that began the outermost open block. It still does after a program has
+/// ended inside a block.
 #[test]
 fn blocks_that_are_left_open() {
     for (text, since) in [
@@ -299,11 +300,12 @@ fn blocks_that_are_left_open() {
         ("X1\n\no1 do\no2 repeat [2]\no2 endrepeat", Some(3)),
         ("o1 repeat [2]\nX1\no1 endrepeat", None),
         ("o1 if [0]\nM2\no1 endif\nX1\nM2", None),
-        // An open block contains an M2, which is run or skipped.
+        // A program ends with M2 in a block that stays open. The first program runs its M2, and the second one skips
+        // it.
         ("X1\no1 if [1]\nM2", Some(2)),
         ("X1\no1 if [0]\nM2", Some(2)),
         ("o1 if [1]\nM2\nG4 P0\no2 if [1]\no2 endif", None),
-        // A loop or a call that M2 ends is no longer open.
+        // M2 ends an open loop or call, so it is no longer open.
         ("o1 sub\nM2\no1 endsub\no1 call", None),
         ("o1 repeat [2]\no2 if [1]\nM30\no2 endif\no1 endrepeat", None),
         ("o2 if [1]\no1 repeat [2]\nM30\no1 endrepeat", Some(1)),
@@ -370,7 +372,8 @@ proptest! {
 /// Each case behaves as in LinuxCNC's interpreter.
 #[test]
 fn states_saved_until_a_call_returns() {
-    // Inches and G91 act only within the subroutine. The motion word is not restored.
+    // M73 saves the modal state until the call returns, so inches and G91 act only within the subroutine. The motion
+    // word is not restored.
     goes("o1 sub\nM73\nG91 G0 X1\nX1\nG20 X1\no1 endsub\nG90 G0 X5\no1 call\nX10", &[5, 6, 7, 32, 10]);
     goes(
         "o1 sub\nM73\nG91\no1 if [#1]\no1 return\no1 endif\nX1\no1 endsub\nX5\no1 call [1]\nX3\no1 call [0]\nX4",
@@ -384,8 +387,9 @@ fn states_saved_until_a_call_returns() {
         "o1 sub\nG91\nM70\nG90\no2 call\nM72\nX1\no1 endsub\no2 sub\nM70\nG90\nM72\no2 endsub\nM70\nX5\no1 call\nM72\nX1",
         &[5, 6, 1],
     );
-    // If M70 comes after M73, the end of the call restores the state that M70 has saved, even after M71. After M71
-    // without a later M70, nothing is restored. M72 restores at once, and M73 restores again at the end of the call.
+    // M70 saves the state, M71 drops the saved state, and M72 restores it at once. M73 saves it and restores it at the
+    // end of the call. If an M70 follows the M73, the end of the call restores what M70 has saved. If M71 follows,
+    // nothing is restored, unless an M70 comes after it.
     goes("o1 sub\nM73\nG91\nM70\nG90\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
     goes("o1 sub\nM73\nM71\nM70\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 1]);
     goes("o1 sub\nM73\nM71\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
@@ -401,7 +405,7 @@ fn states_of_other_calls_are_not_restored() {
     fails("o1 sub\nM72\no1 endsub\nM70\no1 call\nX1", &[123], &[1]);
     fails("o1 sub\nM73\no1 endsub\no1 call\nM72\nX1", &[123], &[1]);
     fails("o1 sub\nM70\no2 call\no1 endsub\no2 sub\nM72\no2 endsub\no1 call\nX1", &[123], &[1]);
-    // An error ends the subroutine. The saved state is restored neither at once nor by a later call.
+    // An error ends the subroutine and drops its saved state. No later call restores that state.
     fails(
         "o1 sub\nM73\nG91\nnonsense\no1 endsub\nX5\no1 call\nX1\no2 sub\nX1\no2 endsub\no2 call\nG90\nX1",
         &[2],

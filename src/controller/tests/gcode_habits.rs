@@ -1,4 +1,5 @@
-//! Words that CAM programs write out of habit, with the meaning that they have in other controls.
+//! Tests of words that CAM programs write out of habit. Each has the meaning that other controls give it, or no
+//! effect.
 #![cfg(feature = "full")]
 
 use crate::program::{Program, in_mm, target, via};
@@ -36,7 +37,7 @@ fn units_of_mach() {
     });
 }
 
-/// D names the register of the cutter's radius. It has no effect here.
+/// D names the register of the cutter's radius. D has no effect here, because there is no cutter compensation.
 #[test]
 fn d_beside_g43_or_alone() {
     each(&[("D1", 20), ("G43.1 Z1 D1", 20)], |program| {
@@ -52,7 +53,7 @@ fn d_beside_g43_or_alone() {
             ("D1.5", 23),
             ("D1 D2", 25),
             ("G0 X1 D1", 36),
-            // In Siemens controls D1 is the length of the tool.
+            // In Siemens controls D1 selects the length of the tool, so D beside T is refused.
             ("T1 D1", 36),
             ("T1 M6 D1", 36),
             ("D1 F200", 36),
@@ -166,7 +167,7 @@ fn numbers_of_programs() {
     });
 }
 
-/// P selects the systems after G59, in order.
+/// P1, P2 and P3 of G54.1 and G154 select G59.1, G59.2 and G59.3.
 #[test]
 fn more_coordinate_systems() {
     each(&[("G54.1 P1", 23), ("G154 P1", 20)], |program| {
@@ -204,7 +205,7 @@ fn more_coordinate_systems() {
     });
 }
 
-/// On lathes and some mills U, V and W are distances along X, Y and Z.
+/// On lathes and some mills, U, V and W are distances along X, Y and Z. Here only G28 and G30 take them.
 #[test]
 fn returns_by_distances() {
     each(&[("G28 U0 W0", 20)], |program| {
@@ -263,7 +264,7 @@ fn rotations_of_mach() {
     });
 }
 
-/// Programs read these named parameters of LinuxCNC to find out on which control they run.
+/// These named parameters of LinuxCNC tell a program on which control it runs, and what that control can do.
 #[cfg(feature = "full")]
 #[test]
 fn what_programs_ask() {
@@ -343,7 +344,7 @@ fn feed_per_revolution() {
             (0, 22, 22)
         );
         near(program, "G94 G1 X9 F300", 300.0);
-        // M70 keeps the mode with its F; the end of the program selects G94, without F.
+        // M70 saves G95 together with its F. The end of a program selects G94 and leaves no F in force.
         program.run_all("G95 F0.5\nM70\nG94 F100\nM72");
         near(program, "G1 X10", 50.0);
         assert_eq!(program.interpreter.modal().feed_mode.word(), "G95");
@@ -358,8 +359,8 @@ fn feed_per_revolution() {
     });
 }
 
-/// Other controls number their stored positions: P1 is that of G28, P2 that of G30. Here the only P that G30 takes is
-/// P2.
+/// On other controls, P of G30 selects a stored position: P1 is the position of G28, and P2 that of G30. Here G30
+/// accepts only P2.
 #[test]
 fn second_stored_position() {
     each(&[("G30 P2", 36)], |program| {
@@ -374,8 +375,8 @@ fn second_stored_position() {
     });
 }
 
-/// G15 ends a mode that is never active here (G16), and G67 ends G66. G16 is refused, and so is a G66 after other words
-/// of its line.
+/// G15 and G67 end the modes G16 and G66. Here neither mode is active, so both words do nothing. G16 itself is
+/// refused. A G66 is refused unless it is the first word of its line.
 #[test]
 fn modes_that_are_never_active() {
     each(&[("G15", 20), ("G67", 20)], |program| {
@@ -446,8 +447,8 @@ fn circles_round_the_tool() {
         ] {
             assert_eq!(program.error(line), error, "{line}");
         }
-        // On Haas, I of G12 after a D word would be the radius of the wall, so such a G12 is refused. After D0 or the
-        // end of the program, G12 is accepted again.
+        // On Haas controls, a D word changes the meaning of I in G12 to the radius of the finished wall. So after a D
+        // word G12 is refused. D0 or the end of the program ends that.
         for (before, error) in [("D3", 121), ("G43 H1 D2", 121), ("D0", 0), ("D3\nM30", 0)] {
             program.run_all(before);
             assert_eq!(program.error("G12 I5"), error, "behind {before}");
@@ -455,7 +456,7 @@ fn circles_round_the_tool() {
         program.run_all("G95 F0.1 S100\nG0 X1");
         assert_eq!([program.error("S0 G12 I5"), program.error("G12 I5")], [22, 0]);
         program.run_all("G94 F100");
-        // In the middle of a curve of control points there is no circle.
+        // After G5.2 has begun a curve of control points, a circle or line is refused until G5.3 ends the curve.
         program.run_all("G0 X0 Y0\nG5.2 X1 Y1 P1 L3\nX2 Y0 P1");
         assert_eq!([program.error("G12 I5"), program.error("G1 X5")], [146, 146]);
     }

@@ -1,5 +1,5 @@
-//! Macros are lines that outlive programs. In memory they precede the lines that programs store (subroutines and
-//! loops).
+//! Tests of macros: stored lines that remain when a program ends. In memory, macros come before the lines that a
+//! program stores (subroutines and loops).
 #![cfg(feature = "full")]
 
 use oxmill_controller::error::Error;
@@ -22,7 +22,7 @@ fn lines_beyond_the_last_and_too_many_bytes() {
     assert_eq!(all(&interpreter).len(), 64);
     interpreter.clear_macros();
     assert!(all(&interpreter).is_empty());
-    // Macros may take 3072 bytes. Each line takes 80 + 1 bytes, so there is room for 37 lines.
+    // Macros may take 3072 bytes. Each of these lines takes 80 bytes and one more, so there is room for 37 lines.
     let line = [b'X'; 80];
     for index in 0..37 {
         assert_eq!(interpreter.set_macro_line(index, &line), Ok(()), "{index}");
@@ -53,8 +53,8 @@ fn a_program_that_has_filled_the_memory_keeps_its_lines() {
 }
 
 proptest! {
-    /// Any lines set in any order read back as they were set, and a program's subroutine stored after them does not
-    /// change.
+    /// Macro lines that are set in any order read back as they were set. A subroutine that a program has stored after
+    /// them in memory can still be called.
     #[test]
     fn lines_are_as_they_were_set(sets in prop::collection::vec((0_usize..12, "[A-Z0-9]{0,9}"), 1..40), with_program: bool) {
         let mut interpreter = Interpreter::<3>::default();

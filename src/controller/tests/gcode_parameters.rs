@@ -16,7 +16,7 @@ fn ready() -> Program {
     program
 }
 
-/// Returns X after a rapid to an expression.
+/// Returns the value of an expression, as the target X (machine coordinates, mm) of a rapid.
 #[track_caller]
 fn x(program: &Program, expression: &str) -> f64 {
     target(&program.check(&format!("G0 G90 G53 X {expression}")).unwrap())[0]
@@ -32,7 +32,7 @@ fn words_take_computed_values() {
     program.run("#2=59.2");
     program.run("G#2");
     assert_eq!(program.interpreter.modal().coordinate_system.word(), "G59.2");
-    // A computed number selects the word whose number it equals, apart from rounding.
+    // A computed number may differ from a word's number by rounding: `3*[1/3]+2` selects M3.
     program.run("G[162/3]");
     assert_eq!(program.check("M[3*[1/3]+2]").unwrap().spindle, Some(SpindleDirection::Clockwise));
     assert_eq!(program.error("M[3.2]"), Error::IntegerRequired.code());
@@ -222,8 +222,8 @@ fn the_machine_shows_its_state() {
     }
 }
 
-/// With three axes, programs may use the names of the parameters of A, B and C as their own. The numbers of these
-/// parameters stay reserved: they read 0 and cannot be set.
+/// With three axes, `#<_A>` and `#<_ABS_A>` (also of B and C) are free names, which programs may set. The numbers of
+/// these parameters, such as #5423, stay reserved: they read 0 and cannot be set.
 #[test]
 fn names_of_axes_that_the_machine_lacks() {
     for letter in ["A", "B", "C"] {
@@ -241,7 +241,8 @@ fn names_of_axes_that_the_machine_lacks() {
     assert_eq!(["#<_Z>=1", "#<_ABS_Z>=1"].map(|line| program.error(line)), [200; 2]);
 }
 
-/// The parameter for whether G92 is in force is independent of the parameters that hold the offsets of G92.
+/// #5210 is 1 while the offset of G92 is in force. #5211 is the X of that offset, and keeps its value while G92.2
+/// suspends the offset.
 #[test]
 fn the_offset_of_g92() {
     let mut program = ready();
@@ -333,7 +334,7 @@ proptest! {
         prop_assert_eq!(place, [Coordinate(a * 1000), Coordinate(b * 1000), Coordinate((a + b) * 1000)]);
     }
 
-    /// Parameters set and read in any order agree with a map.
+    /// Parameters that are set in any order read as a map would. M2 forgets #1 to #30 and the local names.
     #[test]
     fn parameters_are_kept(steps in prop::collection::vec((0_usize..40, 0_i32..1000, 0_u8..20), 1..120)) {
         let mut program = ready();

@@ -1,4 +1,4 @@
-//! Outputs and inputs of programs: M62 to M68.
+//! Tests of M62 to M68, with which a program switches outputs and waits for inputs.
 
 #![cfg(feature = "full")]
 

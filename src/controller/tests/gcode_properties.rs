@@ -32,7 +32,8 @@ fn in_reach(place: &PerAxis<Coordinate, 3>) -> bool {
     place.iter().all(|coordinate| coordinate.in_range())
 }
 
-/// Checks the properties that every action must have.
+/// Checks an action: its feed is finite and above 0, its points are within 50 m, and its motion begins at the old
+/// position and ends at the new one.
 fn sound(before: &Interpreter<3>, checked: &Action<3>) -> Result<(), TestCaseError> {
     let feeds = |feed: Feed| match feed {
         Feed::Rapid => true,
@@ -214,13 +215,15 @@ fn very_long_lines() {
     }
 }
 
-/// The controller does not check a line that only moves for other effects, so such a line must have none.
+/// If `moves_only` is true for a line, the controller skips its checks for other effects. So such a line must have no
+/// other effect.
 #[test]
 fn a_line_that_only_moves_changes_nothing_else() {
     for dialect in DIALECTS {
         let mut program = Program::new(dialect);
         program.run_all("G21 F300 T7\nG0 X1 Y2 Z3");
-        // In Grbl's dialect a line without T deselects the tool.
+        // In Grbl's dialect, a line without T deselects the tool. The second setup line has done that, so none of
+        // these lines changes the tool.
         for line in
             ["X2", "G1 X3 F20", "N7 G3 X4 I0.5", "G20 G91 G17", "G80", "G90 G21", "G0 X0 Z1", "G93 G1 X1 F2", "G94"]
         {

@@ -356,7 +356,7 @@ const ROWS: &[Row] = &[
     ("F100 | G18", "G3 X1", 35, "I and K are missing in G3, or R: the plane is G18"),
     ("F100 | G90.1", "G2 X5 I2", 35, "I and J are both needed in G2: G90.1 is active"),
     ("F100", "G2 X10 I4", 33, "the radius of G2 is 4.000 mm at its start, 6.000 at its end. Write I5.000 J0.000"),
-    // A word beyond 50 m is not suggested.
+    // The sentence suggests only one centre, because the other one would need a word beyond 50 m.
     (
         "F100",
         "G2 X-2424.506 Y48.5 I787.67",
@@ -644,7 +644,8 @@ fn the_least_radius_is_accepted() {
     }
 }
 
-/// Each sentence about a refused line fits into a `[MSG:...]`, and differs from the texts of all errors.
+/// Each sentence fits into a `[MSG:...]`: at most 110 printable ASCII characters, without brackets. It differs from
+/// the fixed text of every error.
 #[test]
 fn sentences_are_texts_of_a_message() {
     for (_, line, _, text) in ROWS.iter().chain(ROWS_OF_GRBL) {

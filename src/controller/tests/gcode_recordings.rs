@@ -9,11 +9,11 @@ use oxmill_controller::units::{Coordinate, DECIMAL_ONE};
 
 const GRBL: Dialect = Dialect::Grbl;
 
-/// Lines that are answered differently on purpose, because Grbl accepts targets a kilometre away and here the limit is
-/// 50 m.
+/// Lines that get another answer than from Grbl, on purpose: the group, the line, and the answer here. Grbl accepts
+/// targets a kilometre away; here the limit is 50 m.
 const OTHERWISE: &[(&str, &str, &str)] = &[("09_arcs", "G2 X1000000 Y0 R500000.5", "error:33")];
 
-/// Returns what the line filter leaves of a line.
+/// Returns a line as the line filter passes it on: in capitals, without blanks and comments.
 fn filtered(line: &str) -> Vec<u8> {
     let mut kept = Vec::new();
     let mut comment = false;
@@ -65,8 +65,9 @@ fn modal_text(interpreter: &Interpreter<3>) -> String {
     format!("[GC:{} T{} F{feed} S{speed}]", words.join(" "), modal.tool)
 }
 
-/// Returns whether the recording's text with three decimals matches the coordinate. Grbl computes in single precision,
-/// so a value half-way between two texts can be rounded either way. From 10^6 on, the recorded digits mean nothing.
+/// Returns whether a number of the recording (three decimals) matches the coordinate, within 0.0005 mm. Grbl computes
+/// in single precision and may round a half up or down. From 10^6 on every number matches, because Grbl's digits mean
+/// nothing there.
 fn matches(text: &str, coordinate: Coordinate) -> bool {
     let printed: f64 = text.parse().unwrap();
     let exact = coordinate.0 as f64 / DECIMAL_ONE as f64;

@@ -33,7 +33,8 @@ impl Program {
         self.0.position().0.map(value)
     }
 
-    /// Runs a line and returns its speed along the path of all axes, per minute.
+    /// Runs a line and returns its speed along the path of X, Y, Z and A together, in units (mm or degrees) per
+    /// minute.
     fn speed(&mut self, line: &str) -> f32 {
         match self.run(line).motion {
             MotionCommand::Line { feed: Feed::PerMinute(feed), .. }
@@ -70,7 +71,8 @@ fn f_of_a_move_that_only_turns_is_degrees_per_minute_as_written() {
     near(program.speed("G21 A10"), 100.0);
     near(program.speed("X1"), 2540.0);
     near(program.speed("A5 F50"), 50.0);
-    // X moves one inch at F inches per minute, and A moves with it.
+    // X moves one inch (25.4 mm) at 10 inches per minute. A turns 25.4 degrees in the same time, so the path is longer
+    // by the square root of 2.
     near(program.speed("G20 X1 A25.4 F10"), 254.0 * core::f32::consts::SQRT_2);
 }
 

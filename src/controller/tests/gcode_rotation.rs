@@ -1,4 +1,5 @@
-//! G10 L2 R, G68 and G69: rotated coordinates.
+//! Tests of rotated coordinates. G10 L2 R rotates a coordinate system, and G68 the coordinates of the program. G69
+//! ends G68.
 
 #![cfg(feature = "full")]
 
@@ -106,7 +107,8 @@ fn cycles_and_places() {
             ("G80", [-4.0, 6.0, 7.0]),
             ("G90 G28 X0 Y0", [0.0, 1.0, 7.0]),
             ("G1 X7 Y7", [-7.0, 7.0, 7.0]),
-            // The axis that G28 names is an axis of the program, which is rotated.
+            // G28 X names the X axis of the program. The program is rotated by 90 degrees, so the machine moves along
+            // Y.
             ("G28 X7", [-7.0, 1.0, 7.0]),
         ],
     );
@@ -123,8 +125,7 @@ fn a_rotated_program() {
             ("G68 X10 Y10 R90", [0.0, 0.0, 0.0]),
             ("G0 X20 Y10", [110.0, 20.0, 0.0]),
             ("G91 Y1", [109.0, 20.0, 0.0]),
-            // Along an axis that is not named, the centre is at the tool. Named coordinates of the centre are absolute
-            // even with G91.
+            // X0 of the centre is absolute, even with G91. Y is not named, so in Y the centre is at the tool.
             ("G68 X0 R180", [109.0, 20.0, 0.0]),
             ("G90 X1 Y21", [99.0, 19.0, 0.0]),
             ("G69 X1 Y1", [101.0, 1.0, 0.0]),
@@ -218,7 +219,8 @@ fn errors() {
     assert_eq!(jog("G68X1R1F100").map_err(|error| error.code()), Err(16));
 }
 
-/// Jog distances are along the machine's axes; jog coordinates are those of the program.
+/// In a jog, distances (G91) are along the axes of the machine, and coordinates (G90) are those of the rotated
+/// program.
 #[test]
 fn jogs() {
     let program = ready("G10 L2 P1 X10 R90\nG0 X5 Y0");

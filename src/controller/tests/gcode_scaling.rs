@@ -1,4 +1,4 @@
-//! G51 and G50: scaled coordinates.
+//! Tests of scaled coordinates: G51 scales and mirrors, and G50 ends that.
 
 #![cfg(feature = "full")]
 
@@ -69,13 +69,13 @@ fn arcs() {
         assert_eq!((way(arc.i), way(arc.j), arc.clockwise), (2.5, 0.0, true), "{line}");
         assert_eq!(in_mm(&arc.target)[..2], [8.5, 0.0], "{line}");
     }
-    // Full circles stay full. An end point that the program has rounded may be as far off the circle as in unscaled
+    // A full circle stays full. The distance of a rounded end point from the circle is checked in unscaled
     // coordinates.
     let mut program = ready("G51 X0 Y0 P20\nG0 X1.234 Y0");
     let MotionCommand::Arc(arc) = program.run("G3 I-1.234").motion else { panic!() };
     assert_eq!(arc.start, arc.target);
     assert_eq!([program.error("G3 X0.873 Y0.873 I-1.234 J0"), program.error("G3 X0.8 Y0.9 I-1.234 J0")], [0, 33]);
-    // An arc would become an ellipse, except in a plane with equal factors.
+    // In a plane with two different factors an arc would become an ellipse, so it is refused there.
     let mut program = ready("G51 X0 Y0 Z0 I2 J3 K2\nG0 X1 Y1");
     for (line, error) in
         [("G2 X2 I1", 142), ("G2 I1", 142), ("G2 X5 Y5 R9", 142), ("G19 G2 Y5 Z5 R9", 142), ("G18 G2 X2 Z0 I.5", 0)]
@@ -95,7 +95,7 @@ fn splines() {
     assert_eq!(corners, [[2.0, -3.0, 0.0], [4.0, -6.0, 0.0], [3.0, -6.0, 0.0], [4.0, -3.0, 0.0]]);
 }
 
-/// Returns the heights of the steps of a cycle.
+/// Runs a cycle, and returns the machine coordinate Z (mm) at the end of each of its moves.
 fn heights(program: &mut Program, line: &str) -> Vec<f64> {
     let MotionCommand::Cycle(mut cycle) = program.run(line).motion else { panic!("{line}") };
     let mut heights = Vec::new();
@@ -113,7 +113,7 @@ fn cycles() {
     let mut program = ready("G0 Z20\nG51 X0 Y0 Z0 P2");
     assert_eq!(heights(&mut program, "G99 G83 X1 Y1 Z-2 R1 Q2"), [20.0, 20.0, 2.0, -2.0, 2.0, -1.0, -4.0, 2.0]);
     assert_eq!(program.machine(), [2.0, 2.0, 2.0]);
-    // R, Z and Q stay in force with the numbers that were written, and the new factor scales these.
+    // R, Z and Q stay in force as they were written. The new factor scales the written numbers.
     program.run("G51 Z0 K3");
     assert_eq!(heights(&mut program, "X5"), [3.0, 3.0, 3.0, -3.0, 3.0, -2.0, -6.0, 3.0]);
     let mut program = ready("G0 Z20\nG51 P2 X0 Y0 Z0\nG91");
@@ -218,7 +218,7 @@ fn what_is_refused() {
         ("G51", 28),
         ("G51 X1 Y1", 28),
         ("G51 X1 P0", 39),
-        // Fanuc writes factors in thousandths.
+        // Fanuc writes factors in thousandths: 1000 means 1. Here factors above 100 are refused.
         ("G51 X0 Y0 I1000 J-1000", 151),
         ("G51 X0 Y0 P1000", 151),
         ("G51 P100.001", 151),

@@ -24,7 +24,8 @@ fn curve(checked: &Action<3>) -> [[f64; 2]; 4] {
     spline.corners().map(|corner| [corner.0[0], corner.0[1]].map(|c| c.0 as f64 / DECIMAL_ONE as f64))
 }
 
-/// Runs `setup`, and checks the control points of the curve of `line`, except the first one, which is its start.
+/// Runs `setup` and then `line`. Checks the control points of the curve of `line` (X and Y of the machine, mm), except
+/// the first one, which is its start.
 fn gives(setup: &str, line: &str, wanted: [[f64; 2]; 3]) -> Program {
     let mut program = ready(setup);
     let found = curve(&program.run(line));
@@ -38,7 +39,7 @@ fn gives(setup: &str, line: &str, wanted: [[f64; 2]; 3]) -> Program {
 #[test]
 fn two_control_points() {
     let mut program = gives("", "G5 I0 J3 P0 Q-3 X1 Y1", [[0.0, 3.0], [1.0, -2.0], [1.0, 1.0]]);
-    // Without I and J the curve continues smoothly, and G5 stays in force.
+    // Without I and J, a curve starts in the direction in which the last one ended. G5 is modal.
     assert_eq!(curve(&program.run("G5 P0 Q-3 X2 Y2")), [[1.0, 1.0], [1.0, 4.0], [2.0, -1.0], [2.0, 2.0]]);
     assert_eq!(curve(&program.run("P-1 Q.5 X7")), [[2.0, 2.0], [2.0, 5.0], [6.0, 2.5], [7.0, 2.0]]);
     assert_eq!(curve(&program.run("G91 I1 J1 P-1 Q.5 Y1")), [[7.0, 2.0], [8.0, 3.0], [6.0, 3.5], [7.0, 3.0]]);
@@ -65,8 +66,8 @@ fn what_acts_on_control_points() {
     gives("G43.1 X1 Y-1 Z5", "G5 I1 J2 P-1 Q0 X3 Y0", [[1.0, 2.0], [3.0, -1.0], [4.0, -1.0]]);
 }
 
-/// If the tool is where the last G5 ended, a G5 without I and J starts in the direction in which that curve ended,
-/// whatever lines come between the two.
+/// A G5 without I and J starts in the direction in which the last G5 ended. Other lines may come between the two, but
+/// the tool must be where the last G5 ended.
 #[test]
 fn going_on_smoothly() {
     let first = "G5 I1 J2 P-1 Q.5 X3 Y0";
@@ -228,8 +229,8 @@ fn control_points_of_a_curve() {
     assert_eq!((nurbs.order, nurbs.feed), (4, Feed::PerMinute(1.0)));
     assert_eq!((in_mm(&nurbs.start), program.machine()), ([1.0, 1.0, 5.0], [6.0, 6.0, 5.0]));
     assert_eq!(program.interpreter.modal().motion.word(), "G80");
-    // The next curve starts with new control points and a new order. If the first G5.2 has X and Y, its P is the weight
-    // of that point.
+    // The next curve starts with new control points and a new order. Its first G5.2 has X and Y, so P is the weight of
+    // that point, and the start has weight 1.
     program.run_all("G5.2 X7 Y7 P2\nX8 Y7 P1\nG5.3");
     assert_eq!(control_points(&program), [(6.0, 6.0, 1.0), (7.0, 7.0, 2.0), (8.0, 7.0, 1.0)]);
     // With G91, each point counts from the tool, which stays at the start of the curve until G5.3.

@@ -1,5 +1,5 @@
-//! Coordinates and state beyond Grbl: G52, G92.2, G92.3, circles without axis words, M48 to M53, M70 to M72, path
-//! control, and words with an error of their own.
+//! Tests of what Grbl does not have: G52, G92.2, G92.3, circles without axis words, M48 to M53, M70 to M72, path
+//! control (G61.1, G64), and words that are refused with a special error.
 
 use crate::program::{Program, in_mm};
 use oxmill_controller::gcode::{CycleStep, Dialect, Flow, MotionCommand, PathControl};
@@ -43,7 +43,7 @@ fn g92_suspended_and_restored() {
     ]);
 }
 
-/// As in RS274NGC the offset changes before the motion of its line.
+/// G92.1, G92.2 and G92.3 change the offset before the motion of their line, as in RS274NGC.
 #[test]
 fn g92_changes_before_the_motion_of_its_line() {
     play(&[
@@ -54,7 +54,7 @@ fn g92_changes_before_the_motion_of_its_line() {
         ("G92.2 Y3", [1.0, 3.0, 3.0]),
         ("G92.3 G91 Y3", [1.0, 6.0, 3.0]),
         ("G90 G92.1 Y3", [1.0, 3.0, 3.0]),
-        // The absolute centre of an arc is a coordinate of the program, too.
+        // With G90.1, the centre of an arc is a coordinate of the program. So the changed offset acts on it, too.
         ("G92 X11 Y13", [1.0, 3.0, 3.0]),
         ("G92.2 G90.1 G2 X3 Y3 I2 J3", [3.0, 3.0, 3.0]),
         ("G92.3 G2 X11 Y13 I12 J13", [1.0, 3.0, 3.0]),
@@ -162,7 +162,7 @@ fn state_is_kept_and_restored() {
         assert_eq!(restored.spindle, Some(SpindleDirection::Clockwise));
         assert!(restored.coolant.is_some() && restored.speed_changed && restored.work_offset_changed);
         let after = *program.interpreter.modal();
-        // The motion word and the tool stay.
+        // M72 does not restore the motion word and the tool.
         assert_eq!((after.motion.word(), after.tool), ("G1", 7));
         assert!(
             oxmill_controller::gcode::Modal { motion: before.motion, straight: before.straight, tool: 0, ..after }
@@ -269,7 +269,7 @@ fn errors_of_their_own() {
     }
 }
 
-/// M72 restores whether G92 is in force, but not its values.
+/// M72 puts the offset of G92 in or out of force, as it was at M70. M72 does not restore the values of the offset.
 #[test]
 fn g92_and_m72() {
     play(&[
@@ -289,7 +289,7 @@ fn g92_and_m72() {
     ]);
 }
 
-/// P and Q are lengths in the unit of the line. If Q is missing, P is used for it. LinuxCNC does the same.
+/// P and Q of G64 are lengths in the unit of the line. If Q is missing, it gets the value of P, as in LinuxCNC.
 #[cfg(feature = "full")]
 #[test]
 fn path_tolerances() {
@@ -316,7 +316,7 @@ fn path_tolerances() {
     }
 }
 
-/// Grbl's dialect refuses all words that are tested in this file, as Grbl does.
+/// Grbl's dialect refuses these words, as Grbl does.
 #[test]
 fn grbl_knows_none_of_them() {
     let program = ready(Dialect::Grbl);
@@ -351,7 +351,8 @@ fn grbl_knows_none_of_them() {
     }
 }
 
-/// A recording can begin with a state for which [`Interpreter::is_plain`] is true.
+/// `is_plain` is true while no line has left an offset, a saved state, a rotation, a scaling or a parameter. A
+/// recording that can be replayed begins in such a state.
 #[test]
 fn a_state_is_plain_while_no_line_has_left_anything_behind() {
     let lines: &[(bool, &str, &str)] = &[

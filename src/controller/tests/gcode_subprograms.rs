@@ -83,8 +83,8 @@ fn subroutines_and_macros() {
     sender.send_all("M30\nO5\nX2\nM99\n%");
     assert_eq!((sender.went.as_slice(), sender.errors.as_slice()), (&[1, 2, 3, 4][..], &[][..]));
     assert_eq!(sender.interpreter.macro_line(4), Some(&b"O9000ENDSUB"[..]));
-    // After a startup line, no more lines come that could define subprogram 5. So the program does not wait for it: the
-    // call is `error:203`.
+    // Now a startup line calls the macro. After a startup line, no lines come that could define subprogram 5. So the
+    // call does not wait: it is `error:203`.
     assert_eq!(sender.interpreter.begin_call(b"O9000CALL"), Ok(true));
     sender.went.clear();
     sender.run_held();
@@ -108,7 +108,7 @@ fn a_macro_does_not_take_the_place_of_a_subprogram() {
     }
 }
 
-/// Definitions end with their file, whether or not its program has called them.
+/// The subprograms of a file are forgotten at the end of the file, even if its program has not called them.
 #[test]
 fn definitions_end_with_their_file() {
     type Way = (&'static str, fn(&mut Sender));
@@ -137,7 +137,7 @@ fn definitions_end_with_their_file() {
             assert_eq!((sender.went, sender.errors), (vec![1, 2], vec![203]), "{name}: {file}");
         }
     }
-    // An error in the running program also ends the definitions of its file.
+    // After an error in the program, the subprograms of its file are forgotten, too.
     for error in ["X", "M98 P1 L0", "o7 call"] {
         let mut sender = Sender::new();
         sender.send_all(&format!("M98 P5\nM30\nO1\nG0 X-3\nM99\nO5\nG0 X1\n{error}\nM99\nO2\nG0 X-3\nM99\n%"));
@@ -148,8 +148,8 @@ fn definitions_end_with_their_file() {
     }
 }
 
-/// If a line of a subprogram is refused, the remaining lines of the subprogram are refused too: after any error, and
-/// after a pause of the host of any length. They are not run as a program. A line `%` ends the refusal.
+/// After a refused line of a subprogram, its remaining lines are refused too, so that they are not run as a program. A
+/// pause of the host does not end the refusal; a line `%` does.
 #[test]
 fn a_refused_subprogram_is_no_program_after_a_rest() {
     for program in ["G0 X1\nM30\n", "G0 X1\nM98 P1\nM30\n"] {
@@ -173,8 +173,8 @@ fn a_refused_subprogram_is_no_program_after_a_rest() {
         sender.send_after_rest("G0 X-3\nM99");
         assert_eq!(sender.errors, [203, 203]);
     }
-    // Between two subprograms, a line that is too long may have held the number of the next one, so the lines after it
-    // are refused.
+    // The words of a line that is too long are not read. Between two subprograms, such a line may contain the number
+    // of the next one. So the lines after it are refused.
     let mut sender = Sender::new();
     sender.send_all("G0 X1\nM30\nO1\nG0 X-2\nM99");
     sender.interpreter.refused_line(None);
@@ -208,7 +208,7 @@ fn a_rest_drops_a_held_program() {
         let mut sender = Sender::new();
         sender.send_all(held);
         assert!(sender.errors.is_empty(), "{held}: {:?}", sender.errors);
-        // A line that has only a comment is accepted.
+        // A line with only a comment begins no program, and is accepted.
         sender.rested = true;
         sender.send("(PART)");
         sender.send_after_rest("G21\nG0 X3\nO8\nG0 X4\nM99\nM30");
@@ -246,8 +246,8 @@ fn what_is_dropped_does_not_go_on_as_a_program() {
             sender.interpreter.unlock(false, false);
             sender.send("G0 X9");
             assert_eq!(sender.went, [9], "{name}: {held}");
-            // The lines are refused even after a pause of the host, and not taken for the next program: the operator
-            // may only have looked at the machine.
+            // A pause of the host does not end the refusal, even if an O number follows: the operator may only have
+            // looked at the machine.
             let mut sender = Sender { interpreter: before, ..Sender::new() };
             sender.send_after_rest("O1000\nG0 X-9");
             assert_eq!((sender.errors.as_slice(), sender.went.as_slice()), (&[203; 2][..], &[][..]), "{name}: {held}");
@@ -283,8 +283,8 @@ fn an_alarm_in_a_subprogram_refuses_the_next_ones() {
     assert_eq!((sender.errors.as_slice(), sender.went.as_slice()), (&[203; 4][..], &[1][..]));
 }
 
-/// M99 without a call shows that the lines of a subprogram have been run as those of the program, so the lines after it
-/// are refused, wherever the M99 is.
+/// An M99 without a call means that the lines of a subprogram were run as a part of the program. So all lines after it
+/// are refused. The M99 can be alone, behind other words, or in a line that has another error.
 #[test]
 fn a_return_without_a_call_refuses_the_rest() {
     for (line, error) in [
@@ -297,11 +297,11 @@ fn a_return_without_a_call_refuses_the_rest() {
     ] {
         fails(&format!("O1001\nG0 X1\n{line}\nO1002\nG0 X-3"), &[error, 203, 203], &[1]);
     }
-    // Names and values that contain M99 are no return.
+    // A name or a value with M99 in it, such as `#<M99>`, is no return.
     fails("#<M99>=1\nX5 X5 F[#<M99>*99]\nG0 X2", &[25], &[2]);
 }
 
-/// A line with M30 that block delete skips ends the program all the same; other M words do not.
+/// If block delete (`/`) skips a line with M2 or M30, the program ends all the same.
 #[test]
 fn a_skipped_end_is_an_end() {
     for (end, rested) in [("M30", false), ("N5M2", true)] {
@@ -349,7 +349,7 @@ fn startup_lines_leave_the_place() {
     }
     sender.send_all("O1\nG0 X-3\nM99\nX-4");
     assert_eq!((sender.went.as_slice(), sender.errors.as_slice()), (&[1][..], &[203][..]));
-    // A startup line among subprograms can call a macro.
+    // A startup line can call a macro even while the host sends subprograms.
     let mut sender = with_macro(&["O9000SUB", "G0X1", "O9000ENDSUB"]);
     sender.send_all("M30\nO1\nM99");
     assert_eq!(sender.interpreter.begin_call(b"O9000CALL"), Ok(true));
@@ -365,7 +365,8 @@ fn startup_lines_leave_the_place() {
     assert_eq!((sender.went, sender.errors), (vec![1, 2], vec![]));
 }
 
-/// Block delete skips the number of a subprogram, and not its lines.
+/// Block delete (`/`) may skip an O number after the end of a program. The lines after it still belong to a subprogram
+/// and are refused.
 #[test]
 fn a_skipped_number_begins_a_subprogram() {
     for (line, rested, errors) in [
@@ -441,13 +442,13 @@ fn nothing_falls_into_a_subprogram() {
     fails("G0 X1\nM98 P1\nM30\nO1\nX2\nM99 P20\nX3\n%\nX9", &[121, 203], &[1, 9]);
     fails("G0 X1\nM98 P1\nX5 M99\nO1\nX2\nM99\n%\nX9", &[203; 4], &[1, 9]);
     fails("G0 X1\nX5 M99\nO1\nX2\nM99\n%\nX9", &[203; 4], &[1, 9]);
-    // Lines that are refused end a program nevertheless.
+    // A refused line with M99 or M30 ends the program nevertheless.
     fails("G0 X1\nX5 X5 M99\nO1\nX2\nM99\n%\nX9", &[203; 4], &[1, 9]);
     fails("G0 X1\nX5 X5 M30\nO1\nX2\nM99\n%\nX9", &[25], &[1, 9]);
     // An error within a call ends the program, and all lines after it are refused.
     fails("G0 X1\nM98 P1\nX5\nM30\nO1\nX2\nX\nX3\nM99\nO2\nX4\nM99\nX6\n%\nX9", &[2, 203, 203, 203, 203], &[1, 2, 9]);
     fails("G0 X1 X2\nM98 P1\nM98 P2 Q1\nX5\nM30\nO1\nX3\nM99\n%", &[25, 36], &[3]);
-    // Words of Fanuc's macros in other forms are refused.
+    // Macro statements of Fanuc are refused if they are incomplete (such as GOTO without a number) or in another form.
     for jump in ["IF[#1EQ1]M99", "N5 IF#1EQ1GOTO5", "WHILE[#1LT5]DO", "GOTO", "END"] {
         fails(&format!("G0 X1\nM98 P1\nX2\nM30\nO1\nX3\n{jump}\n%\nX9"), &[121], &[1, 9]);
         fails(&format!("G0 X1\nM98 P1\n{jump}\n%\nX9"), &[121], &[1, 9]);
@@ -498,12 +499,11 @@ fn the_next_program() {
     assert_eq!((sender.went.clone(), sender.errors.clone()), ([1, 2].repeat(3), vec![]));
     sender.send_all(file);
     assert_eq!((sender.went.len(), sender.errors), (6, vec![203; 4]), "without a rest");
-    // After another program has begun, O1000 no longer counts as the number of the program sent again; it is a
-    // subprogram.
+    // The second file has no number, so O1000 is no longer the number of the last program. It begins a subprogram.
     let mut sender = Sender::new();
     sender.send_all(file).send_after_rest("G0 X3\nM30\nO2\nX4\nM99").send_after_rest("O1000\nG0 X5\nM99");
     assert_eq!((sender.went, sender.errors), (vec![1, 2, 3], vec![]));
-    // An O number that is not that of the program before it is that of a subprogram, even after a pause of the host.
+    // O2000 is not the number of the last program, so it begins a subprogram, even after a pause of the host.
     let mut sender = Sender::new();
     sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
     sender.send_after_rest("O2000\nG0 X3\nM30\nX4");
@@ -546,8 +546,8 @@ fn memory_for_programs() {
         sender.interpreter.reset();
         assert!(!sender.interpreter.is_within_block());
     }
-    // The count of the excess bytes is exact, wherever the text ends: in the program, in the subprogram for which the
-    // program waits, or in a subprogram before that one.
+    // The number of excess bytes is exact wherever the memory runs out: in the program, in the subprogram for which
+    // the program waits, or in a subprogram before that one.
     for body in ["{}M30\nO1\nX2\nM99", "M30\nO1\n{}M99", "M30\nO2\n{}M99\nO1\nX3\nM99\nO3\nX4\nM99"] {
         let send = |lines: usize| {
             let mut sender = Sender::new();

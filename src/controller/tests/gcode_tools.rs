@@ -28,7 +28,7 @@ fn offsets_move_nothing_and_then_one_axis_each() {
             // G43.1 changes only the axes that it names.
             ("G43.1 Y3", [2.0, 2.0, 3.0]),
             ("X1 Y1 Z1", [2.0, 4.0, 3.0]),
-            // G43.2 adds.
+            // G43.2 adds to the offset that is in force.
             ("G43.2 H1", [2.0, 4.0, 3.0]),
             ("X1 Y1 Z1", [3.0, 4.0, 8.0]),
             ("G53 Z1", [3.0, 4.0, 1.0]),
@@ -78,7 +78,7 @@ fn entries_by_measuring() {
             // `G10 L10 P1 Z5` sets the offset with which the tip is at Z5 of the active coordinates. The machine is at
             // Z3, so the offset is -2.
             ("", "L10", -2.0),
-            // L10 includes G92, but not the previous tool offset.
+            // L10 takes the offset of G92 into account, but not the previous tool offset.
             ("G92 Z10\nG43.1 Z4", "L10", 5.0),
             ("G10 L2 P1 Z-2", "L10", 0.0),
             // L11 uses the system of the fixture (G59.3), without G92.
@@ -185,8 +185,8 @@ fn without_any_entry_tools_have_no_length() {
         assert_eq!(program.error("G43 H0"), 0, "no tool has no length");
         program.run("G49");
         assert_eq!(program.error("G43 H7"), 0);
-        // A tool without an entry is also refused while the table has any entry, even one made in check mode, or while
-        // a tool has been measured.
+        // A tool without an entry is also refused in three other cases: the table has an entry, an entry was made in
+        // check mode, or a tool has been measured.
         program.run("G10 L1 P1 Z0");
         assert_eq!(program.error("G43 H7"), 47);
         program.run("G10 L1 P1");
@@ -205,8 +205,8 @@ fn without_any_entry_tools_have_no_length() {
     }
 }
 
-/// Radius, angles and orientation, which LinuxCNC's tables have, are not kept. A line with only these words changes no
-/// offset and does not remove the tool.
+/// The radius (R), angles (I, J) and orientation (Q) of LinuxCNC's tables are not stored. A line with only these words
+/// changes no offset and does not remove the tool.
 #[test]
 fn words_of_a_tool_that_are_not_kept() {
     for dialect in NEW {
@@ -224,7 +224,7 @@ fn words_of_a_tool_that_are_not_kept() {
     }
 }
 
-/// Sums of offsets stay in the range in which the controller computes.
+/// Offsets, sums of offsets and targets beyond 50 m are refused, because the controller does not compute there.
 #[test]
 fn offsets_have_an_end() {
     for dialect in NEW {
@@ -271,7 +271,8 @@ fn a_check_leaves_the_table_as_it_was() {
         assert_eq!((program.error("G10 L1 P2 Z1"), program.error("G10 L1 P10 Z1")), (47, 0));
         program.interpreter.reset();
         assert_eq!(*program.interpreter.tools(), {
-            // The check has used entries that were free before. Of these only the number (0 = free) is compared.
+            // The check has used entries that were free before. The table is compared without their contents; only
+            // their number must be 0 again (free).
             let mut after = before.clone();
             for (slot, tool) in program.interpreter.tools().entries().iter().enumerate().skip(2) {
                 after.put(slot, *tool);
@@ -285,7 +286,8 @@ fn a_check_leaves_the_table_as_it_was() {
     }
 }
 
-/// G10 L1 without axes removes a tool. A tool of length 0 stays: it can be the one with which others are compared.
+/// G10 L1 without axis words removes a tool from the table. An entry of length 0 is kept: it can belong to the tool
+/// with which others are compared.
 #[test]
 fn a_tool_is_taken_out() {
     for dialect in NEW {
@@ -318,7 +320,8 @@ fn tool_length(program: &Program) -> f64 {
     in_mm(&program.interpreter.offsets().tool_length)[2]
 }
 
-/// A reference that the host has set (`$TLR`) counts like that of the first measured tool.
+/// The host can set the reference (`$TLR`): the height at which a tool without offset touches the setter. Lengths are
+/// then measured from there, not from the first measured tool.
 #[test]
 fn a_host_sets_the_reference_of_the_setter() {
     let mut program = ready(Dialect::Oxmill);
@@ -376,7 +379,8 @@ fn a_tool_that_was_taken_out_is_not_there() {
     assert_eq!(tool_length(&program), 0.0);
 }
 
-/// M72 does not restore the length of another tool, nor a length that a setter has since found to be different.
+/// M72 puts the length of the tool in the spindle into force, as it was measured last. M72 does not restore the length
+/// of another tool, nor an older measurement.
 #[test]
 fn a_restored_state_has_the_length_of_the_tool_in_the_spindle() {
     let mut program = ready(Dialect::Oxmill);
@@ -394,8 +398,8 @@ fn a_restored_state_has_the_length_of_the_tool_in_the_spindle() {
     measure(&mut program, 1, -15);
     program.run("M72");
     assert_eq!(tool_length(&program), 5.0, "it has been put in otherwise");
-    // If the state saved by M70 had a measured length in force, M72 restores the length that has been measured since
-    // then, not the saved one.
+    // M70 has saved a state with a measured length in force. M72 puts into force the length that has been measured
+    // since then, not the saved one.
     for line in ["G49", "G43.1 Z99"] {
         program.run("M70");
         measure(&mut program, 2, -10);

@@ -1,18 +1,18 @@
-//! Properties of subprograms: a program acts as the same program with its calls written out, and no mixture of lines
-//! runs a subprogram without a call.
+//! Tests of two properties of subprograms. A program acts like the same program with its calls written out. And no
+//! mixture of lines runs a subprogram without a call.
 #![cfg(feature = "full")]
 
 use crate::subprogram_sender::Sender;
 use oxmill_controller::error::Error;
 use proptest::prelude::*;
 
-/// A subprogram of a random program: its moves and calls.
+/// A line of a random program: a move to this X plus #1, an addition to #1, or a call.
 #[derive(Clone, Debug)]
 enum Step {
     Move(i64),
     Add(i64),
-    /// A call: the number of programs between this one and the called one (0 for the next program), the number of
-    /// repeats, and the argument if the call is a G65.
+    /// A call. The first number selects the called program, counted from this one: 0 is the next program. Then come
+    /// the number of repeats, and the argument if the call is a G65.
     Call(usize, u16, Option<i64>),
 }
 
@@ -54,8 +54,8 @@ fn written_out(programs: &[Vec<Step>], index: usize, one: &mut i64, went: &mut V
     }
 }
 
-/// A line of a program, or a call: the number of programs between this one and the called one (0 for the next program),
-/// the number of repeats, and the arguments if the call is a G65.
+/// A line of a program, or a call. The first number of a call selects the called program, counted from this one: 0 is
+/// the next program. Then come the number of repeats, and the arguments if the call is a G65.
 #[derive(Clone, Debug)]
 enum Line {
     Text(&'static str),
@@ -96,8 +96,8 @@ fn line() -> impl Strategy<Value = Line> {
     ]
 }
 
-/// Returns the lines of a program with its calls. `behind`: an M98 after a line that ends with G90 is appended to that
-/// line.
+/// Returns the lines of a program with its calls. `behind`: `true` to write an M98 at the end of the line before it,
+/// if that line ends with G90.
 fn calls_of(programs: &[Vec<Line>], index: usize, behind: bool) -> String {
     let mut text = String::new();
     for line in &programs[index] {
@@ -183,15 +183,14 @@ proptest! {
             (sender.acts.unwrap(), position, sender.errors, sender.ends)
         };
         let (called, written) = (acts(&text), acts(&format!("{}\nM30", lines.join("\n"))));
-        // Many relative moves can lead beyond 50 m. There a line is refused, which ends a call with all of its callers, but
-        // does not end lines that are written out.
+        // Many relative moves can lead beyond 50 m, where a line is refused. The refusal ends a call and all its
+        // callers, but not a program that is written out. Such programs are left out.
         prop_assume!(!written.2.contains(&Error::InvalidTarget.code()));
         prop_assert_eq!(called, written, "{}\n---\n{}", text, lines.join("\n"));
     }
 
-    /// The lines after the first O number run only in calls, and never in the next job. This holds for any mixture of
-    /// lines after a program, even if the host pauses while a program waits for its subprograms, or within a
-    /// subprogram.
+    /// The lines after the first O number run only in calls, and never in the next job. That holds for any mixture of
+    /// lines, even if the host pauses while a program waits for its subprograms, or within a subprogram.
     #[test]
     fn no_mixture_falls_into_a_subprogram(
         program in prop::collection::vec(

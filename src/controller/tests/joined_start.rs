@@ -1,13 +1,13 @@
-//! A program starts to move when it has queued as many moves as the look-ahead has blocks, whether or not moves were
-//! joined.
+//! Tests when queued motion starts: when the number of queued moves reaches the number of blocks of the look-ahead.
+//! Short moves that were joined into one block count, too.
 
 use crate::board::{NOW, PROFILE, started};
 use oxmill_controller::messages::{Event, LineByte, Observed, Output, Room, ToStep};
 
 const BLOCKS: usize = 16;
 
-/// Returns how many moves of this length along X are sent before the machine starts to move, if more bytes are always
-/// waiting.
+/// Returns how many moves along X are sent before the machine starts to move. `millimetres`: the length of each move.
+/// The host always has more bytes waiting.
 fn moves_before_the_start(millimetres: f64) -> usize {
     let mut controller = started(PROFILE, BLOCKS);
     for count in 0..1000 {

@@ -1,4 +1,4 @@
-//! The order of the calls in one round of a pump, checked with a pump that logs each call.
+//! Tests the order of the calls in one round of a pump, with a pump that logs each call.
 
 use crate::board::{PROFILE, started};
 use oxmill_controller::messages::{
@@ -14,8 +14,8 @@ struct Scribe<const WOKEN: bool> {
     controller: Controller<3>,
     log: Vec<String>,
     events: Vec<(Source, Event<3>)>,
-    /// Events that arrive in place of `Event::Stored` at the next store operation, the store's answer among them. If
-    /// there are none, `Event::Stored` arrives.
+    /// The events of the next store operation, including the answer of the store. If the list is empty, only
+    /// `Event::Stored` arrives.
     with_store: Vec<(Source, Event<3>)>,
     lines: VecDeque<u8>,
     epoch: u16,
@@ -24,11 +24,11 @@ struct Scribe<const WOKEN: bool> {
     said: String,
     /// Maximum spindle power among the outputs so far.
     power: u16,
-    /// A realtime command that the pump finds each time it looks for commands.
+    /// A realtime command without end: the pump finds it each time it looks for commands.
     flood: Option<Realtime>,
-    /// Whether the pump reports no room for replies.
+    /// `true` if the pump reports no room for replies.
     mute: bool,
-    /// Number of further outputs with text for the host that the pump has room for.
+    /// Number of further replies for which the pump has room.
     pieces: u32,
 }
 
@@ -172,7 +172,7 @@ fn events_are_told_source_by_source_then_lines_then_outputs() {
     let order = ["begin", "Step", "Store", "Hosts", "Commands", "Inputs", "line", "room true", "reply"];
     let found: Vec<usize> = order.iter().map(|entry| scribe.position(entry)).collect();
     assert!(found.is_sorted(), "{:?}", scribe.log);
-    // The counters are observed before the controller takes an event.
+    // The counters of the step task and the link are observed before the controller takes an event.
     for source in &order[1..6] {
         assert_eq!(scribe.log[scribe.position(source) + 1], "observed", "{source}: {:?}", scribe.log);
     }
@@ -195,7 +195,7 @@ fn what_is_answered_by_an_event_is_answered_before_the_next_output() {
     }
 }
 
-/// One call of the controller changes the outputs and raises the alarm. The changed outputs are carried out first,
+/// One call of the controller switches the outputs off and raises the alarm. The outputs are carried out first,
 /// because the text of the alarm may have to wait for room in the reply queue.
 #[test]
 fn outputs_are_off_before_the_alarm_of_a_soft_limit_is_told() {
@@ -354,9 +354,9 @@ fn a_reset_while_a_setting_is_stored_leaves_no_failure_behind() {
     assert_eq!(scribe.answer_to("G10L2P1X1\n"), "ok\r\n");
 }
 
-/// Each reset, stop and jog cancel opens an epoch, whose bytes can arrive before the command and then wait for it. Here
-/// the mark of a change of hosts (`HOST_CHANGED`) comes after such a byte. If the mark were dropped early, while the
-/// door is open, it would overtake that byte.
+/// An epoch ends at each reset, stop and jog cancel. A byte of the next epoch can arrive before that command, and then
+/// waits for it. Here `HOST_CHANGED`, the mark of a change of hosts, comes after such a byte. Usually the mark is
+/// taken at once while the door is open, but here it must stay behind the byte.
 #[test]
 fn a_change_of_hosts_is_not_taken_in_front_of_a_byte_that_waits() {
     let mut controller = started(PROFILE, 16);
@@ -384,17 +384,17 @@ fn a_stop_while_defaults_are_stored_does_not_keep_them_from_acting() {
     }
 }
 
-/// A host that sends endless comments. Reading a comment takes as long as stepping a segment.
+/// A pump whose host sends comments without end. In the time of each comment, the step task executes one segment.
 struct Flooded {
     controller: Controller<3>,
     text: VecDeque<u8>,
     sent: u32,
     begun: u32,
     lines: u32,
-    /// The last segment of the motion has been handed to the step task.
+    /// `true` once the last segment of the motion has been handed to the step task.
     ended: bool,
-    /// Minimum number of segments in the queue at the end of a line. Counted from the start of the first segment until
-    /// the last segment is queued.
+    /// Minimum number of segments in the queue at the end of a line, from the start of the first segment until the
+    /// last one is queued.
     fewest: u32,
 }
 
@@ -474,7 +474,7 @@ fn a_host_that_floods_does_not_starve_the_step_task() {
     assert!(pump.lines > 200, "{} lines were read meanwhile", pump.lines);
 }
 
-/// If a host requests more reports than its link can carry, its lines are still answered between the reports, and
+/// A host may request more reports than its link can carry. Between the reports, its lines are still answered and its
 /// listings continue.
 #[test]
 fn a_host_that_floods_does_not_starve_its_own_lines() {
@@ -494,7 +494,7 @@ fn a_host_that_floods_does_not_starve_its_own_lines() {
     }
 }
 
-/// `$914` makes no difference, because it is for jobs only.
+/// The jog does not begin with any value of `$914`, because that setting (a lost host is a fault) is for jobs only.
 #[test]
 fn a_jog_that_was_read_as_its_host_went_does_not_begin() {
     for (setting, host_goes) in [("$914=0\n", false), ("$914=0\n", true), ("$914=1\n", true)] {

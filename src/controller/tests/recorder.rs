@@ -1,5 +1,5 @@
-//! Tests of the recorder's ring as it is found after a reset: complete, wrapped around, cut short, or filled with
-//! noise.
+//! Tests of the ring of RAM pages in which the recorder keeps what came in. After a reset the ring can be complete,
+//! wrapped around, cut short, or filled with noise.
 
 #![cfg(feature = "full")]
 
@@ -30,7 +30,8 @@ fn line(ring: &mut Ring, board: &Board, time: u64, epoch: u16, text: &str) {
     }
 }
 
-/// Returns the entries of the listing, without its other pieces (board, records, start time, end).
+/// Returns the entries that the listing (`$REC`) would show, each with its time in microseconds. Leaves out the other
+/// parts, such as the board and the start time.
 fn entries(ring: &mut Ring) -> Vec<(u64, Noted)> {
     let mut found = Vec::new();
     let mut more = true;
@@ -130,8 +131,8 @@ fn after_a_reset_it_is_kept_until_a_program_begins() {
     let ended = Noted::Ended { crash: Some(CrashKind::Stuck), place: [1, -2, 3], line: 7 };
     let found = entries(&mut ring);
     assert_eq!(found[1..], [(1_000_000_000_000, host("N7G1X10\n")), (1_000_000_004_321, ended)]);
-    // A job that continues on a locked machine is refused and leaves the recording as it is. `$` lines and another
-    // reset leave it as it is, too.
+    // On a locked machine, the lines of a job are refused, so they do not overwrite the recording. Neither do `$`
+    // lines and another reset.
     board.restarted(restart);
     line(&mut ring, &board, 10, 0, "G1X5\n");
     let mut ring = Ring::begin(pages(&ring), &SOFTWARE);
@@ -147,8 +148,8 @@ fn after_a_reset_it_is_kept_until_a_program_begins() {
     assert_eq!(found[1..], [(40, host("G4P1\n"))]);
 }
 
-/// A failure is stored with the time (`moment`) at which the control task last recorded position and line. If the line
-/// that caused the failure was received after that time, the failure is listed right after that line.
+/// A failure is stored with `moment`, the time of the last note of position and line by the control task. If the line
+/// that caused the failure came after that, the failure is listed right after that line.
 #[test]
 fn a_failure_in_the_line_that_came_last_comes_right_behind_it() {
     let board = board();
@@ -162,7 +163,8 @@ fn a_failure_in_the_line_that_came_last_comes_right_behind_it() {
         at
     };
     assert_eq!(ended_at(5_000_000, 4_900_000), 5_000_000);
-    // Here 32-bit times wrap between `moment` and the line. In the last case the failure comes an hour after the line.
+    // Here the lower 32 bits of the time wrap between `moment` and the line. In the case below, the failure comes an
+    // hour after the line.
     assert_eq!(ended_at((1 << 32) + 1_000, (1 << 32) - 1_000), (1 << 32) + 1_000);
     assert_eq!(ended_at(5_000_000, 3_605_000_000), 3_605_000_000);
 }
@@ -183,8 +185,8 @@ fn a_page_that_is_not_what_was_written_is_none() {
     assert!(ring.is_kept() && left > 0 && left < whole, "{left} of {whole}");
 }
 
-/// Each jog cancel starts an epoch, which separates the line bytes after it from those before it. Epochs wrap, because
-/// a machine can be jogged for weeks without a reset.
+/// Each jog cancel starts an epoch: a number that tells line bytes after it from those before it. The number wraps,
+/// because a machine can be jogged for weeks without a reset.
 #[test]
 fn lines_behind_very_many_jog_cancels_are_recorded() {
     let board = board();
@@ -202,8 +204,8 @@ fn lines_behind_very_many_jog_cancels_are_recorded() {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
-    /// The listing contains all recorded input and nothing else, at any times, and for text recorded in pieces or byte
-    /// by byte.
+    /// The listing contains all recorded input and nothing else. Text may be recorded in pieces or byte by byte, after
+    /// pauses of any length.
     #[test]
     fn nothing_is_left_out(script in prop::collection::vec((prop_oneof![Just(0_u64), 1..200_u64, any::<u32>().prop_map(u64::from)], 0..6_u8, prop_oneof![0..20_usize, 60..70_usize, 120..140_usize, 0..260_usize], 1..40_usize), 1..40)) {
         let board = board();
@@ -236,8 +238,8 @@ proptest! {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
-    /// Any contents of RAM, such as those after power-up, are listed or discarded, and are overwritten by the next
-    /// recording.
+    /// Any contents of RAM, such as those after power-up, are listed or discarded without a panic. The next recording
+    /// overwrites them.
     #[test]
     fn any_bytes_are_listed(noise in prop::collection::vec(any::<u8>(), 4 * 256), damage in prop::collection::vec((0..1024_usize, any::<u8>()), 0..6), real in any::<bool>(), seal in any::<bool>()) {
         let board = board();
@@ -266,7 +268,8 @@ proptest! {
         prop_assert_eq!(found.last(), Some(&(5, host("G1X10\n"))));
     }
 
-    /// A reset at any time leaves what had been recorded.
+    /// After a reset at any time, the ring still has all complete lines that came before, apart from old ones that
+    /// were overwritten.
     #[test]
     fn a_reset_at_any_moment_leaves_what_was_there(count in 1..2_000_usize) {
         let board = board();

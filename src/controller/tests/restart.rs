@@ -1,5 +1,5 @@
-//! After a failure the machine is locked, and each welcome line reports the failure until the host has requested its
-//! record.
+//! Tests of the start after a failure (a crash, a watchdog, a fault of the board): the machine is locked. Each welcome
+//! line reports the failure until the host has requested its record (`$RC`).
 
 use crate::board::{NOW, PROFILE};
 use oxmill_controller::Controller;
@@ -142,8 +142,8 @@ fn many_resets_are_over_when_the_step_task_has_obeyed_them() {
     assert_eq!(board.pump().matches("Grbl 1.1h").count(), 1);
 }
 
-/// The reset button drops the first half of a line, then another host takes over. `HOST_CHANGED`, the byte that marks
-/// the change, ends the dropping, so the new host's line is executed.
+/// A press of the reset button drops the rest of the line that is being received. `HOST_CHANGED`, the byte at a change
+/// of hosts, ends the dropping. So the line of the next host is executed.
 #[test]
 fn what_a_reset_button_drops_ends_with_a_cut() {
     let (mut board, _) = Board::started(None);
@@ -165,8 +165,8 @@ fn what_a_reset_button_drops_ends_with_a_cut() {
     assert_eq!(board.pump(), "ok\r\n");
 }
 
-/// At a press of the reset button, the received bytes are counted in order to drop them. When their host disconnects,
-/// the count is forgotten, so that bytes of the next host are not dropped in their place.
+/// A press of the reset button counts the received bytes, to drop as many. When their host disconnects, the count is
+/// forgotten, so that no bytes of the next host are dropped.
 #[test]
 fn a_host_that_goes_takes_what_was_counted_with_it() {
     let (mut board, _) = Board::started(None);

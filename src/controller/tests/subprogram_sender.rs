@@ -3,14 +3,15 @@
 use oxmill_controller::error::Error;
 use oxmill_controller::gcode::{Action, Dialect, Direction, Flow, Held, HeldLine, Interpreter, MotionCommand};
 
-/// A host that sends a file. Records the X target of every straight move, the error numbers, and the ends of programs.
+/// A host that sends a file. Records the X target (mm) of each straight move, the error numbers, and the number of
+/// program ends.
 pub struct Sender {
     pub interpreter: Interpreter<3>,
     pub went: Vec<i64>,
     pub errors: Vec<u8>,
     pub ends: usize,
     pub sent: u32,
-    /// Whether the machine has been idle for so long that the next line may be that of another program.
+    /// `true` if the machine has been idle for so long that the next line may belong to another program.
     pub rested: bool,
     /// X targets of moves in lines that were executed on arrival, not stored first.
     pub at_once: Vec<i64>,

@@ -12,7 +12,8 @@ use crate::units::{Coordinate, Duration};
 use crate::work::task::{Job, Stage};
 
 impl<const N: usize> Controller<N> {
-    /// Does the next step of the line's cycle. Returns the next stage of the line; `None` if it has to wait.
+    /// Does the next step of the line's cycle. Returns the next stage of the line; `None` if the line has to wait for
+    /// room in the look-ahead or for the end of motion.
     #[inline(never)]
     pub(crate) fn go_on_cycle(&mut self, job: &mut Job) -> Option<Stage> {
         let clearance = Coordinate::from_mm_f32(self.m.settings.value(Key::PeckClearance));
@@ -50,7 +51,7 @@ impl<const N: usize> Controller<N> {
         if time.is_zero() { Stage::Target } else { job.wait(Stage::Dwell, self.m.now + time) }
     }
 
-    /// Switches the spindle within a cycle, with the delays of M3 to M5.
+    /// Switches the spindle within a cycle, with the delays of M3 to M5. Returns the stage that waits for them.
     fn cycle_switches_spindle(&mut self, direction: SpindleDirection, job: &mut Job) -> Stage {
         let delay = self.m.accessories.set_spindle(direction, &self.m.settings);
         job.spindle_delay = delay;

@@ -1,6 +1,6 @@
-//! Reasons to refuse a correct line: settings that lock motion, a position that needs homing, targets out of range, and
-//! soft limits. All kinds of motion are checked for points outside the travel; a jog can be shortened to the travel
-//! instead.
+//! Finds reasons to refuse a line without errors: settings that lock motion, a position that needs homing, targets out
+//! of range, and soft limits. All kinds of motion are checked for points outside the travel. A jog can be shortened to
+//! the travel instead.
 
 use crate::axes::{Arrangement, Axis, PerAxis};
 use crate::dispatch::Controller;
@@ -13,7 +13,8 @@ use crate::settings::{AxisKey, Key};
 use crate::units::Coordinate;
 
 impl<const N: usize> Controller<N> {
-    /// Returns an error if the machine must refuse the line although it is correct.
+    /// Returns an error if the machine must refuse the line although its words are correct: motion is locked, the line
+    /// needs homing first, or it leaves the range in which the controller computes.
     pub(crate) fn refuse_line(&mut self) -> Option<Error> {
         if self.line.action.motion != gcode::MotionCommand::None
             && let Some(error) = self.motion_locked()
@@ -65,7 +66,7 @@ impl<const N: usize> Controller<N> {
                 via.as_ref().is_some_and(outside) || outside(target)
             }
             gcode::MotionCommand::Probe { target, .. } if belts => outside(target),
-            // The curve lies within the polygon of its control points, so it is enough to check these.
+            // The curve lies within the polygon of its control points, so only these points are checked.
             gcode::MotionCommand::Spline(spline) if FULL_IMAGE && belts => spline.corners().iter().any(outside),
             gcode::MotionCommand::Nurbs(nurbs) if FULL_IMAGE && belts => self.nurbs_geometry(nurbs).leaves(outside),
             gcode::MotionCommand::Cycle(cycle) if belts => cycle.corners().iter().any(outside),
@@ -90,12 +91,12 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns whether soft limits are in force. They need a trusted position.
+    /// Returns whether soft limits (`$20`) are in force: they are on, and the machine need not be homed first.
     pub(crate) fn limits_travel(&self) -> bool {
         self.m.settings.is_on(Key::SoftLimits) && !self.needs_homing()
     }
 
-    /// Returns whether soft limits (`$20`) are in force and any part of the line's motion is outside the travel.
+    /// Returns whether any part of the line's motion is outside the travel while soft limits (`$20`) are in force.
     pub(crate) fn violates_soft_limits(&self) -> bool {
         self.limits_travel() && self.leaves_travel()
     }
@@ -121,12 +122,13 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns the curve of the control points that the interpreter keeps.
+    /// Returns the curve of G5.3, with the control points that the interpreter has collected from G5.2.
     fn nurbs_geometry(&self, nurbs: &NurbsMove<N>) -> NurbsGeometry<'_, N> {
         NurbsGeometry { start: nurbs.start, points: self.m.interpreter.control_points(), order: nurbs.order }
     }
 
-    /// Returns whether a position is outside the travel.
+    /// Returns whether a position is outside the travel of an axis in use. Up to half a step beyond an end counts as
+    /// inside (see `reach`), except at an end at 0.
     pub(crate) fn is_outside_travel(&self, position: &PerAxis<Coordinate, N>) -> bool {
         let axes = Axis::ALL.into_iter().take(self.m.settings.axes_in_use());
         axes.zip(position.iter()).any(|(axis, place)| {
@@ -139,9 +141,9 @@ impl<const N: usize> Controller<N> {
         })
     }
 
-    /// Returns the coordinate (mm) up to which a position counts as within `travel`. If the travel is not a whole
-    /// number of steps, an axis that was sent to its end can be half a step beyond that end. A line that then moves
-    /// only other axes must not be refused.
+    /// Returns the coordinate (mm) up to which a position counts as within `travel`. The travel may not be a whole
+    /// number of steps, and an axis that was sent to its end is then up to half a step beyond it. A line that moves
+    /// only other axes afterwards must not be refused.
     #[inline(never)]
     fn reach(&self, axis: Axis, travel: f32) -> f32 {
         let resolution = self.m.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);
@@ -173,8 +175,8 @@ impl<const N: usize> Controller<N> {
         Some(Error::Locked)
     }
 
-    /// Names the setting that locks motion, after a change of a setting. Grbl answers a change with only `ok`, so in
-    /// its dialect that setting is named at the first move.
+    /// Tells the host which setting locks motion, after setting `changed` has been changed. Grbl answers a change with
+    /// only `ok`, so in its dialect the host is told at the first move.
     pub(crate) fn name_after_change(&mut self, changed: u16) {
         self.locking_setting();
         if let Some(setting) = self.m.settings_lock.name_after_change(changed)
@@ -201,7 +203,6 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// Converts the interpreter's arc to the form with which `motion` computes.
 pub(crate) fn geometry<const N: usize>(arc: &ArcMove<N>) -> ArcGeometry<N> {
     ArcGeometry {
         start: arc.start,
@@ -215,7 +216,6 @@ pub(crate) fn geometry<const N: usize>(arc: &ArcMove<N>) -> ArcGeometry<N> {
     }
 }
 
-/// Converts the interpreter's spline to the form with which `motion` computes.
 pub(crate) fn spline_geometry<const N: usize>(spline: &SplineMove<N>) -> SplineGeometry<N> {
     SplineGeometry { start: spline.start, target: spline.target, leaving: spline.leaving, arriving: spline.arriving }
 }

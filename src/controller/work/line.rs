@@ -11,13 +11,12 @@ use crate::protocol::text::{Text, put, whole};
 use crate::units::{Coordinate, WeightedPoint};
 use crate::work::tool_change::plan::ToolChange;
 
-/// Maximum length of a program's message, including the values of its parameters.
+/// Maximum length of a message of a program, in bytes, with the values of its parameters filled in.
 const MESSAGE: usize = if FULL_IMAGE { 160 } else { MESSAGE_LENGTH };
 
-/// A message of a program.
+/// A message of a program to its operator: the text of a comment in the program.
 pub(crate) type Message = heapless::Vec<u8, MESSAGE>;
 
-/// The line being executed.
 #[derive(Clone, Debug)]
 pub(crate) struct LineInWork<const N: usize> {
     /// The line's action. Canned cycles and jogs change it during execution.
@@ -34,11 +33,10 @@ pub(crate) struct LineInWork<const N: usize> {
     refusal: [Refusal; REASONS as usize],
 }
 
-/// Why a line was refused.
 #[derive(Clone, Debug)]
 struct Refusal {
     reason: Reason,
-    /// Whether the reason belongs to the line that is being refused, not to an earlier one.
+    /// `true` if the reason belongs to the line that is being refused now, and not to an earlier one.
     is_new: bool,
 }
 
@@ -58,8 +56,8 @@ impl<const N: usize> LineInWork<N> {
         refusal: [const { Refusal::NONE }; REASONS as usize],
     };
 
-    /// Finds out what is wrong with a line that the interpreter has refused. The line may come from the host, or from
-    /// the stored lines of a subroutine, loop or macro.
+    /// Finds out what is wrong with a refused line, and stores the sentence for [`LineInWork::refused`]. The line may
+    /// come from the host, or from the stored lines of a subroutine, loop or macro.
     #[cold]
     pub(crate) fn explain(
         &mut self,
@@ -75,9 +73,8 @@ impl<const N: usize> LineInWork<N> {
         }
     }
 
-    /// Puts the text of the line `held` before the reason. `held` is the wrong line, stored in a subroutine, loop or
-    /// macro. The message needs its text, because the host has sent only the line that called the subroutine, loop or
-    /// macro.
+    /// Puts the beginning of the wrong line `held` before the reason. `held` is a stored line of a subroutine, loop or
+    /// macro. The host has sent only the line that called it, so the message has to show the wrong line itself.
     #[cold]
     pub(crate) fn explain_within(&mut self, held: &[u8]) {
         /// How many characters of `held` to show.
@@ -109,8 +106,9 @@ impl<const N: usize> LineInWork<N> {
         }
     }
 
-    /// Records that the line is refused. Returns the reason found by `explain`, to be sent to the host. If none was
-    /// found, returns `None` and keeps the text of the error as the reason.
+    /// Records that the line is refused. Returns the reason that `explain` has found, which the caller sends to the
+    /// host. Without such a reason, returns `None`, and [`LineInWork::refusal`] gives the text of the error from then
+    /// on.
     #[cold]
     pub(crate) fn refused(&mut self, error: Error) -> Option<Reason> {
         let refusal = self.refusal.first_mut()?;
@@ -123,7 +121,7 @@ impl<const N: usize> LineInWork<N> {
         None
     }
 
-    /// Returns why the last refused line was refused.
+    /// Returns why the last refused line was refused: a sentence, or the text of its error. Empty without `REASONS`.
     pub(crate) fn refusal(&self) -> &[u8] {
         self.refusal.first().map_or(&[], |refusal| &refusal.reason)
     }
@@ -134,7 +132,6 @@ impl<const N: usize> LineInWork<N> {
         self.single_block
     }
 
-    /// Switches single block on or off.
     pub(crate) fn toggle_single_block(&mut self) {
         self.single_block = !self.single_block;
     }
@@ -170,7 +167,7 @@ impl<const N: usize> LineInWork<N> {
         self.forget_notices();
     }
 
-    /// Starts a tool change that measures the tool; see [`LineInWork::change`].
+    /// Starts a tool change that measures the tool. [`LineInWork::change`] gives access to its progress.
     pub(crate) fn begin_change(&mut self, change: ToolChange<N>) {
         self.change = change;
     }
@@ -180,8 +177,9 @@ impl<const N: usize> LineInWork<N> {
         &mut self.change
     }
 
-    /// Starts the line's arc. Returns the total length of its chords, mm, and the ratio of that length to the length
-    /// along X, Y and Z only.
+    /// Starts the line's arc. Returns the total length of its chords (mm, all axes), and the ratio of this length to
+    /// the length along X, Y and Z only (1 without a rotary axis). `tolerance`: how far a chord may be off the arc,
+    /// mm.
     pub(crate) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, tolerance: f32) -> (f32, f32) {
         let arc = Arc::new(geometry, tolerance);
         let lengths = (arc.length(), if N > LINEAR { arc.rotary_stretch() } else { 1.0 });
@@ -189,17 +187,17 @@ impl<const N: usize> LineInWork<N> {
         lengths
     }
 
-    /// Starts the line's spline.
     pub(crate) fn begin_spline(&mut self, geometry: &SplineGeometry<N>, tolerance: f32) {
         self.curve = Some(Curve::Spline(Spline::new(geometry, tolerance)));
     }
 
-    /// Starts the line's curve of control points.
+    /// Starts the line's curve of control points (G5.3).
     pub(crate) fn begin_nurbs(&mut self, geometry: &NurbsGeometry<N>, tolerance: f32) {
         self.curve = Some(Curve::Nurbs(Nurbs::new(geometry, tolerance)));
     }
 
-    /// Returns the end of the next chord of the curve, and the curve's curvature there.
+    /// Returns the end of the next chord of the curve, and the curvature of the curve there; `None` after the last
+    /// chord. `points`: the control points of G5.2, for a curve that has them.
     pub(crate) fn next_chord(&mut self, points: &[WeightedPoint]) -> Option<(PerAxis<Coordinate, N>, Curvature)> {
         let curve = self.curve.as_mut()?;
         let end = curve.next_chord(points)?;

@@ -1,5 +1,6 @@
 //! Turns target positions into moves with speed, power and tolerance. Queues a move in the look-ahead when there is
-//! room, and starts motion when the look-ahead is full. Also begins arcs and splines, and queues their chords.
+//! room, and starts motion when the look-ahead is full. Begins arcs and other curves, and queues their chords (the
+//! straight pieces that replace a curve).
 
 use crate::axes::{LINEAR, PerAxis};
 use crate::dispatch::Controller;
@@ -14,7 +15,8 @@ use crate::units::Coordinate;
 use crate::work::task::{Job, Stage};
 
 impl<const N: usize> Controller<N> {
-    /// Starts the queued motion, because the look-ahead is full or because the line has to wait for the end of motion.
+    /// Starts the queued motion if it is not running. Called when the look-ahead is full, or when a line has to wait
+    /// for the end of motion.
     pub(crate) fn start_queued(&mut self) {
         if !self.m.step_supply.is_running() && !self.m.motion.is_idle() {
             self.start_motion();
@@ -63,9 +65,9 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns how far a move may deviate from its path: 0, except for straight feed moves with a tolerance (G64 P) and
-    /// without rotary motion. With rotary motion, corners are not rounded: in a rounded corner where A reverses, F
-    /// would not define the speed.
+    /// Returns how far a move may deviate from its path. The tolerance is 0 unless the move is a straight feed move
+    /// under G64 P that turns no rotary axis. With rotary motion corners are not rounded: where A reverses, F would
+    /// not define the speed in a rounded corner.
     fn tolerance(&self, target: &PerAxis<Coordinate, N>, speed: Speed) -> Tolerance {
         let within = match (speed, self.line.action.motion, self.m.interpreter.modal().path) {
             (Speed::Feed(_), MotionCommand::Line { .. }, PathControl::Within(tolerance)) => tolerance,
@@ -81,7 +83,7 @@ impl<const N: usize> Controller<N> {
     pub(crate) fn begin_arc(&mut self, geometry: &ArcGeometry<N>, feed: Feed, job: &mut Job) -> Stage {
         let (length, stretch) = self.line.begin_arc(geometry, self.m.settings.value(Key::ArcTolerance));
         job.chord_feed = match feed {
-            // F is the speed along X, Y and Z only.
+            // F is the speed along X, Y and Z only, so the speed along all axes is higher.
             Feed::PerMinute(feed) if N > LINEAR => feed * stretch,
             Feed::PerMinute(feed) => feed,
             Feed::InverseTime(seconds) => length / seconds,
@@ -151,12 +153,11 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// Returns whether a rotary axis moves.
+/// Returns whether a rotary axis moves between two positions.
 fn turns<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coordinate, N>) -> bool {
     from.iter().zip(to.iter()).skip(LINEAR).any(|(from, to)| from != to)
 }
 
-/// Converts a feed to the speed of a move.
 pub(crate) fn speed(feed: Feed) -> Speed {
     match feed {
         Feed::Rapid => Speed::Rapid,

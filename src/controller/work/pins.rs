@@ -1,5 +1,5 @@
-//! Carries out M62 to M68: switches an output now or with the next motion, and waits for an input with a timeout (M66).
-//! A pin that the board does not have is refused.
+//! Carries out M62 to M68. An output is switched now or with the next motion. M66 waits for an input, up to a maximum
+//! time. A pin that the board does not have is refused.
 
 use crate::dispatch::Controller;
 use crate::gcode::ProgramPins;
@@ -29,7 +29,7 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     fn has_room_for_change(&mut self) -> bool {
         let idle = self.m.motion.is_idle();
-        // Only checks whether the next block can be given a mark, which ties the change to that block. `change_output`
+        // A mark ties the change to the next block. Here it is only checked that a mark can be given; `change_output`
         // sets the mark.
         let can = self.m.accessories.digital().has_room(idle) && self.m.motion.takes_mark();
         if !can {
@@ -38,7 +38,7 @@ impl<const N: usize> Controller<N> {
         can
     }
 
-    /// Switches an output (M62 to M65).
+    /// Switches the output of M64 or M65 now, and that of M62 or M63 when the next motion begins.
     #[inline(never)]
     pub(crate) fn change_output(&mut self) {
         if let Some(ProgramPins::Digital { number, on, with_motion }) = self.line.action.pins() {
@@ -52,7 +52,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Starts the wait of M66, if the line has one. It comes before the line's dwell.
+    /// Starts the wait of M66 and returns its stage; `None` if the line has no M66. The line's dwell comes after this
+    /// wait.
     pub(crate) fn begin_wait(&self, job: &mut Job) -> Option<Stage> {
         match self.line.action.pins() {
             Some(ProgramPins::Wait { number, longest, .. }) => {
@@ -68,7 +69,8 @@ impl<const N: usize> Controller<N> {
         u32::from(self.m.inputs.signals().program).checked_shr(number).is_some_and(|levels| levels & 1 != 0)
     }
 
-    /// Returns whether the wait of M66 has ended. If so, hands the level read, or the timeout, to the program.
+    /// Returns whether the wait of M66 has ended. If so, stores its result for the program: the level that was read,
+    /// or that the time ran out.
     #[inline(never)]
     pub(crate) fn has_read_input(&mut self, job: &mut Job) -> bool {
         let Some(ProgramPins::Wait { number, until: wait, .. }) = self.line.action.pins() else { return true };

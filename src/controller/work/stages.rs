@@ -48,8 +48,8 @@ impl<const N: usize> Controller<N> {
             || self.starts_to_turn()
     }
 
-    /// Returns whether the machine must come to rest before this line, given that G61.1 is in force for the previous
-    /// line.
+    /// Returns whether G61.1 (exact stop), which is in force from an earlier line, makes the machine come to rest
+    /// before this line. It does so if this line moves or ends G61.1.
     fn ends_line_before(&self) -> bool {
         let action = &self.line.action;
         action.motion != gcode::MotionCommand::None || action.modal().path != PathControl::ExactStop
@@ -61,7 +61,7 @@ impl<const N: usize> Controller<N> {
         self.m.settings.is_on(Key::Laser) && self.shows_speed()
     }
 
-    /// Returns whether S starts a spindle that M3 or M4 has switched on with S0, so that motion has to wait for the
+    /// Returns whether S starts a spindle that M3 or M4 has switched on with S0. Motion then has to wait for the
     /// spindle.
     fn starts_to_turn(&self) -> bool {
         let (action, settings) = (&self.line.action, &self.m.settings);
@@ -72,16 +72,16 @@ impl<const N: usize> Controller<N> {
             && !settings.is_on(Key::Laser)
     }
 
-    /// Returns whether S changes a running spindle or, in a line that does not move, a laser that is on. The next
-    /// report must show the change.
+    /// Returns whether the next report must show S: S changes a running spindle or, in a line that does not move, a
+    /// laser that is on.
     fn shows_speed(&self) -> bool {
         self.line.action.speed_changed
             && self.m.accessories.is_on()
             && !(self.m.settings.is_on(Key::Laser) && self.line.action.motion != gcode::MotionCommand::None)
     }
 
-    /// Returns whether there is a task that can advance. This check runs before each segment and saves needless calls
-    /// of [`Controller::advance`].
+    /// Returns whether there is a task that can advance. This check is cheap and runs before each segment, so that
+    /// [`Controller::advance`] is called only when needed.
     pub(crate) fn may_advance(&self) -> bool {
         match &self.task {
             Task::None => matches!(self.state, State::Homing(_)),
@@ -90,7 +90,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns whether the line can only wait, because the look-ahead is full and motion is already running.
+    /// Returns whether the line has to wait for room: the look-ahead is full, and motion is already running.
     fn waits_for_room(&self, stage: Stage) -> bool {
         let moves = match stage {
             Stage::Target => matches!(self.line.action.motion, gcode::MotionCommand::Line { .. }),
@@ -117,8 +117,8 @@ impl<const N: usize> Controller<N> {
         progressed
     }
 
-    /// Advances a line of G-code. A line that has only motion cannot change outputs or other pending work, so these are
-    /// not checked again after it.
+    /// Advances a line of G-code. Returns whether something was done. A line that has only motion changes no outputs
+    /// and no other pending work, so these are not checked again after it.
     fn advance_job(&mut self, mut job: Job) -> bool {
         self.task = Task::None;
         let progressed = self.advance_line(&mut job);
@@ -138,7 +138,7 @@ impl<const N: usize> Controller<N> {
         progressed || ordered
     }
 
-    /// Advances homing, or a task other than a line of G-code.
+    /// Advances homing, or a task other than a line of G-code. Returns whether something was done.
     #[inline(never)]
     fn advance_task(&mut self) -> bool {
         if self.m.stops.is_awaited() {
@@ -184,13 +184,14 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Critical(Alarm::SoftLimit));
     }
 
-    /// Advances the line until it has to wait, or until something must be output before it continues.
+    /// Advances the line until it has to wait, or until something must be output before it continues. Returns whether
+    /// something was done.
     fn advance_line(&mut self, job: &mut Job) -> bool {
         let checking = matches!(self.state, State::Check);
         let mut progressed = false;
         loop {
-            // The first arms are the stages of a line that only moves, as nearly all lines do. Such a line need not
-            // show anything to the host between its stages, and need not wait there.
+            // The first arms are the stages of a line that only moves, as nearly all lines do. Between these stages,
+            // such a line shows nothing to the host and does not wait.
             let next = match job.stage {
                 // A line that only moves waits here only if a record of an earlier line is still being stored.
                 Stage::Apply if self.line.action.moves_only() && self.m.records.are_stored() => {
@@ -274,14 +275,14 @@ impl<const N: usize> Controller<N> {
             Stage::Apply => self.line.action.changes_outputs(),
             Stage::Via => matches!(self.line.action.motion, gcode::MotionCommand::Line { via: Some(_), .. }),
             Stage::Target => matches!(self.line.action.motion, gcode::MotionCommand::Cycle(_)),
-            // Each call of `advance` queues only one chord.
+            // Each call of `advance` queues only one chord, so that a call stays short.
             Stage::Chords => next == Stage::Chords,
             Stage::Drain | Stage::Probing | Stage::Measuring => true,
             _ => false,
         }
     }
 
-    /// Handles the motion of a line in check mode.
+    /// Replaces the motion of a line in check mode, in which nothing moves.
     fn check_target(&mut self) -> Stage {
         if matches!(self.line.action.motion, gcode::MotionCommand::Probe { .. }) {
             // Assume that the probe makes contact at its target.
@@ -291,13 +292,15 @@ impl<const N: usize> Controller<N> {
         Stage::Flow
     }
 
-    /// Starts the wait of M66 if the line has an M66; otherwise the wait of [`Controller::begin_dwell`].
+    /// Starts the wait of M66 if the line has an M66, otherwise the wait for G4 and the spindle
+    /// ([`Controller::begin_dwell`]). Returns the stage that waits.
     fn begin_waiting(&self, job: &mut Job, checking: bool) -> Stage {
         let input = if checking { None } else { self.begin_wait(job) };
         input.unwrap_or_else(|| self.begin_dwell(job, checking))
     }
 
-    /// Starts the wait for G4 and for the spindle, if there is anything to wait for.
+    /// Starts the wait for G4 and for the spindle. Returns the stage that waits, or [`Stage::Via`] if there is nothing
+    /// to wait for.
     fn begin_dwell(&self, job: &mut Job, checking: bool) -> Stage {
         let dwell = self.line.action.dwell.filter(|_| !checking).unwrap_or(Duration::from_ticks(0));
         let wait = dwell + job.spindle_delay;
@@ -323,7 +326,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Starts a motion that is not a straight line.
+    /// Starts an arc, a spline, a probing move or a canned cycle. Returns the next stage; `None` if the line has to
+    /// wait.
     #[inline(never)]
     fn begin_other_motion(&mut self, job: &mut Job) -> Option<Stage> {
         match self.line.action.motion {
@@ -352,7 +356,8 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Commits the line's modal state, and sets everything in the line that is not a motion. Returns how long the
-    /// spindle takes to spin up or down. `of_program`: the line is one of the host's program, not a startup line.
+    /// spindle takes to spin up or down. `of_program`: `true` for a line of the host's program, `false` for a startup
+    /// line.
     fn apply(&mut self, checking: bool, of_program: bool) -> Duration {
         let dialect = self.dialect();
         let action = &self.line.action;
@@ -363,8 +368,7 @@ impl<const N: usize> Controller<N> {
         let place = self.m.interpreter.place();
         self.m.interpreter.commit(action);
         if !of_program {
-            // This line is not part of the host's program. If the line has ended a program, restore the place in the
-            // host's program.
+            // A startup line with M2 must not end the host's program, so the place in that program is restored.
             self.m.interpreter.return_to(place);
         }
         if before.is_some_and(|before| self.m.interpreter.work_zero(dialect) != before) {
@@ -409,8 +413,8 @@ impl<const N: usize> Controller<N> {
         delay
     }
 
-    /// Returns whether the program pauses after the line: for M0, for M1 if the settings enable it (Grbl's dialect
-    /// ignores M1), and in single block after each line that moves. Startup lines and jogs are not part of the program.
+    /// Returns whether the program pauses after the line. M0 pauses, and so does M1 if the settings enable it (not in
+    /// Grbl's dialect). In single block, each line that moves pauses, except startup lines and jogs.
     fn pauses_behind(&self, job: &Job) -> bool {
         let single_block = || {
             self.line.is_single_block()
@@ -430,7 +434,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Handles program pause and end; both wait for the end of motion.
+    /// Pauses the program or ends it, as the line says, once motion has ended. Returns the next stage; `None` while
+    /// the line has to wait.
     fn flow(&mut self, job: &Job, checking: bool) -> Option<Stage> {
         let pauses = self.pauses_behind(job);
         match self.line.action.flow {
@@ -463,7 +468,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Answers an executed line.
+    /// Answers an executed line, or continues with what has to come before the answer, such as the next stored line of
+    /// a subroutine.
     pub(crate) fn finish(&mut self, answer: Answer) {
         self.task = Task::None;
         match answer {
@@ -497,7 +503,8 @@ impl<const N: usize> Controller<N> {
         self.begin_checked(answer)
     }
 
-    /// Begins a checked line, unless the machine refuses it.
+    /// Begins a checked line, unless the machine refuses it. If the line violates a soft limit, begins to brake
+    /// instead; the alarm follows at rest.
     pub(crate) fn begin_checked(&mut self, answer: Answer) -> Result<(), Error> {
         if let Some(error) = self.refuse_line() {
             return Err(error);
@@ -598,7 +605,7 @@ impl<const N: usize> Controller<N> {
         self.task = Task::Startup(index, host_waits.then_some(Answer::Host));
     }
 
-    /// Begins a startup line. If it calls a subroutine, it is answered when the subroutine has ended.
+    /// Begins a startup line. If the line calls a subroutine, its answer follows when the subroutine has ended.
     pub(crate) fn startup_line(&mut self, line: &[u8], caller: Caller) -> Result<(), Error> {
         if self.dialect() != gcode::Dialect::Grbl && self.m.interpreter.begin_call(line)? {
             self.task = Task::Held(caller);

@@ -1,18 +1,20 @@
-//! The current task of the controller: a line of G-code, a listing, startup lines, or storing a record. While there is
-//! a task, no further line is taken. A task also records who gets its answer. "Held" lines are the stored lines of a
-//! subroutine, loop or macro.
+//! What the controller is doing at present: a line of G-code, a listing, startup lines, or storing a record. While
+//! there is such a task, no further line is taken. A task also records who gets the answer. In names, "held" lines are
+//! the stored lines of a subroutine, loop or macro.
 
 use crate::protocol::system::Described;
 use crate::units::{Duration, Instant};
 
-/// The current task of the controller. While there is one, no further line is taken.
+/// What the controller is doing at present.
 #[derive(Clone, Copy, Debug)]
-// A tag of one byte, for the same reason as in `State`: it is read before each output.
+// `repr(u8)` makes the tag (the number of the variant) a byte of its own. The tag is read before each output, so that
+// must be fast.
 #[repr(u8)]
 pub(crate) enum Task {
     /// No task. The next line can be taken.
     None,
-    /// The startup line with this index is next. After the last startup line, the answer is sent, unless it is `None`.
+    /// The startup line with index `.0` runs next. `.1`: who gets an answer after the last startup line; `None` if
+    /// nobody.
     Startup(usize, Option<Answer>),
     /// The controller runs the next stored line of a subroutine, loop or macro, for this caller.
     Held(Caller),
@@ -20,15 +22,15 @@ pub(crate) enum Task {
     Listing(Listing, usize),
     /// A record is being stored. The answer follows when it is stored.
     Storing(Answer),
-    /// Motion is braking. The alarm for a soft limit follows at rest.
+    /// A line would leave the travel (soft limits). Motion is braking, and at rest the alarm follows.
     SoftLimit(Answer),
-    /// A received jog waits until the cancelled jog before it has stopped. `LineIntake` keeps the text of the waiting
-    /// jog.
+    /// A new jog has arrived while the previous, cancelled jog is still braking. The new jog waits. `LineIntake` keeps
+    /// its text.
     JogWaits,
-    /// The board restarts at this time: late enough that the answer has reached the host. A reset, a hold, the door and
-    /// every alarm cancel it.
+    /// The board restarts at the time `at`, which is late enough for the answer to reach the host. A reset, a hold, the
+    /// door and every alarm cancel the restart.
     Rebooting {
-        /// Into the boot loader of the chip.
+        /// `true`: into the boot loader of the chip (`$DFU`).
         into_loader: bool,
         at: Instant,
     },
@@ -41,14 +43,14 @@ pub(crate) enum Task {
 pub(crate) enum Answer {
     /// The host.
     Host,
-    /// The startup line with index `.0`: its echo is sent with an `ok`, and the next startup line begins. `.1`: whether
-    /// the host waits for an answer until the last startup line has been run.
+    /// The startup line with index `.0`: its echo is sent with an `ok`, and the next startup line begins. `.1`: `true`
+    /// if the host waits for an answer until the last startup line has been run.
     Startup(usize, bool),
-    /// The host, which has set the startup line with this index (`$N`). Its text is kept, and stored once the line has
-    /// run without error.
+    /// The host, which has set the startup line with this index (`$N`). The text of that line is stored after the line
+    /// has run without error.
     Validation(usize),
-    /// Nobody yet, because the line is a stored line of a subroutine, loop or macro. The caller is answered once the
-    /// last stored line has been run.
+    /// Nobody yet, because the line is a stored line of a subroutine, loop or macro. The caller gets an answer after
+    /// the last stored line.
     Held(Caller),
     /// The host, which has changed the setting with this number.
     Setting(u16),
@@ -57,8 +59,8 @@ pub(crate) enum Answer {
 }
 
 impl Answer {
-    /// Returns whether the line belongs to the host's program. Either the host has sent the line, or the host has
-    /// called the subroutine, loop or macro that contains it.
+    /// Returns whether the line belongs to the host's program: the host has sent the line itself, or has called the
+    /// subroutine, loop or macro that contains the line.
     pub(crate) fn is_of_program(self) -> bool {
         matches!(self, Answer::Host | Answer::Held(Caller::Host))
     }
@@ -86,26 +88,26 @@ impl Caller {
     }
 }
 
-/// A line in execution.
+/// A line of G-code in execution, with the data of all stages.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Job {
     pub(crate) answer: Answer,
     pub(crate) stage: Stage,
     pub(crate) jog: bool,
-    /// Level of M66's input at the last check.
+    /// Level of the input that M66 waits for, at the last check.
     pub(crate) input_before: bool,
-    /// Feed of the chords that are still to come, mm/s.
+    /// Feed of the remaining chords (straight pieces of an arc or curve), mm/s.
     pub(crate) chord_feed: f32,
     /// Time until which the stage waits.
     pub(crate) until: Instant,
-    /// Time that was left of a dwell or of the wait of M66 when a hold suspended it.
+    /// Remaining time of a dwell (G4) or of the wait of M66, stored when a hold suspends the line.
     left: Duration,
     /// How long the spindle takes to spin up or down after this line has switched it.
     pub(crate) spindle_delay: Duration,
 }
 
 impl Job {
-    /// Returns a line of which nothing has been done yet.
+    /// Creates the job of a line that has not been started.
     pub(crate) fn new(answer: Answer, stage: Stage, jog: bool) -> Self {
         Self {
             answer,
@@ -119,8 +121,7 @@ impl Job {
         }
     }
 
-    /// Returns how much longer the stage waits. For a suspended stage, returns the time that was left when it was
-    /// suspended.
+    /// Returns how much longer the stage waits. While a hold suspends the stage, this time does not run down.
     pub(crate) fn left(&self, now: Instant) -> Duration {
         match self.stage {
             Stage::DwellSuspended | Stage::InputSuspended => self.left,
@@ -135,15 +136,15 @@ impl Job {
     }
 }
 
-/// Progress of a line. A stage has no data of its own, so that it stays a single byte that is cheap to pass on; its
-/// data is in the [`Job`].
+/// Progress of a line. A stage has no data of its own: its data is in the [`Job`]. So a stage is a single byte, which
+/// is cheap to pass on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Stage {
     /// Motion queued before the line has to end first (in Grbl: buffer synchronize; in LinuxCNC: queue buster).
     Drain,
     /// The operator puts another tool into the spindle. Ends with `~`.
     ToolChange,
-    /// The spindle spins down, until [`Job::until`], for a tool change that measures the tool.
+    /// The spindle spins down until [`Job::until`], before a tool change that measures the tool.
     SpinningDown,
     /// A tool change that measures the tool. `LineInWork` holds its progress.
     Measuring,
@@ -153,8 +154,8 @@ pub(crate) enum Stage {
     Storing,
     /// G4, until [`Job::until`].
     Dwell,
-    /// The spindle spins up until [`Job::until`], and longer if its input does not report by then that it is up to
-    /// speed.
+    /// The spindle spins up until [`Job::until`]. If the machine has an at-speed input and this input is not active by
+    /// then, the stage waits longer.
     SpinningUp,
     /// G4, suspended by a hold.
     DwellSuspended,
@@ -164,13 +165,13 @@ pub(crate) enum Stage {
     InputSuspended,
     /// Queues the intermediate point of G28 or G30.
     Via,
-    /// Starts the motion itself.
+    /// Starts the motion of the line, after the intermediate point if there is one.
     Target,
     /// The probe moves.
     Probing,
     /// Queues the remaining chords of the line's curve.
     Chords,
-    /// Queues the way back to the centre of G12 and G13.
+    /// Queues the move from the milled circle back to its centre (G12, G13).
     Back,
     /// Motion has to end before the program pauses or ends.
     Flow,
@@ -187,7 +188,8 @@ impl Task {
         matches!(self, Task::None)
     }
 
-    /// Returns whether the task is part of a program, not just an answer that takes time.
+    /// Returns whether the task belongs to a program or a jog. A listing, a store and a restart do not: they only take
+    /// time.
     pub(crate) fn is_program(&self) -> bool {
         !matches!(self, Task::None | Task::Listing(..) | Task::Storing(_) | Task::Rebooting { .. })
     }
@@ -205,8 +207,8 @@ impl Task {
         }
     }
 
-    /// Returns the time at which the task can continue, if it waits for a time. `late`: returns when to check the
-    /// spindle next, given the end of its spin-up time.
+    /// Returns the time for which the task waits; `None` if the task does not wait for a time. `late`: converts the end
+    /// of the spin-up time to the time at which the spindle must be checked next.
     pub(crate) fn wakeup(&self, late: impl Fn(Instant) -> Instant) -> Option<Instant> {
         match self {
             Task::Job(Job { stage: Stage::SpinningUp, until, .. }) => Some(late(*until)),
@@ -216,12 +218,13 @@ impl Task {
         }
     }
 
-    /// Returns whether a line waits for the spindle to come up to speed.
+    /// Returns whether a line is in the stage [`Stage::SpinningUp`].
     pub(crate) fn is_spinning_up(&self) -> bool {
         matches!(self, Task::Job(Job { stage: Stage::SpinningUp, .. }))
     }
 
-    /// Returns whether a line has switched the spindle, and waits until it is up to speed or at rest.
+    /// Returns whether a line has switched the spindle and must still wait until the spindle is up to speed or at rest.
+    /// During G4 on the same line, this is also true.
     pub(crate) fn waits_for_spindle(&self) -> bool {
         match self {
             Task::Job(Job { stage: Stage::SpinningUp, .. }) => true,
@@ -232,7 +235,7 @@ impl Task {
         }
     }
 
-    /// Stops the clock of a dwell or of M66 because of a hold.
+    /// Suspends a dwell or M66 because of a hold. [`Task::resume`] continues it with the remaining time.
     pub(crate) fn suspend(&mut self, now: Instant) {
         let Task::Job(job) = self else { return };
         let left = job.left(now);
@@ -254,8 +257,8 @@ impl Task {
         job.until = now + job.left;
     }
 
-    /// Drops the task. Returns whether the host still waits for an answer to the line that began it. A restart after
-    /// restoring the defaults is not dropped, because without it the defaults would not take effect.
+    /// Drops the task. Returns whether the host still waits for an answer to the line that began the task. The restart
+    /// after `$RST` is kept, because without it the defaults would not take effect.
     pub(crate) fn abandon(&mut self) -> bool {
         if let Task::Storing(Answer::Restart) = self {
             return false;
@@ -265,7 +268,7 @@ impl Task {
         answers
     }
 
-    /// Ends a jog that waits for room in the look-ahead. It is still answered.
+    /// Ends a jog that waits for room in the look-ahead. The host still gets an answer to the jog.
     pub(crate) fn forget_jog(&mut self) {
         if let Task::Job(job) = self
             && job.jog
@@ -275,7 +278,7 @@ impl Task {
     }
 }
 
-/// An answer of many lines.
+/// An answer of many lines. The controller sends one line at a time, when there is room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Listing {
     /// `$$`
@@ -288,7 +291,8 @@ pub(crate) enum Listing {
     Macros,
     /// `$PINS`
     Pins,
-    /// `$I` with `$900=3`, which needs the view of the pins
+    /// `$I` with `$900=3` (the dialect of grblHAL). The answer names the inputs that the board has, so the listing
+    /// waits for the view of the pins.
     Identity,
     /// `$ES` and the like
     Descriptions(Described),

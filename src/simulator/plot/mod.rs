@@ -41,7 +41,7 @@ pub enum Format {
     Png,
 }
 
-/// Returns the format according to a file's extension.
+/// Returns the format according to a file's extension, `.svg` or `.png` in any case. Any other extension is an error.
 pub fn format_of(path: &Path) -> Result<Format> {
     match path.extension().map(|e| e.to_ascii_lowercase()).as_deref().and_then(|e| e.to_str()) {
         Some("svg") => Ok(Format::Svg),
@@ -64,7 +64,7 @@ pub fn write(output: Output, drawing: &Drawing, summary: &Summary) -> Result<()>
     output.write(&bytes)
 }
 
-/// Returns the drawing as SVG.
+/// Draws a job and returns the picture as the text of an SVG file.
 pub fn svg(drawing: &Drawing, summary: &Summary) -> Result<String> {
     register_font("sans-serif", FontStyle::Normal, dejavu::sans::regular())
         .map_err(|_| anyhow!("the embedded font is damaged"))?;
@@ -75,7 +75,7 @@ pub fn svg(drawing: &Drawing, summary: &Summary) -> Result<String> {
         sheet(&root, drawing, summary).map_err(|error| anyhow!("{error}"))?;
         root.present().map_err(|error| anyhow!("{error}"))?;
     }
-    // Set the size in pixels; the viewBox keeps the fine units.
+    // So far the SVG gives its size in fine units. Give it in pixels; the viewBox stays in fine units.
     let fine = format!("<svg width=\"{}\" height=\"{}\"", SIZE.0 * FINE as u32, SIZE.1 * FINE as u32);
     Ok(svg.replacen(&fine, &format!("<svg width=\"{}\" height=\"{}\"", SIZE.0, SIZE.1), 1))
 }

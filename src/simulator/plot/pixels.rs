@@ -1,9 +1,10 @@
 //! Renders the picture as pixels: paints the few kinds of elements in an SVG of [`super::svg`], antialiased, and packs
 //! the pixels as PNG. An unknown element is an error, so other SVGs are not supported.
 //!
-//! To fill an outline, each pixel is mixed with the colour in proportion to the share of the pixel that the outline
-//! covers. A line with a width is filled in the same way: its outlines are a bar for each piece and a mitre on the
-//! outer side of each corner, all with the same sense of rotation, so that they add up to one area.
+//! To fill a shape, each pixel is mixed with the colour in proportion to the share of the pixel that the shape covers.
+//! A line is filled like a shape: it consists of a bar for each straight piece, and of a mitre (a pointed tip) on the
+//! outer side of each corner. Their outlines have the same sense of rotation, so that overlapping parts add up to one
+//! area.
 
 use super::SIZE;
 use super::style::FINE;
@@ -23,8 +24,8 @@ const CORNERS: u8 = 48;
 /// Height of a lower-case x as a fraction of the font size; the SVG uses it to centre text vertically.
 const EX: f32 = 0.5;
 
-/// Square of the maximum distance of a corner's tip from the middle of the line, in half widths. A longer tip is cut
-/// off. The value is SVG's default.
+/// Square of the mitre limit, which is 4 (SVG's default): a tip is at most 4 half widths of the line from the corner. A
+/// longer tip is cut off.
 const MITRE_LIMIT2: f32 = 16.0;
 
 /// Renders an SVG of [`super::svg`] as PNG.
@@ -47,7 +48,7 @@ fn painted(svg: &str) -> Result<Canvas> {
     Ok(canvas)
 }
 
-/// The text between `<` and `>`, and the text up to the next tag.
+/// An element of the SVG. `tag`: the text between `<` and `>`; `text`: what follows, up to the next tag.
 struct Element<'a> {
     tag: &'a str,
     text: &'a str,
@@ -83,7 +84,7 @@ impl Element<'_> {
             .collect()
     }
 
-    /// Returns the width of the element's lines in pixels.
+    /// Returns the stroke width in pixels of the PNG. Default: one unit of the SVG.
     fn width(&self) -> Result<f32> {
         Ok(self.find("stroke-width").map_or(Ok(1.0), |_| self.number("stroke-width"))? * SCALE)
     }
@@ -127,8 +128,9 @@ impl Element<'_> {
         Ok(())
     }
 
-    /// Adds a rectangle or a circle to `shape`: its edge, or its area if it has no edge. `wider` returns its corners,
-    /// moved outwards by a number of pixels. Returns the name of the attribute that has the colour.
+    /// Adds a rectangle or a circle to `shape`. If the element has a stroke, only the edge is added, otherwise the
+    /// area. `wider` returns the corners, moved outwards by a number of pixels. Returns the name of the attribute that
+    /// has the colour.
     fn closed<const N: usize>(&self, shape: &mut Shape, wider: impl Fn(f32) -> [Point; N]) -> Result<&'static str> {
         if self.value("stroke")? == "none" {
             shape.polygon(&wider(0.0));
@@ -231,7 +233,7 @@ impl Shape {
                 let turn = before.x * side.y - before.y * side.x;
                 let zero = point(0.0, 0.0);
                 let (a, b) = if turn > 0.0 { (zero - before, zero - side) } else { (side, before) };
-                // The tip of the mitre is at `reach` times the sum of a and b, seen from the corner.
+                // Seen from the corner, the tip of the mitre is at (a + b) * `reach`.
                 let open = half * half + a.x * b.x + a.y * b.y;
                 let reach = half * half / open;
                 let tip = pair[0] + point((a.x + b.x) * reach, (a.y + b.y) * reach);
@@ -245,7 +247,8 @@ impl Shape {
         }
     }
 
-    /// Returns all points of the outlines, including the control points of curves.
+    /// Returns all points of the outlines, including the control points of curves. All areas are inside the bounds of
+    /// these points.
     fn points(&self) -> impl Iterator<Item = Point> {
         self.0.iter().flat_map(|curve| match *curve {
             OutlineCurve::Line(a, b) => [a, b, a, b],

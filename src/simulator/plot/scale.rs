@@ -59,7 +59,8 @@ impl Scale {
         Self { low, high, step, stops: &HEIGHTS }
     }
 
-    /// Returns the shade of a value. Consecutive pieces of the path with the same shade are drawn as one line.
+    /// Returns the shade of a value, from 0 (low end) to 23 (high end). Consecutive pieces of the path with the same
+    /// shade are drawn as one line.
     pub(super) fn shade(&self, value: f64) -> u8 {
         (((value - self.low) / (self.high - self.low)).clamp(0.0, 1.0) * SHADES).round() as u8
     }
@@ -76,9 +77,11 @@ impl Scale {
     }
 }
 
-/// Returns the end of a scale from 0 to at least `top`, and its step. The scale has 3 to 8 steps of 1, 2, 2.5 or 5
-/// times a power of ten; of these scales, it is the one with the lowest end. A `top` up to 1 % above an end still
-/// counts as that end, so that the scale ends at the feed rate itself.
+/// Chooses a scale for values from 0 to `top`. Returns its end and the distance between its marks. The distance is 1,
+/// 2, 2.5 or 5 times a power of ten, and the scale has 3 to 8 of them. Of all such scales, the one with the lowest end
+/// is chosen.
+///
+/// The end can be up to 1 % below `top`. So a measured speed of 1503 mm/min gets a scale to 1500, the feed rate itself.
 pub(super) fn tight(top: f64) -> (f64, f64) {
     let power = 10_f64.powf(top.max(1e-9).log10().floor() - 1.0);
     let steps = [1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 25.0, 50.0].map(|step| step * power);
@@ -89,9 +92,8 @@ pub(super) fn tight(top: f64) -> (f64, f64) {
     good.min_by(|a, b| (a.0 - a.1 * 1e-6).total_cmp(&(b.0 - b.1 * 1e-6))).unwrap_or((top, top))
 }
 
-/// Colours from the lowest speed to the highest: dark blue through green to orange. All colours are dark enough for
-/// thin lines on white, and their lightness rises evenly, so they keep their order in greyscale and for colour-blind
-/// viewers.
+/// Colours from the lowest speed to the highest: dark blue through green to orange. All are dark enough for thin lines
+/// on white. Their lightness rises evenly, so their order is visible in greyscale and for colour-blind viewers.
 pub(super) const SPEEDS: [(f64, f64, f64); 6] = [
     (48.0, 18.0, 110.0),
     (46.0, 76.0, 158.0),
@@ -119,8 +121,8 @@ pub(super) fn scale_bar(area: &Area, title: [&str; 2], scale: &Scale) -> Drawn {
     area.draw_text(title[0], &small(), (left, top - px(46)))?;
     area.draw_text(title[1], &small(), (left, top - px(28)))?;
     let parts = 98;
-    // Each part is drawn up to the top of the bar, and the next one covers all but its lower end, so that no seams
-    // show.
+    // Draw each part up to the top of the bar. The next part covers all of it except the lower end. So no seams show
+    // between the parts.
     for part in 0..parts {
         let at = |part: i32| bottom - (bottom - top) * part / parts;
         let color = scale.colour(f64::from(part) / f64::from(parts - 1));

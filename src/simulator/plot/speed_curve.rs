@@ -6,10 +6,11 @@ use super::style::{Area, CURVE, Drawn, FAINT, FRAME, RAPID_CURVE, decimals, font
 use crate::path::{Column, Drawing};
 use plotters::prelude::*;
 
-/// Number of columns of the drawn speed curve.
+/// Maximum number of spans of time in the drawn curve.
 const CURVE_COLUMNS: usize = 1200;
 
-/// Returns the speeds in at most `most` spans of time, each with its start time.
+/// Merges the columns of the drawing into at most `most` equal spans of time. Each span has the time of its first
+/// column.
 fn spans(drawing: &Drawing, most: usize) -> Vec<(f64, Column)> {
     let width = drawing.seconds() / most as f64;
     let mut spans: Vec<(f64, Column)> = Vec::new();
@@ -25,8 +26,8 @@ fn spans(drawing: &Drawing, most: usize) -> Vec<(f64, Column)> {
     spans
 }
 
-/// Returns the runs of consecutive spans that have a value, each as a list of (time, value). A value holds until the
-/// next span begins.
+/// Cuts the curve where `value` returns `None`. Returns each part as a list of (time, value). A value holds until the
+/// next span begins, so a part ends with its last value repeated at that time.
 fn stretches<T: Copy>(spans: &[(f64, Column)], value: impl Fn(&Column) -> Option<T>) -> Vec<Vec<(f64, T)>> {
     let mut parts: Vec<Vec<(f64, T)>> = Vec::new();
     let mut open = false;
@@ -61,7 +62,8 @@ pub(super) fn speed_curve(area: &Area, drawing: &Drawing, scale: &Scale) -> Draw
     };
     let per_minute = |mm_s: f32| f64::from(mm_s) * 60.0;
     let spans = spans(drawing, CURVE_COLUMNS);
-    // Take the scale of feeds from the points of the path, because a span of time can contain both a rapid and a feed.
+    // If the job has feeds, the axis ends a little above their scale, and faster rapids are cut off there. Look for
+    // feeds in the points of the path, because a span of time can contain both a rapid and a feed.
     let feeds = drawing.points().iter().skip(1).any(|point| !point.rapid && point.speed > 0.0);
     let rapids = spans.iter().filter_map(|span| span.1.rapid).map(per_minute).fold(0.0, f64::max);
     let top = if feeds { scale.high } else { rapids.max(1e-3) } * 1.1;
@@ -105,7 +107,8 @@ pub(super) fn speed_curve(area: &Area, drawing: &Drawing, scale: &Scale) -> Draw
     for feed in stretches(&spans, |column| column.feed) {
         let high = feed.iter().map(|(at, (_, high))| (at / unit, per_minute(*high).min(top)));
         chart.draw_series([Polygon::new(under(high), CURVE.mix(0.14))])?;
-        // Where many changes fall into one span, its minimum and maximum speed appear as a band.
+        // If the speed changes within a span, draw both its minimum and its maximum. Where the speed changes often,
+        // they appear as a band.
         let mut curve: Vec<(f64, f64)> = Vec::with_capacity(feed.len() * 2);
         for (at, (low, high)) in feed {
             let (low, high) = (per_minute(low).min(top), per_minute(high).min(top));

@@ -33,7 +33,7 @@ pub(super) fn line_style(color: RGBColor, tenths: i32) -> ShapeStyle {
 
 pub(super) type Drawn = std::result::Result<(), Box<dyn std::error::Error>>;
 
-/// Returns the number of decimals for labels over a range.
+/// Returns the number of decimals for the labels of a range: 0 for a range of 50, 1 for 5, 2 for 0.5.
 pub(super) fn decimals(range: f64) -> usize {
     (1.0 - (range / 5.0).max(1e-6).log10().floor()).clamp(0.0, 5.0) as usize
 }

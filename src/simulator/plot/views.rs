@@ -9,12 +9,12 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 /// Space left free around the tool path, as a fraction of its size.
 const MARGIN: f64 = 0.06;
-/// Maximum height of the view at an angle, as a fraction of the larger size of the job in X and Y. Z is stretched up to
-/// this height.
+/// Maximum height of the job in the view at an angle, as a fraction of its larger size in X and Y. Shallow jobs are
+/// stretched in Z up to this height.
 const HEIGHT: f64 = 0.4;
-/// Horizontal view direction of the view at an angle, in radians from the front to the right.
+/// Horizontal direction from which the view at an angle looks, in radians from the front to the right.
 const ASIDE: f64 = 0.52;
-/// Vertical view direction of the view at an angle, in radians from the horizontal.
+/// Vertical direction from which the view at an angle looks, in radians above the horizontal.
 const ABOVE: f64 = 0.87;
 
 pub(super) fn cross(area: &Area, (x, y): (i32, i32)) -> Drawn {
@@ -24,8 +24,8 @@ pub(super) fn cross(area: &Area, (x, y): (i32, i32)) -> Drawn {
     Ok(())
 }
 
-/// Draws the path as lines; a new line begins where the style changes. `project` maps a point to the paper, `shade`
-/// selects the colour of the motion to a point.
+/// Draws the path as lines. A new line begins where the colour changes, or between a rapid and a feed. `project` maps a
+/// point to the paper. `shade` selects the colour of the motion that ends at a point.
 fn draw_path(
     area: &Area,
     points: &[Point],
@@ -59,8 +59,7 @@ fn draw_path(
     Ok(())
 }
 
-/// Returns the path with additional points on steep motions, so that the height changes by at most about one shade
-/// within each piece.
+/// Returns the path with additional points on steep feeds, so that each piece has about one shade of the height scale.
 pub(super) fn by_height(points: &[Point], scale: &Scale) -> Vec<Point> {
     let mut fine = Vec::with_capacity(points.len());
     fine.extend(points.first());
@@ -124,7 +123,8 @@ fn start_and_end(area: &Area, points: &[Point], project: impl Fn(&Point) -> (i32
     Ok(())
 }
 
-/// Widens the ranges of both axes so that both have the same scale (mm per pixel), and adds a margin.
+/// Widens the ranges `low` to `high` of both axes (mm), so that both have the same scale on an area of `pixels`, and
+/// adds a margin.
 fn equal_scale(low: [f64; 2], high: [f64; 2], pixels: [f64; 2]) -> ([f64; 2], [f64; 2]) {
     let size = [high[0] - low[0], high[1] - low[1]];
     let least = size[0].max(size[1]).max(0.01) * 0.01;
@@ -181,7 +181,8 @@ pub(super) fn stretch(bounds: &Bounds) -> f64 {
     [50.0, 20.0, 10.0, 5.0, 2.0].into_iter().find(|times| *times <= most).unwrap_or(1.0)
 }
 
-/// Draws the 3D view: a parallel (axonometric) projection of the path, from the front right and above.
+/// Draws the view at an angle: a parallel (axonometric) projection of the path, from the front right and above, in a
+/// box with the limits of each axis.
 pub(super) fn angled(area: &Area, points: &[Point], bounds: &Bounds, scale: &Scale) -> Drawn {
     let stretch = stretch(bounds);
     let flat = |x: f64, y: f64, z: f64| {

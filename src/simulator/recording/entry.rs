@@ -48,7 +48,7 @@ pub enum BoardReport {
     },
 }
 
-/// Returns the position, steps and state of a machine, by which two runs are compared.
+/// Returns motor positions, a hash of all steps, and the state of a machine, as text to compare two runs.
 pub(super) fn place(simulator: &Simulator) -> String {
     // A is omitted if it has never turned, so that recordings of three axes keep their form.
     let position = simulator.machine().motors();
@@ -57,7 +57,8 @@ pub(super) fn place(simulator: &Simulator) -> String {
     format!("{places}{:016x} {}", simulator.trace().digest().order_hash(), state(simulator))
 }
 
-/// Returns the alarm, the outputs, and whether the position is trusted and the machine paused, to compare two runs.
+/// Returns the alarm, the outputs, and whether the position is trusted and the machine paused, as text to compare two
+/// runs.
 pub(super) fn state(simulator: &Simulator) -> String {
     let controller = simulator.controller();
     let mut words = format!("alarm {}", controller.alarm().map_or(0, |alarm| alarm.code()));
@@ -79,11 +80,11 @@ pub(super) fn state(simulator: &Simulator) -> String {
     words
 }
 
-/// Text in a recorded state before the hash of the clock and of the times of all steps and output changes.
+/// In a recorded state, the text between the state and the hash of the clock and the times.
 const TRACED: &str = " traced ";
 
-/// Returns [`place`] and [`TRACED`], followed by a hash over the clock and over the times of all steps and output
-/// changes. `begin`: the tick at which the recording began.
+/// Returns [`place`], followed by [`TRACED`] and a hash of the clock and of the times of all steps and output changes.
+/// `begin`: the tick at which the recording began.
 pub(super) fn traced(simulator: &Simulator, begin: u64) -> String {
     let (clock, trace) = (simulator.clock(), simulator.trace());
     let hz = u64::from(simulator.board().step_clock_hz);
@@ -91,8 +92,8 @@ pub(super) fn traced(simulator: &Simulator, begin: u64) -> String {
     format!("{}{TRACED}{hash:016x}", place(simulator))
 }
 
-/// Compares the state of a machine and the hash of its times with the recorded ones. A state recorded by an older
-/// version has nothing after the step hash, or nothing after the outputs.
+/// Compares two texts of [`traced`]: the `recorded` one and the one of the machine `here`. A text of an older version
+/// can end after the step hash or after the outputs. Then only these parts are compared.
 ///
 /// # Errors
 /// A text that says what differs.

@@ -18,9 +18,9 @@
 //! 1700000 job                             a job begins that no host sends: the controller takes it as fast as it can
 //! job G0 X1\n                             each line of it
 //! ```
-//! A board lists its recording by `$REC`, each line as `[REC:...]`. In the log of a terminal all other lines are
-//! ignored, and the last of several listings counts. A board writes further kinds of lines, which `protocol::recording`
-//! of the controller formats and [`crate::board_replay`] plays.
+//! The command `$REC` lists the recording of a board, each line as `[REC:...]`. [`Recording::parse`] also reads the log
+//! of a terminal: it ignores all other lines, and takes the last of several listings. A board writes further kinds of
+//! lines, which `protocol::recording` of the controller formats and [`crate::board_replay`] plays.
 //!
 //! Each line after `begin` starts with its time, except the lines of a job.
 
@@ -57,7 +57,7 @@ impl Recording {
         &self.inputs
     }
 
-    /// Returns whether the recording is complete.
+    /// Returns `false` if the recording is a board's listing without its `end` line: then the later part is missing.
     pub fn is_whole(&self) -> bool {
         !self.broken_off
     }
@@ -95,7 +95,8 @@ impl Recording {
         }
     }
 
-    /// Returns a simulator in the state at the beginning of the recording.
+    /// Powers up a simulator with the recorded settings and hardware, and advances it to the tick at which the
+    /// recording begins.
     ///
     /// # Errors
     /// If the recording does not describe a valid machine.
@@ -116,9 +117,9 @@ impl Recording {
         Ok(simulator)
     }
 
-    /// Plays the inputs into a machine that has just been powered up, up to the start of the recorded job if there is
-    /// one, otherwise to the end of the recording. `on_output` receives the machine's output; `pass` is called as time
-    /// passes, with the ticks of the step clock since the beginning.
+    /// Plays the inputs into a machine that has just been powered up. If the recording has a job, stops at the start of
+    /// the job, otherwise at the end of the recording. `on_output` receives the machine's output. `pass` is called as
+    /// time passes, with the ticks of the step clock since the beginning.
     ///
     /// # Errors
     /// A text that says where the machine differs from the recording.
@@ -165,8 +166,8 @@ fn advance(simulator: &mut Simulator, until: u64, mut on_output: impl FnMut(&str
     }
 }
 
-/// Passes all of the machine's output to `on_output`, including replies that the controller sends only after earlier
-/// output has been fetched.
+/// Passes all of the machine's output to `on_output`. Fetching output can let the controller send further replies that
+/// it held back; they are passed, too.
 fn pass_output(simulator: &mut Simulator, on_output: &mut impl FnMut(&str)) {
     while simulator.unfetched() > 0 {
         on_output(&simulator.take_output());

@@ -10,7 +10,7 @@ use oxmill_controller::units::Coordinate;
 /// Maximum duration of a recording, s: 100 days.
 const LONGEST: u64 = 100 * 24 * 3600;
 
-/// A recording that has been read.
+/// A recording that has been read: the machine at the beginning, the inputs with their times, and the job.
 #[derive(Clone, Debug)]
 pub struct Recording {
     pub(super) board: Board,
@@ -20,7 +20,7 @@ pub struct Recording {
     pub(super) inputs: Vec<(u64, Input)>,
     /// The text of the recorded job.
     pub(super) job: Option<Vec<u8>>,
-    /// Whether the listing of a board has no `end` line, so that its later part is missing.
+    /// `true` if the listing of a board has no `end` line: its later part is missing.
     pub(super) broken_off: bool,
 }
 
@@ -58,7 +58,8 @@ impl Recording {
         Ok(recording)
     }
 
-    /// Parses a time and checks that a replay, at about 10,000 times real time, reaches it within a quarter of an hour.
+    /// Parses a time in ticks. A time after 100 days is an error, because a replay (about 10,000 times as fast as the
+    /// machine) should reach every time within a quarter of an hour.
     fn parse_time(&self, text: &str) -> Result<u64, String> {
         let time = number(text)?;
         let last = LONGEST * u64::from(self.board.step_clock_hz);
@@ -212,7 +213,7 @@ fn bytes_of_hex(text: &str) -> Result<Vec<u8>, String> {
         .ok_or_else(|| format!("`{text}` is no value of a record"))
 }
 
-/// Reverses `escape_ascii`.
+/// Returns the bytes of a text that `escape_ascii` has written: `G1\n` becomes G, 1 and a line feed.
 fn unescape(text: &str) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
     let mut rest = text.bytes();

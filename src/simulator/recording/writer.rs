@@ -8,7 +8,8 @@ use std::fmt::Write as _;
 use std::io::{self, BufRead, Read, Write};
 use std::rc::Rc;
 
-/// Writes a recording while the machine runs.
+/// Writes a recording while the machine runs. The caller reports each input before it passes the input to the
+/// simulator.
 pub struct Recorder {
     /// Bytes of the recording that have not been written to `out` yet.
     held: Vec<u8>,
@@ -20,9 +21,9 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Begins the recording of a simulator that has just been powered up. `machine` describes the hardware of its
-    /// machine. The recording is kept in memory until [`Recorder::write_to`] is called, so that an older recording in
-    /// the file is overwritten only after the machine has started successfully.
+    /// Begins the recording of a simulator that has just been powered up. `machine`: the text of its machine
+    /// description. The recording stays in memory until [`Recorder::write_to`] is called. So an older recording in the
+    /// file is overwritten only after the machine has started successfully.
     pub fn begin(simulator: &mut Simulator, machine: &str) -> Self {
         let (board, now) = (*simulator.board(), simulator.clock().now());
         let mut head = format!("{TITLE}\nboard {} {}\n", board.name, board.step_clock_hz);
@@ -62,7 +63,8 @@ impl Recorder {
         self.out.as_mut().map_or(Ok(()), |out| out.flush())
     }
 
-    /// Records an input at the present time.
+    /// Records an input at the present time, after the state of the machine if it has changed. Entries that only a
+    /// board records are ignored.
     ///
     /// # Errors
     /// If writing fails.
@@ -75,7 +77,6 @@ impl Recorder {
             Input::Pin(line) => self.write(simulator, &format!("pin {}", line.trim())),
             Input::At(place) => self.write(simulator, &format!("at {place}")),
             Input::Job => self.write(simulator, "job"),
-            // Only boards record these.
             Input::Report(_) => Ok(()),
         }
     }
@@ -114,7 +115,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// Records a line of a job.
+    /// Records a line of a job, with its line end and without a time.
     ///
     /// # Errors
     /// If writing fails.

@@ -7,7 +7,8 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-/// Sent after the welcome line, and before the error if `$X` or `$H` is rejected.
+/// Message of the controller while its stored settings are damaged. It comes after the welcome line, and before the
+/// error of a rejected `$X` or `$H`.
 const DAMAGED: &str = "[MSG:Stored settings damaged, some may be lost: send $$, correct them, wait 2 s, send $X]\r\n";
 const WELCOME: &str = "\r\nGrbl 1.1h ['$' for help]\r\n";
 
@@ -51,7 +52,7 @@ fn listing(mill: &mut Simulator) -> Vec<String> {
     lines
 }
 
-/// Whichever bit of a record is wrong: at most one value changes, a message is sent, and motion is locked.
+/// Any one bit of the records is wrong. Then at most one value changes, a message is sent, and motion is locked.
 #[test]
 fn a_wrong_bit_costs_one_value_at_most() {
     let folder = Folder::new();
@@ -97,7 +98,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
     let folder = Folder::new();
     let path = folder.path().join("s");
     let mut image = stored(&path, &["$22=1", "$110=600", "$100=80"]);
-    // `$22=1` has stored `$20` at byte 12 and `$22` at byte 24.
+    // `$22=1` has stored two records, which begin at these bytes of the log: `$20` at 12 and `$22` at 24.
     image[24] ^= 0x40;
     let homing = image.clone();
     image[12] ^= 0x40;
@@ -107,7 +108,7 @@ fn nothing_moves_before_somebody_has_looked_and_confirmed() {
         assert_eq!(said, format!("{WELCOME}{DAMAGED}"));
         mill.send("?");
         assert!(mill.take_output().starts_with("<Alarm|"));
-        // Senders begin with `$X` and `$H`, but neither unlocks motion.
+        // Programs that send jobs often begin with `$X` or `$H`. Neither may unlock motion here.
         let refused = format!("{DAMAGED}error:7\r\n");
         assert_eq!(say(&mut mill, "$X"), refused);
         assert_eq!(say(&mut mill, "$22=1"), "ok\r\n");
@@ -178,8 +179,8 @@ fn settings_are_mended_before_they_are_confirmed() {
     assert!(list.contains("$100=80.000\r\n") && list.contains("$101=81.000\r\n"), "{list}");
 }
 
-/// The power is cut at every operation of the confirmation: the damage is reported again or is gone, and no setting is
-/// lost.
+/// The power is cut at each flash operation while the user's confirmation (`$X`) is stored. Afterwards the damage is
+/// reported again or is gone, and no setting is lost.
 #[test]
 fn a_power_cut_in_the_confirmation_is_no_harm() {
     let folder = Folder::new();

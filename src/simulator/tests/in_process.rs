@@ -66,7 +66,8 @@ fn a_reset_in_motion_stops_the_pulses_at_once() {
     assert!(mill.take_output().contains("ALARM:3"));
 }
 
-/// A laser with scaled power (M4) is dark from the end of its motion on, not only after the drivers are switched off.
+/// With M4, a laser is off as soon as its motion ends, and not only when the motor drivers are switched off (`$1`).
+/// With M3, the laser stays on.
 #[test]
 fn a_beam_with_scaled_power_ends_with_the_motion() {
     for (idle_delay, direction, stays) in [(25, "M4", false), (255, "M4", false), (255, "M3", true)] {
@@ -96,7 +97,8 @@ fn the_drivers_are_on_while_a_tool_is_changed() {
     assert!(mill.outputs().is_some_and(|outputs| !outputs.drivers));
 }
 
-/// Whatever ends a tool change, the drivers go off after the delay of `$1`.
+/// A reset or a stop (0x19) ends a tool change, also after a hold (`!`) or a door command (0x84). The drivers then go
+/// off after the delay of `$1`.
 #[test]
 fn the_drivers_go_off_when_a_tool_change_is_given_up() {
     for stop in [&b"\x18"[..], b"\x19", b"!\x18", b"\x84\x18", b"\x84\x19~"] {
@@ -112,7 +114,8 @@ fn the_drivers_go_off_when_a_tool_change_is_given_up() {
     }
 }
 
-/// During sleep, the axes can be moved by hand, as with Grbl, even if the drivers are otherwise always on.
+/// In sleep (`$SLP`) the drivers are off, as with Grbl, so that the axes can be moved by hand. Even `$1=255`, which
+/// otherwise keeps the drivers on, does not change that.
 #[test]
 fn the_drivers_are_off_in_sleep() {
     for (idle_delay, after) in [(25, false), (255, true)] {
@@ -265,7 +268,7 @@ fn more_answers_than_anyone_fetches_are_kept() {
         }
         answers += said.matches("error:20\r\n").count();
     }
-    // A few replies are not counted above, because `take_output` returned their two parts in different calls.
+    // `take_output` can return the two parts of a reply in different calls. Such a reply is not counted above.
     assert!((19_990..=20_000).contains(&answers), "{answers}");
     assert!(mill.is_idle());
 }
@@ -287,7 +290,7 @@ fn realtime_commands_overtake_lines_that_wait() {
     assert_eq!(mill.unread(), 0, "a reset drops what waited before it");
 }
 
-/// A hold ends a jog and all jogs received so far, including those for which the queue has no room.
+/// A hold ends the present jog and drops all jogs received so far, even those for which the queue had no room.
 #[test]
 fn a_hold_forgets_all_jogs_that_have_been_received() {
     let mut mill = mill();
@@ -349,8 +352,8 @@ fn a_flood_of_resets_tears_no_welcome() {
     assert_eq!(mill.take_output(), "ok\r\n");
 }
 
-/// The board's link limits overtaking: a command overtakes only line bytes that fit into the queue and the link (255
-/// and 192).
+/// A command such as `?` is executed before the lines that still wait, if the board has received the command. The board
+/// receives only as many bytes as fit into its queue (255) and its link (192).
 #[test]
 fn what_finds_no_room_waits_in_the_port() {
     for (lines, passes) in [(80, true), (100, false)] {
@@ -366,7 +369,8 @@ fn what_finds_no_room_waits_in_the_port() {
     }
 }
 
-/// The machine does not see the bytes that wait in front of a full queue, but the host does not count as silent.
+/// While the queue is full, bytes of the host wait outside, and the machine does not get them. The host must still not
+/// count as silent (`$922`).
 #[test]
 fn a_host_that_waits_for_room_is_not_silent() {
     let mut mill = Simulator::new(Options::default());

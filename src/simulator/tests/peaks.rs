@@ -1,5 +1,6 @@
-//! Compares the measured peaks with the values in the program: circles and lines, each as one move or as many short
-//! straight moves, on coarse and fine steps.
+//! Compares the measured maximum speed and acceleration with the feed rate of the program and with the acceleration
+//! setting. The programs are circles and lines, each as one move or as many short straight moves, on coarse and fine
+//! steps.
 
 use oxmill_simulator::meter::Measured;
 use oxmill_simulator::{JobText, Options, Simulator};
@@ -29,7 +30,8 @@ fn assert_near(value: f64, low: f64, high: f64, what: &str) {
     assert!((low..=high).contains(&value), "{what}: {value} is not in {low} to {high}");
 }
 
-/// Returns evenly spread numbers in 0..1, by the golden ratio.
+/// Returns a number from 0 to 1 for an index. Consecutive indices give evenly spread numbers (multiples of the golden
+/// ratio).
 fn spread(index: usize) -> f64 {
     (index as f64 * 0.618_033_988_75).fract()
 }
@@ -60,7 +62,8 @@ fn a_circle_at_feed_has_the_speed_and_the_ramps_of_its_program() {
 fn a_line_has_the_speed_and_the_ramps_of_its_program() {
     for (index, resolution) in [80, 100, 250, 400, 1000].into_iter().cycle().take(25).enumerate() {
         let (angle, feed) = (spread(index) * std::f64::consts::TAU, 300.0 + 2700.0 * spread(index + 7));
-        // At least six ramps of v^2 / (2 a) each, so that most of the line is at the feed rate, and at least 400 steps.
+        // A ramp from rest to the feed rate v with the acceleration a is v^2 / (2 a) long. The line is at least six
+        // ramps long, so that most of it is at the feed rate, and has at least 400 steps.
         let length = (3.0 * (feed / 60.0).powi(2) / ACCELERATION).max(400.0 / f64::from(resolution));
         let (x, y) = (length * angle.cos(), length * angle.sin());
         let program = format!("G21 G91 G1 X{x:.4} Y{y:.4} F{feed:.1}");
@@ -124,7 +127,8 @@ fn a_circle_in_chords_has_the_speed_of_its_program() {
             });
             let m = measured(resolution, &program);
             let what = format!("a circle in chords of {chord} mm at {resolution} steps/mm");
-            // Whether the planner reaches the feed everywhere is not tested here; the speed must never exceed the feed.
+            // The maximum speed must be the feed rate, and not more. Whether the feed rate is reached everywhere is not
+            // tested here.
             assert_near(m.speed * 60.0, feed * 0.97, feed * 1.01, &what);
             assert_near(m.acceleration, ACCELERATION * 0.5, ACCELERATION * 1.5, &what);
             assert_near(m.distance, length * 0.98, length * 1.02, &what);

@@ -9,7 +9,7 @@ const SECTOR: u32 = 1280;
 const SESSIONS: usize = 50;
 const COMMANDS: usize = 24;
 
-/// Marsaglia's xorshift, which returns the same series everywhere.
+/// Random numbers by Marsaglia's xorshift: the same start value gives the same series on every computer.
 struct Dice(u32);
 
 impl Dice {
@@ -131,8 +131,8 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
                 difference(&found, after),
             );
             cuts += 1;
-            // The store reports an interrupted write as damage only if the record's last word lacks bits of just one
-            // byte: see the store's own tests.
+            // The store reports an interrupted write as damage only in one case: bits of exactly one byte are missing
+            // in the last word of a record. See the store's own tests.
             reported += u32::from(again.controller().is_store_damaged());
             if before != after {
                 old += u32::from(found == *before);
@@ -167,7 +167,7 @@ fn records_of_other_versions_are_ignored_and_kept() {
     let defaults = stored(&mut power_up(Store::in_memory()));
     let mut mill = power_up(store);
     assert_eq!(stored(&mut mill), defaults);
-    // Enough to fill the sector more than once.
+    // These changes fill the sector more than once, so the unknown records are copied to the other sector.
     for value in 1..=200 {
         assert_eq!(say(&mut mill, &format!("$101={value}")), "ok\r\n");
     }
@@ -183,8 +183,8 @@ fn job(value: usize) -> Vec<String> {
     lines.iter().map(|line| line.replace('#', &value.to_string())).collect()
 }
 
-/// The lines of the job arrive at once, as from a sender that counts characters. All answered lines must be stored.
-/// Lines after them may be stored, too, but none may be skipped.
+/// The lines of the job arrive at once, as from a sender that counts characters. What the answered lines store must be
+/// found after the power cut. What later lines store may be found, too, but without gaps.
 #[test]
 fn a_job_whose_end_meets_a_power_cut_has_stored_what_it_has_answered() {
     let mut begin = Store::with_sectors_of(SECTOR);

@@ -7,7 +7,7 @@ use std::io::{self, Write};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-/// A file in memory.
+/// A file in memory. Its clones share the contents, so a test can read what the recorder writes.
 #[derive(Clone, Default)]
 struct File(Arc<Mutex<Vec<u8>>>);
 
@@ -33,7 +33,8 @@ const MACHINE: &str =
 /// Settings that make the machine act when the host falls silent during a job or a jog, so that pauses have effects.
 const WATCHES: [&str; 6] = ["$922=0.1\n", "$922=0.5\n", "$923=0.1\n", "$928=1\n", "$915=1\n", "$929=0.1\n"];
 
-/// Returns random inputs of a host and of the user, with pauses. The host also sends lines of `more`.
+/// Returns random inputs of a host and of the user, each with a pause from 0 to 300,000. The test chooses the unit of
+/// the pause. `more`: further lines that the host sends.
 fn inputs_with(more: &[&'static str]) -> impl Strategy<Value = (u32, Input)> + use<> {
     let mut lines = vec![
         "G1 X2 F600\n",
@@ -156,8 +157,8 @@ fn another_machine_parts_from_it() {
     }
 }
 
-/// A recording is read in the same way with the line ends and the byte order mark that an editor or a mail program may
-/// have added.
+/// An editor or a mail program may change the line ends of a recording, or put a byte order mark in front. The
+/// recording is then read in the same way.
 #[test]
 fn line_ends_and_a_mark_in_front_are_no_difference() {
     let (text, _) = recorded("G1 X1 F600\n");
@@ -184,7 +185,7 @@ fn another_state_parts_from_it() {
         let (place, traced) = text.trim_end().rsplit_once(" traced ").unwrap();
         assert!(place.ends_with(&format!(" {state}")) && traced.len() == 16, "{sent:?} is {text}");
         assert_eq!(played(&text), Ok(()));
-        // Each word of the state is compared.
+        // If any one word of the state is changed, the replay must report a difference.
         let words: Vec<&str> = state.split(' ').collect();
         for index in 0..words.len() {
             let changed = [&words[..index], &["other"], &words[index + 1..]].concat().join(" ");
@@ -197,7 +198,7 @@ fn another_state_parts_from_it() {
     let older: String = text.lines().map(|line| format!("{}\n", line.split(" alarm ").next().unwrap())).collect();
     assert_eq!(played(&older.replace(" M8", "")), Ok(()));
     assert!(played(&text.replace(" M8", "")).is_err());
-    // Recordings of another older version contain no clock.
+    // Recordings of another older version contain no hash of the times of steps and outputs (`traced`).
     let older: String = text.lines().map(|line| format!("{}\n", line.split(" traced ").next().unwrap())).collect();
     assert_eq!(played(&older), Ok(()));
     assert!(played(&older.replace(" M8", "")).is_err());
@@ -234,7 +235,7 @@ fn other_outputs_and_another_clock_part_from_it() {
         for bit in 0..24 {
             let changed = format!("{} {rest}", time ^ 1 << bit);
             let text = [&lines[..number], &[&changed], &lines[number + 1..]].concat().join("\n") + "\n";
-            // `parse` already rejects a time that is before that of the preceding line.
+            // `parse` already rejects a line whose time is earlier than the time of the line before it.
             if Recording::parse(&text).is_ok() {
                 differs(text);
             }
@@ -288,8 +289,8 @@ fn listing(mill: &mut Simulator) -> String {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
-    /// A simulator acts as a board and lists its recording. Replaying the listing on another simulator ends at the same
-    /// position by the same blocks.
+    /// A simulator acts as a board and lists its recording. Another simulator replays the listing: it must execute the
+    /// same blocks and end at the same position.
     #[test]
     fn what_a_board_lists_is_played(script in prop::collection::vec(inputs_with(&[]), 1..60)) {
         let (mut mill, _, _, _) = machine();
@@ -313,15 +314,15 @@ proptest! {
         let mut again = recording.power_up().unwrap();
         let arrival = oxmill_simulator::board_replay::play(&recording, &mut again, |_| {}, |_| {});
         if log.rfind(" stored]") > log.rfind(" state ") {
-            // The last setting was changed while a switch was active. No state was recorded after it, so there is none
-            // from which a replay can begin.
+            // A replay can begin only at a recorded state after the last change of a setting. Here the last change came
+            // while a switch was active, and no state was recorded after it.
             prop_assert!(arrival.parted.is_some_and(|why| why.starts_with("begins in the middle")), "{}", log);
             return Ok(());
         }
-        // A recording leaves three facts open: the order in which bytes of two hosts arrived at the same time; whether
-        // `~` arrived just before the machine came to rest in a hold; and when a line that had to wait arrived. (The
-        // arrival of a line makes the controller run, and because of that, a later braking can end one segment later.)
-        // In these cases the replay may differ from the recorded run, but must report the difference.
+        // A recording leaves three facts open. First, in which order bytes of two hosts arrived at the same time.
+        // Second, whether `~` arrived just before the machine came to rest in a hold. Third, when a line that had to
+        // wait arrived: its arrival makes the controller run, so a later braking can end one segment later. In these
+        // cases the replay may differ from the recorded run, but must report the difference.
         let unclear = |input: &Input| match input {
             Input::Connect | Input::Disconnect => true,
             Input::Host(bytes) => bytes == b"~" || brakes(input),
@@ -406,7 +407,8 @@ fn a_state_with_an_input_that_stops_the_machine_is_no_beginning() {
     assert!(parted.as_ref().is_some_and(|why| why.contains("raise ALARM:1")), "{parted:?} {tripped}");
 }
 
-/// A corner is rounded only if its second move was known when its first move started, so the lines must come together.
+/// A corner is rounded only if its second move was known when its first move started. So the replay, too, must send
+/// these lines together.
 #[test]
 fn lines_that_came_at_once_are_played_at_once() {
     let burst = "G64 P0.1\nG1 X1 F900\nY1\nX0\nY0\n";

@@ -44,9 +44,9 @@ fn run(settings: &[&str], before: &str, program: &str) -> Ran {
     (steps, simulator.controller().interpreter().clone())
 }
 
-/// Resumes the program at each of its lines, on a machine that has only its settings and has then run the lines
-/// `elsewhere`. The steps must be those of the whole program, except for the lines in `other_way`. Returns the lines at
-/// which the program cannot be resumed, with the reasons.
+/// Resumes the program at each of its lines. Before that, the machine has only its settings, and runs the lines
+/// `elsewhere`, which move it away. The rest must then make the same steps as the whole program, except at the lines in
+/// `other_way`. Returns the lines at which the program cannot be resumed, with the reasons.
 fn compare_all(settings: &[&str], program: &str, elsewhere: &str, other_way: &[usize]) -> Vec<(u64, String)> {
     let words: Vec<String> =
         "XYZA".chars().filter(|c| elsewhere.contains(*c)).map(|c| format!(" {c}").replace(" Z", "Z")).collect();
@@ -182,8 +182,8 @@ G55 G0 X2 Y3 Z5
 G1 X4
 M2";
     let refused = compare_all(&["918=1"], program, "G91 G0 X1.7 Y-2.3 Z4.9\nG90", &[]);
-    // Line 7: with the offset of the tool just loaded, the spindle has not been at that height. Lines 23 and 24: after
-    // G55, the job's heights are known in G54 only.
+    // Line 7: the job has travelled at Z5 without a tool offset. With the offset of T3, Z5 would need a higher spindle
+    // than the job has used. Lines 23 and 24: after G55, the job's heights are known in G54 only.
     let lines: Vec<u64> = refused.iter().map(|(line, _)| *line).collect();
     assert_eq!(lines, [7, 23, 24], "{refused:?}");
     assert!(refused.iter().all(|(_, why)| why.contains("--clearance")), "{refused:?}");
@@ -301,7 +301,7 @@ fn the_machine_is_as_it_was() {
     assert!(image == simulator.store().image());
 }
 
-/// Returns a random line of G-code, with `retracts` also G98 and G99.
+/// Returns a random line of G-code. `retracts`: `true` to choose among G98 and G99, too.
 fn any_line(dice: &mut impl FnMut(usize) -> usize, retracts: bool) -> String {
     let mut length = |most: usize| format!("{:.2}", dice(most * 100) as f64 / 100.0 - most as f64 / 3.0);
     let [x, y, z, i, j] = [6, 6, 6, 2, 2].map(&mut length);
@@ -377,7 +377,7 @@ fn dice_of(seed: u64) -> impl FnMut(usize) -> usize {
     }
 }
 
-/// Returns a program of random lines ([`any_line`]), without those that a machine rejects.
+/// Returns a program of random lines ([`any_line`]). Lines that a machine with these settings rejects are left out.
 fn any_program(settings: &[&str], seed: u64) -> String {
     let mut dice = dice_of(seed);
     let mut simulator = machine(settings);
@@ -461,7 +461,8 @@ fn the_clearance_is_the_highest_height_or_must_be_said() {
     }
 }
 
-/// With the tool offset, an earlier Z of the job needs a higher spindle position, which could exceed the travel.
+/// The tool must not travel at a Z that the job has reached only before its tool offset (G43.1). With the offset, that
+/// Z needs a higher spindle position, which could exceed the travel.
 #[test]
 fn the_spindle_goes_no_higher_than_in_the_job() {
     let program = "G21 G90\nG0 Z100\nX1 Y1\nG43.1 Z60\nG0 Z15\nG1 Z-1 F100\nX5\nX6\n";
@@ -479,7 +480,8 @@ fn cycles_that_began_in_the_work_do_not_go_on() {
     assert!(resumed(&[], program, &request(7)).unwrap_err().contains("below their R"));
 }
 
-/// Results of probing and inputs are not known, and neither is anything that depends on them.
+/// The results of probing moves and the states of inputs are unknown when a job is resumed. A job whose rest depends on
+/// them is rejected.
 #[test]
 fn what_probes_and_inputs_tell_is_not_known() {
     let refused = |program: &str, word: &str| {
@@ -530,7 +532,8 @@ fn a_curve_that_goes_on_from_one_in_front_is_refused() {
     assert!(resumed(&[], mode, &request(5)).is_ok());
 }
 
-/// Simulating a slower plunge would take hours, and Grbl does not support it either.
+/// The plunge feed must be at least 1 mm/min. Simulating a slower plunge would take hours, and Grbl does not support it
+/// either.
 #[test]
 fn a_plunge_is_not_slower_than_grbl_goes() {
     let program = "G21 G90\nG0 Z5\nG0 X1\nG1 Z-1 F100\nX5\nX6\n";
@@ -542,8 +545,8 @@ fn a_plunge_is_not_slower_than_grbl_goes() {
 }
 
 /// Homing at the beginning of a job, M0 between arcs, and changes of the feed mode before an F do not prevent resuming.
-/// A G5 without I and J prevents it if the curve that it continues is before the rest, even if another move is between
-/// them.
+/// A G5 without I and J continues an earlier curve. If that curve is not part of the rest, the job is rejected, even if
+/// another move is between the curve and the G5.
 #[test]
 fn what_matters_not_does_not_hinder() {
     assert!(resumed(&[], "$H\nG21 G90\nG0 Z5\nX1\n", &request(4)).is_ok());

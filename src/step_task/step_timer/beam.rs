@@ -4,7 +4,8 @@ use super::begins::MARKS;
 use crate::boards::{StepOutput, StepPins};
 use crate::shared::Power;
 
-/// The laser power, and a queue of its coming changes: those of generated segments whose start has not been output yet.
+/// The laser power (0 to 65535), and a queue of its coming changes. Each change belongs to a generated segment whose
+/// start has not been output yet.
 pub struct Beam {
     /// The queued changes in the order of their times: time and new power.
     marks: heapless::Deque<(u32, u16), MARKS>,
@@ -43,14 +44,15 @@ impl Beam {
         Power::wanted().from_segments || self.armed
     }
 
-    /// Queues the power of a segment that begins at the time `at`, if it differs from that of the previous segment.
-    /// Returns whether it is the only queued change, which the caller must arm once the output runs.
+    /// Queues a change to `power` at the time `at`, at which a segment begins. Queues nothing if the previous segment
+    /// has the same power. Returns whether it is the only queued change, which the caller must arm once the output
+    /// runs.
     pub fn segment(&mut self, at: u32, power: u16) -> bool {
         if power == self.made {
             return false;
         }
         if self.marks.is_full() {
-            // Replace the newest queued change. There is no event between that change and the new one, so no step would
+            // Replace the newest queued change. No event lies between that change and the new one, so no step would
             // have had its power.
             self.marks.pop_back();
         }
@@ -85,9 +87,9 @@ impl Beam {
         }
     }
 
-    /// Call at the time of an armed change. Removes all changes that are due from the queue, makes the power of the
-    /// last of them the present one, and arms the next change. Hardware makes only one change at its time; if others
-    /// follow it shortly, this function makes them, perhaps late.
+    /// Removes all changes that are due from the queue, sets the power of the last of them, and arms the next change.
+    /// Called at the time of an armed change. Hardware makes only the armed change at its exact time. Changes that
+    /// follow shortly after it are made here, perhaps late.
     #[inline(never)]
     pub fn mark(&mut self, output: &mut StepPins) {
         let before = self.marks.len();
@@ -98,15 +100,15 @@ impl Beam {
             self.marks.pop_front();
         }
         if self.marks.len() < before && Power::wanted().from_segments {
-            // Set the power that hardware should have set, in case it has not, or that of a later change which is also
-            // due.
+            // Hardware should have set the power of the armed change, but may not have done so. If a later change is
+            // due as well, its power counts.
             self.set_power(output, self.power);
         }
         self.arm(output);
     }
 
-    /// Sets the output to the power that `control` has requested or, for a laser in motion, to that of the segments, if
-    /// the output differs. `is_dark`: keeps a laser off. Returns whether the output was set.
+    /// Sets the output if its power must change. The power is the one that `control` has requested or, for a laser in
+    /// motion, the power of the segment. `is_dark`: `true` to keep a laser off. Returns whether the output was set.
     #[inline(always)]
     pub fn show(&mut self, output: &mut StepPins, is_at_rest: bool, is_dark: bool) -> bool {
         let power = Power::wanted();
@@ -136,7 +138,7 @@ impl Beam {
         }
     }
 
-    /// Empties the queue of changes. Call when the output of events has ended.
+    /// Empties the queue of changes when the output of events has ended. Switches a laser off if a change was armed.
     pub fn end_run(&mut self, output: &mut StepPins) {
         self.marks.clear();
         if self.armed {

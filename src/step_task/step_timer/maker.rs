@@ -25,7 +25,7 @@ const SEGMENT_SHARE: usize = 16;
 /// inserted before the next tick.
 const UNKNOWN: u8 = u8::MAX;
 
-/// Result of [`Maker::make_one`].
+/// What one call of [`Maker::make_one`] has generated.
 enum Made {
     /// No event or tick, because there was none to generate, or because there was no room.
     Nothing,
@@ -136,7 +136,8 @@ impl Maker {
         true
     }
 
-    /// Sets the time of the next tick. `from_rest`: no step is output before this time.
+    /// Sets the time of the next tick to `moment`. `from_rest`: `true` for a motion from rest; no step is then output
+    /// before `moment`.
     pub fn prepare(&mut self, moment: u32, from_rest: bool) {
         if from_rest {
             self.free_from = moment;
@@ -146,8 +147,8 @@ impl Maker {
         self.one_by_one = StepPins::DEPTH == 1 || self.stepper.is_watching();
     }
 
-    /// Delays by `by` ticks: all ticks to come, and the start times and power changes of generated segments that have
-    /// not begun. Does not change the events in the queue of the output.
+    /// Delays the motion by `by` ticks of the step clock: all ticks to come, and the start times and power changes of
+    /// generated segments that have not begun. The events in the queue of the output keep their times.
     pub fn delay(&mut self, by: u32) {
         self.stepper.begin_at(self.stepper.moment().wrapping_add(by));
         self.last = self.last.wrapping_add(by);
@@ -156,14 +157,15 @@ impl Maker {
         self.beam.delay(by);
     }
 
-    /// Subtracts the segments that have not begun from the stepper's count of begun segments. Call after a stop.
+    /// Corrects the stepper's count of begun segments after a stop: subtracts the generated segments whose start has
+    /// not been output.
     pub fn take_back_segments(&mut self) {
         self.stepper.take_back_segments(self.begins.len());
         self.begins.clear();
     }
 
-    /// Call when the output has been halted. Minimum times are then counted from now instead of from the most recent
-    /// event, and the directions are written again before the next step.
+    /// Counts minimum times from now instead of from the most recent event, and makes the next step wait until the
+    /// directions have been written again. Called when the output has been halted.
     pub fn break_off(&mut self) {
         self.last = self.output.now();
         self.directions = UNKNOWN;
@@ -206,8 +208,8 @@ impl Maker {
         ended
     }
 
-    /// Returns whether at least [`LEAST_EVENTS`] events are queued, and the deadline for committing the next event is
-    /// at least [`HORIZON_TICKS`] after the time `from`.
+    /// Returns whether enough events are queued: at least [`LEAST_EVENTS`], and so many that the next event need not be
+    /// committed until [`HORIZON_TICKS`] after the time `from`.
     #[inline(always)]
     pub fn is_far_ahead(&self, from: u32) -> bool {
         let until = self.output.joins_until(self.stepper.moment());
@@ -311,8 +313,7 @@ impl Maker {
         is_made
     }
 
-    /// Returns `moment`. If events are output by interrupts and `moment` is too soon for the next interrupt, returns
-    /// the earliest time that the interrupt can meet.
+    /// Returns `moment`, or a later time if an interrupt outputs the event and cannot meet `moment`.
     fn soonest(&self, moment: u32) -> u32 {
         if self.one_by_one { later(moment, self.output.now().wrapping_add(StepPins::SOON)) } else { moment }
     }
@@ -333,7 +334,8 @@ impl Maker {
         true
     }
 
-    /// Records that a segment begins with the event at the time `at`.
+    /// Records that a segment begins with the event at the time `at`. Notes this time, queues the segment's laser
+    /// power, and checks whether its ticks can be generated in batches.
     fn begin_segment(&mut self, at: u32, onset: Onset) {
         self.is_regular = !self.one_by_one && self.timing.is_regular(self.stepper.intervals());
         self.begins.push(at);
@@ -349,8 +351,8 @@ impl Maker {
         self.output.joins_until(self.stepper.moment()).wrapping_sub(margin)
     }
 
-    /// Returns whether to wait for a segment: without it the next tick would be an underrun, and it can still arrive in
-    /// time.
+    /// Returns whether to wait for a segment. `true` if the next tick would be an underrun without this segment, and
+    /// the segment can still arrive in time.
     fn waits_for_segment(&self, onset: Onset) -> bool {
         let left = self.last_chance().wrapping_sub(self.output.now()) as i32;
         self.stepper.lacks_segment() && (left > 0 || onset == Onset::FromRest)

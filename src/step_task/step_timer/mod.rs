@@ -54,13 +54,13 @@ enum State {
     /// The first messages of a motion from rest have arrived, but no event is generated yet. Contains the time of the
     /// motion's first tick.
     Starting(u32),
-    /// The first events are generated, but their output has not started: of a motion from rest, or of one to be
+    /// The first events are being generated, but their output has not started. The motion begins from rest or is
     /// resumed. Contains the time of the first tick.
     Preparing(u32),
     /// Events are output, and more are generated.
     Running,
-    /// The queued events are still output, but no more are generated. Afterwards the motion ends, or it is resumed: if
-    /// its next event was too late, or if events must be output one by one from there on.
+    /// The queued events are still output, but no more are generated. Afterwards the motion ends or is resumed. A
+    /// motion is resumed if its next event was too late, or if events must be output one by one from there on.
     Ending,
 }
 
@@ -68,8 +68,8 @@ enum State {
 pub struct Step {
     maker: Maker,
     state: State,
-    /// For a motion whose events were late: the time by which its next tick must be output, or else motion is aborted.
-    /// `None` for a motion that begins from rest.
+    /// Deadline of a motion that is resumed, for example after late events. If its next tick cannot be output by this
+    /// time, the motion is aborted. `None` for a motion that begins from rest.
     latest: Option<u32>,
     /// Time of the next scheduled run of this task.
     asked: u32,
@@ -175,8 +175,8 @@ impl Step {
             self.make(moment);
         }
         let (ahead, now) = (self.maker.output.ahead(), self.maker.output.now());
-        // The time left until the first tick. While no event is queued, it is the time until the next tick instead: the
-        // ticks before that had no step and needed no event.
+        // Time left until the first tick. If no event is queued, the ticks so far had no step and needed no event: then
+        // the next tick counts.
         let left = if ahead > 0 { moment } else { self.maker.stepper.moment() }.wrapping_sub(now) as i32;
         let is_late = left <= IN_TIME_TICKS as i32;
         let is_time = left <= (IN_TIME_TICKS + SPARE_TICKS) as i32 && self.latest.is_none();
@@ -203,9 +203,10 @@ impl Step {
         self.call_again();
     }
 
-    /// Delays the motion by `by` counts of the step clock: all steps to come, and the times noted for the segments that
-    /// have not begun. ([`StepOutput::begin`] has delayed the events that are already queued.) If the next step, due at
-    /// `moment`, would then come later than `self.latest`, at which the motors may lose steps, aborts the motion instead.
+    /// Delays the motion by `by` ticks of the step clock: all steps to come, and the start times of segments that have
+    /// not begun. ([`StepOutput::begin`] has delayed the events that are already queued.) `moment`: planned time of the
+    /// next tick. If that tick would then miss the deadline `self.latest`, the motors may lose steps. In this case
+    /// aborts the motion instead.
     fn delay(&mut self, moment: u32, by: u32) {
         if self.latest.is_some_and(|latest| (latest.wrapping_sub(moment.wrapping_add(by)) as i32) < 0) {
             self.ran_dry();
@@ -292,8 +293,8 @@ impl Step {
     fn give_up(&mut self, undone: [i32; AXES], miscounted: bool) {
         self.maker.take_back_segments();
         if self.reports.underrun.is_some() {
-            // An earlier underrun, not reported yet, has already stopped the stepper. Only correct its position, so
-            // that both are reported as one stop.
+            // An earlier underrun, not reported yet, has already stopped the stepper. Only correct the position, so
+            // that both underruns are reported as one stop.
             self.maker.stepper.take_back(undone);
         } else {
             let _ = self.maker.stepper.stop(undone);
@@ -306,9 +307,8 @@ impl Step {
         self.maker.beam.switch_off(&mut self.maker.output);
     }
 
-    /// Runs the task in the state `Ending`. When all queued events have been output, goes to rest if the motion has
-    /// ended; otherwise resumes the motion, because its next event was too late, or because events must be output one
-    /// by one from here on.
+    /// Runs the task in the state `Ending`. Waits until all queued events have been output. Then goes to rest if the
+    /// motion has ended; otherwise resumes the motion.
     #[inline(never)]
     fn end(&mut self) {
         let out_at = self.maker.out_at();
@@ -369,10 +369,11 @@ impl Step {
             self.stops_done = self.stops_done.wrapping_add(1);
             let mut event = self.maker.stepper.stop(core::mem::take(&mut net));
             if let StepEvent::Stopped { moving, .. } = &mut event {
-                // If the step count is unreliable, the position is lost, as after a stop in motion.
+                // `moving` tells that the position may be lost. So it must also be `true` if the step count is
+                // unreliable.
                 *moving = !is_still && (*moving || undone.events > 0 || undone.fault);
-                // Only the newest stop is reported, so its report must also say whether the machine was moving at an
-                // older stop.
+                // Only the newest stop is reported. So its report must also say that the machine was moving at an older
+                // stop.
                 if let Some(StepEvent::Stopped { moving: before, .. }) = self.reports.stopped {
                     *moving |= before;
                 }
@@ -385,7 +386,7 @@ impl Step {
         self.call_again();
     }
 
-    /// Returns whether the first events, from rest or of a resumed motion, are being generated and the output has not
+    /// Returns whether the first events of a motion (from rest or resumed) are being generated and their output has not
     /// started.
     fn is_preparing(&self) -> bool {
         matches!(self.state, State::Preparing(_))

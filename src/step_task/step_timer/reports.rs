@@ -5,9 +5,9 @@ use crate::shared::Wake;
 use oxmill_controller::messages::{EVENTS_DEPTH, StepEvent};
 use rtic_sync::channel::Sender;
 
-/// Reports that have not been sent yet. One slot per kind suffices. After a contact (and the braking that follows it)
-/// or an underrun, no motion begins until `control` has received the report and answered it. Of several stops, only the
-/// newest must be reported.
+/// Reports that have not been sent yet. One slot for each kind is enough. A probe's contact (with the braking after it)
+/// and an underrun end the motion, and no motion begins until `control` has answered the report. Of several stops, only
+/// the newest must be reported.
 pub struct Reports {
     /// The probe's contact was detected, but has not been reported yet.
     pub touched: bool,

@@ -1,6 +1,5 @@
-//! Times of the step task in step-clock ticks: from the first segment to its first tick, how far ahead events are
-//! generated, the duration of a run, and how late a motion can still be resumed. All are derived from the board's
-//! profile.
+//! Times of the step task in ticks of the step clock, derived from the board's profile. For example: the delay before
+//! the first tick of a motion, how far ahead events are generated, and how late a motion can still be resumed.
 
 use crate::boards::{CORE_HZ, PROFILE, RUN_CYCLES};
 
@@ -36,7 +35,7 @@ pub const IN_TIME_TICKS: u32 = 2 * RUN_TICKS + BEGIN_TICKS + PAUSE_TICKS;
 /// For a motion that starts from rest, added to `IN_TIME_TICKS`: masked interrupts can delay the run of the step task
 /// that starts its output.
 pub const SPARE_TICKS: u32 = 100 * TICKS_PER_US;
-/// Minimum pause between a run of the step task and its next scheduled run: time for other tasks.
+/// Minimum pause after a run of the step task until its next scheduled run. Other tasks run in this pause.
 pub const PAUSE_TICKS: u32 = RUN_TICKS / 4;
 /// At rest: time until the next attempt to send a report to `control` for which the queue had no room.
 pub const RETRY_TICKS: u32 = 1_000 * TICKS_PER_US;

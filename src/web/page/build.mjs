@@ -41,7 +41,7 @@ const manifest = {
   icons: [{ src: "icon.svg", type: "image/svg+xml", sizes: "any", purpose: "any" }, { src: "icon.svg", type: "image/svg+xml", sizes: "any", purpose: "maskable" }],
   file_handlers: [{ action: "./", accept: { "text/x-gcode": [".nc", ".ngc", ".gcode", ".gc", ".tap", ".cnc"] } }], launch_handler: { client_mode: "focus-existing" },
 };
-// The site may connect to the server that it comes from, for the images of boards.
+// The site may connect to the server that it comes from, to load firmware images.
 const POLICY = [["worker-src blob:;", "worker-src blob: 'self'; manifest-src 'self';"], ["img-src data:;", "img-src data: 'self';"], ["connect-src 'none';", "connect-src 'self';"]];
 const ICON = '<link rel="icon"';
 if (![ICON, ...POLICY.map(([from]) => from)].every(part => whole.includes(part))) throw new Error("index.html has no place for the manifest");
@@ -54,11 +54,11 @@ const version = createHash("sha256").update(Object.values(files).join("\0")).dig
 files["offline.js"] = await bundle("offline.ts", { VERSION: JSON.stringify(version), FILES: JSON.stringify(["./", "oxmill.webmanifest", "icon.svg"]) });
 rmSync(join(target, "site"), { recursive: true, force: true });
 mkdirSync(join(target, "site"), { recursive: true });
-// The list of images for boards is empty; `cargo xtask dist` packs the images that it has built, and their list.
+// This list of firmware images is empty. `cargo xtask dist` packs the images that it has built, with their list.
 files["firmware.json"] = "[]\n";
 for (const [name, text] of Object.entries(files)) writeFileSync(join(target, "site", name), text);
 
-/** Maximum growth of a size (factor) before it must be accepted explicitly. */
+/** A compressed size may grow by this factor. More growth must be accepted with `OXMILL_SIZES=accept`. */
 const TOLERANCE = 1.02;
 const sizes = join(here, "sizes.txt");
 const measured = { "oxmill.wasm": wasm, "oxmill.html": readFileSync(join(target, "oxmill.html")) };

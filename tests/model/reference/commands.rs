@@ -1,4 +1,4 @@
-//! Realtime commands and inputs.
+//! How the reference model reacts to realtime commands and input pins.
 
 use super::super::action::{self, Pin};
 use super::{Mode, Model, SLACK, Span, Work};
@@ -34,8 +34,8 @@ impl Model {
         }
     }
 
-    /// Toggles single block (0x89). If it is switched off while the motion of a line is in progress, this line is
-    /// answered at once, and no pause follows.
+    /// Toggles single block (0x89). If it goes off while the motion of a line is in progress, this line is answered
+    /// at once, and no pause follows.
     pub(super) fn toggle_single_block(&mut self, also: &mut Vec<Model>) {
         self.single_block = !self.single_block;
         self.say(if self.single_block { "[MSG:Single block on]" } else { "[MSG:Single block off]" });
@@ -75,7 +75,8 @@ impl Model {
         self.slow_down(ratio(0).min(ratio(1)).min(1.0), ratio(0).max(ratio(1)).max(1.0));
     }
 
-    /// Extends the remaining time of a motion by a factor between `least` and `most`.
+    /// Multiplies the remaining time of a motion by a factor between `least` and `most`, because an override has
+    /// changed. Jogs are not affected.
     pub(super) fn slow_down(&mut self, least: f64, most: f64) {
         let Some(motion) = self.motion.as_mut().filter(|_| self.mode != Mode::Jog && least != most) else { return };
         let now = if motion.held { Span::at(0.0) } else { self.now };

@@ -32,7 +32,8 @@ impl Model {
         }
     }
 
-    /// Returns whether the machine can brake. Homing, and motion that does not come from lines, stop at once.
+    /// Returns whether a fault can make the machine brake. In other states the fault takes effect at once: during
+    /// homing, and where nothing moves, as in an alarm or in sleep.
     fn can_brake(&self) -> bool {
         match self.mode {
             Mode::Free | Mode::Jog | Mode::Hold | Mode::Stop | Mode::Fault { .. } => true,
@@ -41,7 +42,8 @@ impl Model {
         }
     }
 
-    /// Reports the input that caused the alarm, and its axis, except in Grbl's dialect.
+    /// Reports the input that caused the alarm; for a limit switch the message also names the axis. Grbl's dialect
+    /// has no such message, and alarms of host and spindle have no input.
     fn name_input(&mut self, alarm: u8) {
         if !self.setup.grbl && ![HOST, SLOW].contains(&alarm) {
             self.say(format!("[MSG:{}*", input(alarm)));
@@ -65,7 +67,8 @@ impl Model {
         }
     }
 
-    /// Call when a machine that brakes for a fault has come to rest.
+    /// Ends braking for a fault; called when the machine has come to rest. `later`: another limit switch closed while
+    /// it braked, and is reported after the alarm.
     pub(super) fn rest_for(&mut self, alarm: u8, later: bool) {
         self.forget_motion();
         self.say(format!("ALARM:{alarm}"));

@@ -30,17 +30,17 @@ impl Phase {
     }
 }
 
-/// State of a homing cycle.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Homing {
     /// 0: Z; 1: X and Y.
     cycle: usize,
     phase: Phase,
-    /// Whether the motion of the phase has ended and the controller waits until the switches no longer bounce
-    /// ([`DEBOUNCE`]).
+    /// `true` after the motion of the phase has ended: the controller waits [`DEBOUNCE`] until the switches no longer
+    /// bounce.
     settles: bool,
     touched: [bool; 3],
-    /// Time at which the phase's motion ends if no switch ends it, or at which the switches have settled.
+    /// Time at which the phase's motion ends if no switch ends it. If `settles`: the end of the wait for the
+    /// switches.
     pub(super) time: Span,
 }
 

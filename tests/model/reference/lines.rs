@@ -187,7 +187,7 @@ impl Model {
         self.answer(&[&format!("[GC:* {words}T{} *]", self.selected)]);
     }
 
-    /// Carries out a line that needs the machine at rest. Call when it is.
+    /// Carries out a line that needs the machine at rest. The caller makes sure that nothing moves.
     pub(super) fn carry_out(&mut self, line: Line) {
         self.forget_selected();
         match line {
@@ -248,13 +248,15 @@ impl Model {
         }
     }
 
-    /// Returns the end position of the queued moves; in check mode, that of the lines checked so far.
+    /// Returns the position at which the queued moves end. In check mode: the position at which the lines checked so
+    /// far would end.
     pub(super) fn target(&self) -> Places {
         self.checked.or(self.motion.as_ref().map(|motion| motion.target)).unwrap_or(self.place)
     }
 
-    /// Returns whether soft limits forbid a target. If this depends on how far an interrupted motion got, returns
-    /// `false`, and `also` gets the model in which they forbid it.
+    /// Returns whether soft limits forbid a target. If an interrupted motion has left the position unknown, both
+    /// outcomes are possible. Then it returns `false`, and adds to `also` a model in which the target is forbidden.
+    /// `refuse`: how this model reacts.
     pub(super) fn is_forbidden(&self, target: Places, also: &mut Vec<Model>, refuse: impl Fn(&mut Model)) -> bool {
         let outside = |mm: f64| !(-TRAVEL - 1e-6..=1e-6).contains(&mm);
         if !self.setup.soft_limits {
@@ -299,8 +301,8 @@ impl Model {
         self.say("ok");
     }
 
-    /// Answers a move that has been queued or that leads to the current position. Oxmill: in single block it is
-    /// answered when the pause after it ends.
+    /// Answers a move that has been queued or that leads to the current position. Oxmill: in single block the machine
+    /// pauses after the move, and the move is answered when the pause ends.
     pub(super) fn end_move(&mut self) {
         self.forget_selected();
         if !self.single_block {
@@ -326,8 +328,8 @@ impl Model {
         self.say("ok");
     }
 
-    /// Appends a move to the queue. Its length is `distance`, mm; if that is `None`, it follows from the target `to`.
-    /// `speed` in mm/s.
+    /// Appends a move of one axis to the queue. `to`: its target, mm, if known. `distance`: its length, mm; if
+    /// `None`, the length follows from the target. `speed`: mm/s.
     pub(super) fn queue(&mut self, axis: usize, to: Option<f64>, distance: Option<f64>, speed: f64) {
         let mut target = self.target();
         let length = distance.or_else(|| Some((to? - target[axis]?).abs()));
@@ -339,8 +341,8 @@ impl Model {
         let time = match length {
             Some(mm) if mm < 1e-9 => Span::at(0.0),
             Some(mm) => Span { from: (mm / speed - 0.005).max(0.001), to: seconds(mm) + SLACK },
-            // The start is unknown, so the move can be of any length up to twice the travel plus a jog. The maximum
-            // time is that of a longer move, 4 times the travel.
+            // The start is unknown, so the move can have any length up to twice the travel plus a jog. The maximum
+            // time allows for a longer move, 4 times the travel.
             None => Span { from: 0.0, to: seconds(4.0 * TRAVEL) + SLACK },
         };
         match &mut self.motion {

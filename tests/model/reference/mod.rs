@@ -1,12 +1,15 @@
 //! Reference model: a plain description of how a Grbl controller reacts to a host and an operator.
 //!
-//! It was written from Grbl's interface and from the differences that Oxmill's book lists, not from the controller;
-//! such a difference is marked "Oxmill:". It models no steps: a motion is a period at whose end the machine is at a
-//! position. Times are known to within a [`Span`], derived from rate and acceleration. If an event may or may not have
-//! happened when an action ends, because that time lies within the event's span, the model splits in two, one for each
-//! outcome. What the machine does next shows which one holds. Apart from these spans, the model leaves only this open:
+//! The model was written from Grbl's interface and from the differences that Oxmill's book lists, not from the
+//! controller. The word "Oxmill:" marks such a difference. The model has no steps: a motion is a period of time, and
+//! at its end the machine is at a position.
+//!
+//! Rate and acceleration give the time of an event only roughly, as a [`Span`] from the earliest to the latest time.
+//! If an action ends within this span, the event may or may not have happened. Then the model splits in two, one for
+//! each outcome, and what the machine does next shows which one holds. Apart from these spans, the model leaves only
+//! this open:
 //! * how far an interrupted motion got: the position is taken from the report;
-//! * whether a motion without any step so far counts as one at a reset, an emergency or a hold;
+//! * whether a motion that has made no step so far counts as a motion at a reset, an emergency or a hold;
 //! * the order of a host timeout and a waiting line that are due at the same time;
 //! * whether a target is within the soft limits while the end position of a motion is unknown;
 //! * numbers within messages and listings (`*`), and the number of lines of a listing ([`MANY`]).
@@ -23,8 +26,8 @@ use std::collections::VecDeque;
 
 /// Pattern for any number of lines of a listing.
 pub const MANY: &str = "[listing]";
-/// Tolerance of all times, s. When a motion is stopped, the step task still makes the segments that are already queued
-/// for it, and completes the last one.
+/// Tolerance of all times, s. After a stop the step task still needs time: it completes the segments that are already
+/// queued for the motion.
 const SLACK: f64 = 0.035;
 /// Delays after a door has closed and the job is resumed, s: from spindle on to coolant on, and from coolant on to
 /// motion.
@@ -46,7 +49,7 @@ impl Span {
         Span { from: self.from + length.from, to: self.to + length.to }
     }
 
-    /// Returns the span of a duration that can be 5 ms shorter than `seconds`, or longer by `more` and [`SLACK`].
+    /// Returns the span of a duration, from `seconds` less 5 ms to `seconds` plus `more` plus [`SLACK`].
     fn length(seconds: f64, more: f64) -> Span {
         Span { from: (seconds - 0.005).max(0.0), to: seconds + more + SLACK }
     }
@@ -58,7 +61,7 @@ type Places = [Option<f64>; 3];
 /// Moves that are queued or in progress.
 #[derive(Clone, Debug, PartialEq)]
 struct Motion {
-    /// End time; while held, the remaining duration.
+    /// End time, s. If `held` (the motion is interrupted): the remaining duration, s.
     time: Span,
     held: bool,
     target: Places,
@@ -73,7 +76,7 @@ struct Motion {
 enum Work {
     /// Waits for the end of the motion.
     Drain(Line),
-    /// `time`: the end; while held, the remaining duration.
+    /// `time`: the end, s. If `held` (the dwell is interrupted): the remaining duration, s.
     Dwell { time: Span, held: bool },
     /// M0, until the next cycle start.
     Pause,
@@ -82,7 +85,7 @@ enum Work {
     /// Oxmill: M6 waits for the cycle start that confirms this tool. `spindle`: the same line then turns the spindle
     /// on.
     Tool { tool: u8, spindle: bool },
-    /// A jog that follows a jog ended by 0x85.
+    /// A jog that has arrived while a jog ended by 0x85 is braking. It starts when the machine is at rest.
     LaterJog(Line),
     /// A forbidden target: the machine locks when it has come to rest and any hold or door state has ended.
     Forbidden,
@@ -123,21 +126,23 @@ pub struct Model {
     now: Span,
     mode: Mode,
     motion: Option<Motion>,
-    /// Time at which a motion that is being stopped comes to rest.
+    /// Time at which a motion that is being stopped comes to rest; `None` if the machine does not brake.
     braking: Option<Span>,
-    /// Whether the host is disconnected.
+    /// Whether the host has disconnected while a job was being resumed after a door. The fault then takes effect when
+    /// the motion continues.
     absent: bool,
-    /// Start of the host timeout, s: the time of the host's most recent byte or, if later, the time until which no
-    /// timeout applied.
+    /// Time from which the host timeout counts: the host's most recent byte, or the start of the state in which the
+    /// timeout applies, whichever is later.
     heard: Span,
-    /// Time since when the spindle has been below its speed.
+    /// Time since when the spindle has been below its speed; `None` if it is at speed.
     slow: Option<Span>,
-    /// Override (percent) of the running spindle at the last check, and the time by which the spindle must have reached
-    /// the speed with that override. Checked only in states that carry out lines.
+    /// The spindle override (percent) that was last seen, and the time by which the spindle must have reached the
+    /// speed with that override. Updated only in states that carry out lines; `None` if the spindle is off.
     given: Option<(u32, Span)>,
-    /// Oxmill: whether the outputs stay on in the door state in which a job waits for its host.
+    /// Oxmill: whether spindle and coolant stay on while a job waits in a door state for its host (`$928=5`).
     keeps_outputs: bool,
-    /// Whether a door state will drop the motion and the lines that are still pending.
+    /// Whether the motion is dropped as soon as the machine comes to rest in a door state. This happens to jogs, and
+    /// to jobs stopped by 0x19.
     forgets: bool,
     work: Option<Work>,
     /// Lines that have arrived and that the controller has not yet read.
@@ -427,7 +432,7 @@ impl Model {
         self.timer().map(|span| *span)
     }
 
-    /// Oxmill: returns the host timeout that applies at present, s: that of a job or that of a jog; `None` in other
+    /// Oxmill: returns the host timeout that applies now, s. It differs between a job and a jog; `None` in other
     /// states.
     fn watched(&self) -> Option<f64> {
         match self.mode {
@@ -451,8 +456,8 @@ impl Model {
         self.motion.is_some() || self.work.is_some()
     }
 
-    /// Oxmill: returns the time at which the controller stops the job because the spindle has been below its speed for
-    /// too long; `None` if it is not, or if no job needs its speed.
+    /// Oxmill: returns the time at which the controller stops the job because the spindle has been below its speed
+    /// for too long. `None` if the spindle is at speed, or if no job needs the spindle.
     fn next_slowness(&self) -> Option<Span> {
         let needs_speed = self.mode == Mode::Free && self.is_at_work() && self.turns() && self.setup.at_speed;
         let slow = self.slow.filter(|_| needs_speed)?;

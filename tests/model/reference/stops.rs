@@ -4,7 +4,7 @@ use super::super::action::{self, Line, Pin};
 use super::{Mode, Model, RESTORE, SLACK, Span, Work};
 
 impl Model {
-    /// Stops a motion; without a motion nothing brakes.
+    /// Begins to stop the motion, and interrupts a dwell. Without a motion nothing brakes.
     pub(super) fn brake(&mut self) {
         let now = self.now;
         if let Some(motion) = self.motion.as_mut().filter(|motion| !motion.held) {
@@ -24,7 +24,7 @@ impl Model {
         }
     }
 
-    /// Drops queued motion.
+    /// Drops the queued motion. If it was in progress, the position becomes unknown.
     pub(super) fn forget_motion(&mut self) {
         self.forgets = false;
         if self.motion.take().is_some_and(|motion| !motion.held) {
@@ -126,8 +126,8 @@ impl Model {
         self.read(also);
     }
 
-    /// Handles a host that disconnects. Oxmill: during a job this is a fault, even while the job is being resumed after
-    /// a door; a jog ends.
+    /// Handles a host that disconnects. Oxmill: a jog ends, and during a job this is a fault. If the job is being
+    /// resumed after a door, the fault takes effect when the motion continues.
     pub(super) fn host_goes(&mut self, also: &mut Vec<Model>) {
         self.absent = matches!(self.mode, Mode::Door { restoring: Some(_) });
         if self.motion.is_some() && matches!(self.mode, Mode::Free | Mode::Jog) {
@@ -198,13 +198,15 @@ impl Model {
         self.outputs_off = false;
     }
 
-    /// Returns the alternative model in which the motion has not yet moved the machine, if that is possible.
+    /// Returns a copy of the model in which the motion has not moved the machine yet. `None` if no queued motion is
+    /// in progress, or if a step of it has been seen.
     pub(super) fn unmoved(&self) -> Option<Model> {
         let may_be = self.moves() && self.motion.as_ref().is_some_and(|motion| !motion.stepped);
         may_be.then(|| Model { motion: None, braking: None, place: [None; 3], ..self.clone() })
     }
 
-    /// Resets everything except the position.
+    /// Handles a reset (0x18 or the reset pin), which keeps only the position and the loaded tool. In motion it
+    /// causes alarm 3, during homing alarm 6.
     pub(super) fn reset(&mut self, also: &mut Vec<Model>) {
         if let Some(mut unmoved) = self.unmoved() {
             unmoved.reset(also);
@@ -277,8 +279,9 @@ impl Model {
         }
     }
 
-    /// Ends all jogs that have been received and not started. Oxmill: each event that ends a jog does this, also to
-    /// jogs that wait while the machine brakes for a hold. These jogs are answered as if they had been carried out.
+    /// Cancels all jogs that have been received but have not started. They are answered as if they had been carried
+    /// out. Oxmill: each event that ends a jog does this, also to jogs that wait while the machine brakes for a hold.
+    /// `keeps_later_jogs`: `true` if a jog that arrives later still runs (after 0x85).
     pub(super) fn end_jogs(&mut self, keeps_later_jogs: bool) {
         self.cancelled = self.waiting.len();
         self.keeps_later_jogs = keeps_later_jogs;

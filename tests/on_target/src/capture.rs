@@ -49,12 +49,12 @@ pub struct Capture {
 pub struct Edges(&'static [AtomicU16]);
 
 impl Edges {
-    /// Returns the number of edges.
+    /// Returns the number of recorded edges, at most [`DEPTH`].
     pub fn count(&self) -> usize {
         self.0.len()
     }
 
-    /// Returns the count of the timer at an edge.
+    /// Returns the count of the timer at an edge. `edge`: index from 0, less than [`Edges::count`].
     pub fn at(&self, edge: usize) -> u16 {
         self.0[edge].load(Ordering::Relaxed)
     }

@@ -65,7 +65,7 @@ mod boards {
     pub const CONTROLLER: usize = 0x2130_0000;
     pub const FAR_RINGS: usize = 0x2140_0000;
     pub const RING: usize = 0x2150_0000;
-    /// Addresses in place of those of the registers: memory of the emulated machine that nothing else uses.
+    /// Replaces the addresses of the registers by memory of the emulated machine that nothing else uses.
     pub struct Memory;
     // SAFETY: unsafe because writes go there; safe because nothing else uses this memory.
     unsafe impl Map for Memory {
@@ -82,8 +82,8 @@ mod boards {
     pub type StepPins = step::StepPins<Memory, 1, 1, ()>;
 }
 
-/// Defines the functions `row_*`. A call of one assigns the calls of `unit_*` that follow to its row; those after
-/// `row_none` belong to no row.
+/// Defines the functions `row_*`. After a call of one, all calls of `unit_*` count for its row of the table. After
+/// `row_none` they count for no row.
 macro_rules! rows {
     ($($row:ident)*) => { $(
         #[unsafe(no_mangle)]
@@ -211,8 +211,8 @@ impl Registers {
         self.put_out(Self::RING);
     }
 
-    /// Emulates the output of events up to the time in CCR2, at which the step task must be called next, and then calls
-    /// it.
+    /// Emulates the output of events up to the time at which the step task must be called next (in CCR2). Then calls
+    /// the step task.
     fn called(&mut self) {
         let now = self.read(Self::CCR2);
         let ahead = self.ahead();
@@ -273,8 +273,8 @@ fn step_task() {
     registers.interrupt(Due::CALLED, 0);
     shared::Power { level: 100, from_segments: true }.want();
 
-    // Runs of the step task that each generate 32 events while 31 earlier events have not been output. X steps at each
-    // tick. If Y and Z move too, counters decide at which ticks these axes step.
+    // In each run the step task generates 32 events while 31 earlier events still wait for their output. X steps at
+    // each tick. If Y and Z move too, counters decide at which ticks these axes step.
     let rows: [(extern "C" fn(), [u32; 3]); 2] = [(row_batch_3, [900, 700, 500]), (row_batch_1, [900, 0, 0])];
     for (row, steps) in rows {
         send(&mut to_step, &block(steps, 0, 900, 0, Segment::FLAG_LAST));
@@ -289,9 +289,10 @@ fn step_task() {
         registers.finish();
     }
 
-    // The longest runs of the step task. In each run a block begins whose directions and power differ from those of the
-    // block before; the task receives the message of the block and that of its segment, and generates as many events as
-    // it can. Before each run, 28 to 50 events have not been output, and messages of several blocks wait.
+    // The longest runs of the step task. In each run a block begins, with other directions and another power than the
+    // block before. The task receives the messages of the block and of its segment, and generates as many events as
+    // it can. Before each run, 28 to 50 events still wait for their output, and messages of several blocks are
+    // queued.
     let mut turning = |turn: u8, last: u8| {
         let ticks = 17 + u16::from(turn) * 29 % 97;
         let [first, second] = block([ticks.into(), 15, 10], if turn & 1 == 0 { 0 } else { 7 }, ticks, 0, last);
@@ -601,8 +602,9 @@ fn text_and_arcs() {
 /// A controller with the look-ahead of the smallest board, 256 blocks.
 type Whole = Controller<3>;
 
-/// The lines that wait in the step task, each as (number of segments, ticks of the step clock), the sum of these ticks,
-/// and the number of segments that have begun so far.
+/// The lines whose segments wait in the step task, oldest first. `lines`: for each line its number of segments and
+/// their duration in ticks of the step clock. `clocks`: sum of these durations. `begun`: number of segments that have
+/// begun so far.
 #[derive(Default)]
 struct Waiting {
     lines: heapless::Deque<(u32, u32), 64>,
@@ -778,8 +780,9 @@ fn gentle_line(streaming: &mut Streaming) {
 /// Runs the lines of reliefs and of a spiral, whose turns are so tight that they can limit the speed. Each curve begins
 /// where the one before it ends.
 fn tight_lines(streaming: &mut Streaming) {
-    // At most 10 ms of motion may wait here, because a line lasts longer than one of [`gentle_line`]. With less, the
-    // controller would make segments before it takes the next line; with more, it would not send the next block yet.
+    // At most 10 ms of motion may wait here, because a line lasts longer than a line of [`gentle_line`]. With less,
+    // the controller would make segments before it takes the next line. With more, it would not send the next block
+    // yet.
     streaming.most_ms = 10;
     let micrometres = |mm: f32| libm::roundf(mm * 1000.0) as i32;
     let (x, y) = (600 * 98, 600 * 600 / 10);

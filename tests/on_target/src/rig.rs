@@ -28,7 +28,7 @@ pub struct Rig {
     directions: u8,
     /// Digest of the steps, with their times and directions.
     pub digest: Digest,
-    /// Net steps at the outputs.
+    /// Steps forward minus steps backward of each axis, counted at the outputs.
     pub net: [i32; AXES],
     /// Numbers of `ok` and of `error` replies.
     pub answers: (u32, u32),
@@ -85,8 +85,8 @@ impl Rig {
         }
     }
 
-    /// Runs a program on a new machine. Returns net steps, the hash of all steps with their times, and the numbers of
-    /// `ok` and `error`.
+    /// Runs a program on a new machine. Returns the net steps of each axis, the hash of all steps with their times,
+    /// and the numbers of `ok` and of `error` replies.
     #[inline(never)]
     pub fn outcome(program: &'static str) -> ([i32; AXES], u64, (u32, u32)) {
         let mut rig = Rig::new();
@@ -186,7 +186,8 @@ impl Pump<AXES> for Rig {
         Some(LineByte { byte: *byte, epoch: 0, damaged: false })
     }
 
-    /// Passes at most as many bytes to the controller at once as a message between the firmware's tasks holds.
+    /// Passes text to the controller, at most [`LineBytes::MOST`] bytes: as many as one message between the
+    /// firmware's tasks holds.
     fn give_text(&mut self, _now: Instant) -> bool {
         let ahead = self.program.get(..LineBytes::MOST).unwrap_or(self.program);
         let taken = self.controller.take_text(0, ahead);

@@ -1,9 +1,9 @@
 //! Measures the step pulses at the pins. Three wires lead them to inputs of the same board, which records them
 //! (docs/bench.md).
 //!
-//! The firmware's own board set-up runs here, and its step task, called by the interrupt of the step timer. Hardware
-//! alone (`oxmill_on_target::capture`) time-stamps the edges that return over the wires. No other tasks run, so the
-//! figures exclude delays that other tasks would cause.
+//! The firmware's own board set-up and step task run here; the interrupt of the step timer calls the step task. The
+//! edges return over the wires, and hardware alone time-stamps them (`oxmill_on_target::capture`). No other tasks
+//! run, so the figures exclude delays that other tasks would cause.
 //!
 //! Each figure is a row of a table in the log. A figure beyond its bound fails the test.
 #![no_std]
@@ -55,8 +55,8 @@ const LATEST_PULSE_END_US: i32 = 1;
 const EDGE_NS: i32 = 250;
 /// Maximum error of the period between two pulses, because their edges can be delayed.
 const PERIOD_ERROR_US: i32 = 1;
-/// Maximum error of the time of a train's last pulse but one, compared with the step rate. (A train is a series of
-/// evenly spaced pulses.) It is small, because errors must not accumulate.
+/// Maximum error of the time from the first pulse of a train to its last but one. (A train is a series of evenly
+/// spaced pulses.) It is small, because errors must not accumulate.
 const DRIFT_US: i32 = 1;
 /// Maximum time between the pulses of one tick, because ports are written one after the other.
 const SKEW_NS: i32 = 500;
@@ -239,7 +239,7 @@ impl Table {
     }
 }
 
-/// Asserts that the number of recorded pulses equals the number sent.
+/// Asserts that two edges were recorded for each pulse that was sent.
 fn assert_pulses(wire: usize, edges: Edges, pulses: u32) {
     let Wire(output, from, to) = &WIRES[wire];
     let edges = edges.count() as u32;
@@ -286,15 +286,15 @@ fn widths(edges: &Edges) -> Seen {
     seen
 }
 
-/// Returns the errors of the periods of a train (a series of evenly spaced pulses), and the error of the time of its
-/// last pulse but one, both in ticks and compared with `interval`.
+/// Compares a train (a series of evenly spaced pulses) with `interval`. Returns the minimum and maximum error of its
+/// periods, and the error of the time from its first pulse to its last but one. All errors are in ticks.
 fn periods(edges: &Edges, interval: u32) -> (Seen, i32) {
     let whole = interval >> INTERVAL_FRACTION_BITS;
     let (mut errors, mut sum) = (Seen::NOTHING, 0);
     let pulses = edges.count() as u32 / 2;
     for pulse in 1..pulses {
-        // A period of the pulses can be longer than that of the recorder's 16-bit timer. The subtraction is still right
-        // modulo 2^16, because the error is small.
+        // The time between two pulses can be longer than a period of the recorder's 16-bit timer. The subtraction is
+        // still right modulo 2^16, because the error is small.
         let period = rise(edges, pulse).wrapping_sub(rise(edges, pulse - 1));
         let error = i32::from(period.wrapping_sub(whole as u16) as i16);
         errors.see(error);
@@ -417,7 +417,6 @@ mod suite {
         Bench { segments: segments_in, wiring: wiring_in, events: events_out, capture, segments_sent: 0 }
     }
 
-    /// Tests one output after the other.
     #[test]
     fn each_output_is_wired_to_its_input(bench: &mut Bench) {
         bench.set(10, 10);

@@ -10,13 +10,13 @@ from .failures import tell
 from .stops import StopWatch
 
 BEHIND_CYCLES = 400
-"""Maximum number of cycles from the end of the step output at a stop until the laser is off. It is not 0, because the
-firmware first waits for a change of power that is about to happen."""
+"""Maximum number of cycles from the end of the step output at a stop until the laser is off. The firmware needs this
+time because it first waits for a change of power that is about to happen."""
 
 
 def laser_start(bench):
-    """Moves start with such a high acceleration that many segments, each with its own power (M4), begin before the
-    first step."""
+    """Moves start with such a high acceleration that many segments begin before the first step. Each segment has its
+    own power (M4). All steps must be output, without an alarm."""
     bench.boot()
     fast(bench, 10_000)
     bench.settings(s100=1280, s110=9000, s30=1000, s31=0, s32=1)
@@ -35,8 +35,9 @@ BEAM_S = 0.2 * US
 
 
 def beam_s(bench, masked_s=0.0):
-    """Returns the maximum time from the edge of the step that begins a segment to the change to its power. DMA1 does not
-    reach TIM1; there the step task writes the power when it is called, unless it runs already."""
+    """Returns the maximum time, s, from the edge of the step that begins a segment to the change to its power. TIM1 is
+    out of reach for DMA1: there the step task writes the power, which can take one more run of the task and a time
+    `masked_s` (s) with interrupts masked."""
     return BEAM_S if bench.wiring.pwm_timer == "TIM3" else RUN_CYCLES / bench.wiring.core_hz + 2 * US + masked_s
 
 
@@ -46,7 +47,7 @@ class BeamWatch:
     def __init__(self, board):
         self.board, self.pwm = board, board.peripherals[board.wiring.pwm_timer]
         self.changes = []
-        """(cycle, new duty cycle)."""
+        """(core cycle, new duty cycle from 0 to 1) for each change."""
         self.compare = timer.COMPARE[board.wiring.pwm_channel - 1]
         self.last = self.pwm.values[self.compare]
         by_program, by_dma = self.pwm.write, self.pwm.store_by_dma
@@ -140,7 +141,7 @@ def raster_starts(bench):
 
     def start(until_s=None):
         """Starts a move. Returns the time from the planned start of the first segment to the first step, the time from
-        that step to the first power, and the power right after each step."""
+        that step to the first change of power (both in s), and the power right after each step."""
         board.run(seconds=0.002)
         scope, known = Scope(board), len(beam.changes)
         bench.host.send("G91G1X.1F6000M4S1000\n")
@@ -213,10 +214,10 @@ def raster_stops(bench):
         bench.wait(is_due, 0.1, "a change of power that is due")
         moment = board.now + away()
         if what == "0x18":
-            # The board has read a byte 9.5 bits after the byte's start; with DMA, it notices the byte at the next
-            # sample of the inputs. From there to the laser's end it takes at least `takes` cycles: the minimum of all
-            # stops so far. The first three stops only measure it. If the step task is running, the stop is delayed by
-            # up to one run.
+            # `lead`: cycles from the moment at which the board notices the byte to the change of power. `takes`: the
+            # shortest time, in cycles, from that moment until the laser was off, in the stops so far. The first three
+            # stops only measure `takes`. A byte is read 9.5 bits after its start; with DMA the board notices the byte
+            # at the next sample of the inputs. A run of the step task can delay the stop.
             lead = 40 * US * hz if k < 3 else takes + 240 - 30 * k if k < 15 else takes + random.uniform(-300, 3000)
             seen = heard = round(moment - lead)
             if bench.wiring.uart_irq is None:
@@ -270,7 +271,7 @@ def raster_stops_at_full_rate(bench):
     to_pulses = pulses.write
 
     def away():
-        """Returns the ticks from now to the next change."""
+        """Returns the ticks of the step clock from now to the next change of power; negative if the change is past."""
         ticks = clock.values[timer.CCR3] - clock.count() & 0xFFFF_FFFF
         return ticks - (ticks >> 31 << 32)
 
@@ -319,8 +320,8 @@ def raster_stops_at_full_rate(bench):
 
 
 def brown_out_of_a_beam(bench):
-    """The supply falls during a raster, and the next change of power falls into the time in which the firmware makes
-    the outputs safe: after that there may be neither power nor a pulse."""
+    """The supply falls during a raster, and the next change of power is due while the firmware makes the outputs safe.
+    After that there must be no power and no pulse."""
     bench.boot()
     board, hz = bench.board, bench.wiring.core_hz
     fast(bench, 10_000)

@@ -81,7 +81,7 @@ class Bench:
         self.forget_masks()
 
     def boot_with_usb(self):
-        """Starts a new board, with a host that has opened the USB port. The host at the UART becomes `uart`."""
+        """Starts a new board. `host` is then a host that has opened the USB port, and `uart` the host at the UART."""
         self.fresh()
         self.uart, self.host = self.host, UsbHost(self.board)
         self.wait(lambda: self.host.is_set_up, 1.0, "the set-up of the USB device")
@@ -100,7 +100,7 @@ class Bench:
         self.wait(lambda: self.host.has_said(text, after), limit, repr(text))
 
     def ask(self, line, limit=1.0):
-        """Sends a line and waits for its answer, which must be `ok`. Returns the lines up to it."""
+        """Sends a line and waits for its answer, which must be `ok`. Returns the lines up to and with this `ok`."""
         begin, answers = len(self.host.lines), len(self.host.answers)
         self.host.send(line + "\n")
         self.wait(lambda: len(self.host.answers) > answers, limit, f"an answer to {line}")
@@ -152,8 +152,9 @@ class Bench:
 
 
 def byte_stop_s(bench):
-    """Returns the maximum time from the last bit of a byte that stops the machine to the last rising edge: one period
-    of the input samples, which read received bytes, the longest run of the step task, and 2 us."""
+    """Returns the maximum time, s, from the last bit of a byte that stops the machine to the last rising edge. It is
+    the sum of one period of the input samples (each sample reads the received bytes), the longest run of the step task,
+    and 2 us."""
     return SAMPLE_S + RUN_CYCLES / bench.wiring.core_hz + 2 * US
 
 
@@ -189,7 +190,8 @@ def in_simulator(bench, job, settings, *options):
 
 
 def simulated(bench, job, settings=JOB_SETTINGS):
-    """Returns (axes, negative) of each step event of the job in the simulator, and the end position in steps."""
+    """Runs a job in the simulator. Returns (axes, negative) for each step event, and the end position in steps. `axes`:
+    bit mask of the axes that step (bit 0: X); `negative`: those that step in the negative direction."""
     with tempfile.TemporaryDirectory() as folder:
         trace = Path(folder) / "trace.csv"
         in_simulator(bench, job, settings, "--trace", str(trace))
@@ -214,8 +216,8 @@ def fast(bench, acceleration, pulse_us=2):
 
 
 def hard(bench, acceleration):
-    """Raises an acceleration (mm/s^2) for a board with a safe rate above 490 kHz, so that it reaches that rate in the
-    same time as the others."""
+    """Returns an acceleration (mm/s²), raised in proportion if the board's safe rate is above 490 kHz. So a faster
+    board needs no more time to reach its safe rate than a board of 490 kHz."""
     return round(acceleration * max(1, bench.wiring.safe_step_hz / 490_000))
 
 
@@ -238,8 +240,8 @@ def step_clock(board):
 
 
 def joins_for(board):
-    """Returns the number of cycles from now to the deadline for the next step event: if it is queued later, the output
-    stops. The deadline is the time of the last queued event but one."""
+    """Returns the number of cycles from now to the deadline for queueing the next step event. After the deadline the
+    output stops. The deadline is the time of the last queued event but one."""
     clock = step_clock(board)
     name, stream, _ = next(place for place, who in REQUESTS.items() if who == f"{clock.name}_CH1")
     registers = 0x10 + 0x18 * stream
@@ -322,4 +324,5 @@ def with_usb(bench):
 
 
 class LeftOut(Exception):
-    """The board's entry in parts.py says that the image lacks the tested feature: neither a failure nor a pass."""
+    """Raised if the board lacks the tested feature according to its entry in parts.py. The case then neither fails nor
+    passes."""

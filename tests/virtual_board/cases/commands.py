@@ -10,7 +10,7 @@ from .bench import JOB_SETTINGS, fast, moving, simulated, us
 from .patching import hang, unpatch
 
 ANSWER_S = 20e-3
-"""Maximum time from a `?` to the first byte of its report, if the `?` follows a burst of overrides, which makes the
+"""Maximum time, s, from a `?` to the first byte of its report, after a burst of overrides. The burst makes the
 controller replan a full queue."""
 
 

@@ -30,8 +30,9 @@ def left_loader(bench):
 
 
 def rebooted(bench):
-    """`$REBOOT` restarts the board, and `$DFU` the chip's boot loader, with all outputs off. The boot loader must find
-    the chip as after a reset. What it leaves in RAM must not bring the board back to it."""
+    """`$REBOOT` restarts the board, and `$DFU` starts the chip's boot loader, both with all outputs off. The boot
+    loader must find the chip as after a reset. After the boot loader the program must run again: what is left in RAM
+    must not start the boot loader a second time."""
     bench.boot()
     board, host = bench.board, bench.host
     host.send("M3 S1000\n$100=123.5\n$REBOOT\n")
@@ -321,7 +322,8 @@ def faulted(bench):
     stuck = [name for name in wiring.step if board.level(name) == 1]
     if late > STOP_S or stuck:
         raise Failure(f"pulses for {us(late)} after the fault, step pins left high: {stuck}")
-    # An axis without a brake must not drop. (In a reset the pin floats, which is no level.)
+    # The motors must keep their supply, because an axis without a brake would drop. (In a reset the pin floats; such an
+    # edge has the level None and not 0.)
     if any(edge > at and level == 0 and f"{port}{pin}" == wiring.motor_power for edge, port, pin, level in board.edges):
         raise Failure("the fault switches the motors' supply off")
     yield f"HardFault: spindle and coolant off after {us_off(bench, at)}, last rising edge after {us(late)}"

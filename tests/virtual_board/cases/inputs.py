@@ -28,7 +28,7 @@ def trips(bench):
             hang(bench)
             begin = board.now
             board.drive(pin, 0)
-            # The queued motion lasts longer than this, so pulses that are not stopped are seen.
+            # The queued motion lasts longer than these 6 ms, so the test would see pulses that nothing stops.
             board.run(seconds=0.006)
             rising = [step.at for step in scope.steps()]
             worst = max(worst, (rising[-1] - begin) / wiring.core_hz)

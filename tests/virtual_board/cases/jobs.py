@@ -57,7 +57,8 @@ def crystals(bench):
             board.rcc.hse_stands = mhz is None
             fault = mhz in (None, 19)
             bench.wait_text("[MSG:Board: no crystal" if fault else "Grbl 1.1h ['$' for help]", 1.5)
-            # The source of the PLL is the external oscillator, and the core has its clock by the model of the PLL.
+            # With a known crystal the PLL must run from the external oscillator, otherwise from the internal one. In
+            # both cases the core must have its nominal clock.
             if board.rcc.values[PLLCFGR] >> 22 & 1 == fault or board.clocks[-1][2] != own.core_hz:
                 raise Failure(f"{mhz} MHz: the core runs at {board.clocks[-1][2]} Hz, RCC_PLLCFGR {board.rcc.values[PLLCFGR]:#x}")
             if fault:
@@ -75,8 +76,8 @@ def crystals(bench):
 
 
 def own_pins(bench):
-    """A table with other pins, written into the image: the outputs move with it. A damaged table: no pin is driven, and
-    the link tells why."""
+    """Writes a pin table with other pins into the image: the outputs must be at these pins. With a damaged table no pin
+    may be driven, and the link must tell why. A table with the wrong oscillator must lock the machine."""
     own, image = bench.wiring, bench.image
     text = (TABLES / f"{own.name}.toml").read_text()
     changes = {"step_x": own.step[1], "step_y": own.step[0], "flood": own.limits[0], "limit_x": own.flood}
@@ -178,9 +179,9 @@ def streamed(bench, job):
 
 
 def waiting_line(bench):
-    """A line arrives one byte at a time during a hold, so its last bytes wait in the serial task. After the hold the
-    control task takes the first bytes. The control task must then call the serial task, so that it passes on the other
-    bytes. Nothing else calls it: no answer is being sent, and no byte arrives."""
+    """A line arrives byte by byte during a hold, so its last bytes wait in the serial task. After the hold the control
+    task takes the first bytes. It must then call the serial task, which passes on the other bytes. Nothing else calls
+    the serial task: no answer is being sent, and no byte arrives."""
     bench.boot()
     board, host = bench.board, bench.host
     for line in ("G1X.01F600", "G1X.125F600"):

@@ -31,14 +31,14 @@ LONGEST_RUN = (RUN_CYCLES, 5200)
 
 
 def pulses(bench):
-    """Pulse width, direction set-up and period at 1, 10, 50 and 100 kHz (or the safe rate), all three axes together;
-    also with the longest pulse, 255 us. At this test's rate there are ticks (events of the step timer) without a step,
-    so the pulse lasts longer than the time between two ticks."""
+    """Checks pulse width, direction set-up and period at 1, 10, 50 and 100 kHz (or the safe rate), all three axes
+    together. The last rate, 3 kHz, has the longest pulse, 255 us. At 3 kHz some ticks (events of the step timer) have
+    no step, so this pulse outlasts the time between two ticks."""
     yield from at_rates(bench, (1_000, 60, 10), (10_000, 400, 10), (50_000, 2500, 10), (100_000, 5000, 2), (3_000, 180, 255))
 
 
 def safe_rate(bench):
-    """The same as `pulses`, but with the shortest pulse at the board's safe rate: with equal rates of all axes, and
+    """Checks pulses and periods with the shortest pulse at the board's safe rate: with equal rates of all axes, and
     with three rates of which none divides another."""
     safe, pulse_us = bench.wiring.safe_step_hz, bench.wiring.least_pulse_us
     acceleration = hard(bench, 6_000)
@@ -85,7 +85,7 @@ def flooded_at_safe_rate(bench, meanwhile):
 
 
 def tight(bench):
-    """Moves with longer pulses, each at the maximum rate that the settings allow with this pulse."""
+    """Checks longer pulses. For each pulse length, moves at the maximum rate that the settings allow with it."""
     for pulse_us in (0.6, 0.9, 1.1, 2, 2.5, 3, 4, 5, 6, 7, 9, 10):
         if pulse_us < bench.wiring.least_pulse_us:
             continue
@@ -200,7 +200,8 @@ def turns(bench):
             raise Failure("a pulse or the pause after it is too short")
         if fastest > 20 * US:
             raise Failure("the corners were not passed at speed: this proves nothing")
-        # X moves 0.2 mm of the path's 0.2 mm * sqrt(1 + 2/16), and a step is 0.001 mm.
+        # Y and Z move a quarter of the distance of X, so the path is sqrt(1 + 2/16) times as long as the move of X. A
+        # step is 0.001 mm.
         planned = 60 / 4600 / 1000 * (1 + 2 / 16) ** 0.5
         if fastest < planned - JITTER_S:
             raise Failure(f"a step comes {us(fastest)} after the one before, {us(planned)} are planned")
@@ -253,8 +254,8 @@ def turns_at_full_rate(bench):
 
 
 def zigzag(bench):
-    """X moves at the maximum rate, and Y and Z turn at each mm of it, while interrupts are masked for 20 us at random
-    times. Y and Z turn at speed: their last step before a turn and the first one after it may be close together."""
+    """X moves at the maximum rate, and Y and Z turn after each mm of X, while interrupts are masked for 20 us at random
+    times. Y and Z turn at speed: their last step before a turn and their first step after it can be close together."""
     pulse_us = bench.wiring.least_pulse_us
     for setup_us, way in ((10, 0.2), (0, 0.02), (10, 0.02)):
         bench.boot()
@@ -262,7 +263,7 @@ def zigzag(bench):
         rate = at_full_rate(bench)
         bench.settings(s111=rate, s112=rate)
         bench.settings(s29=setup_us, s11=5)
-        # X gets up to speed and stops in moves of its own.
+        # The first and the last move are of X alone: X accelerates and brakes there.
         lead = 2 + round((rate / 60) ** 2 / 2 / hard(bench, 10_000))
         scope = Scope(board)
         turning = "".join(f"X1 Y{'-' * (k % 2)}{way} Z{'-' * (1 - k % 2)}{way}\n" for k in range(lines))
@@ -434,8 +435,8 @@ def late_starts(bench):
         def away():
             return (tim5.values[timer.CCR2] - tim5.count() & 0xFFFF_FFFF) * tim5.cycles / hz
 
-        # The first event comes 2 ms after the first segment; the step task schedules its next call for 450 us before
-        # it.
+        # The first event comes 2 ms after the first segment. The step task schedules its next call for 450 us before
+        # that event.
         bench.wait(lambda: 1.3e-3 < away() < 1.6e-3, 0.1, "the first segment")
         begin = away() + 450 * US
         moment = board.now + begin * hz
@@ -457,9 +458,8 @@ def late_starts(bench):
     harmless = [start(6 * k * US, 100 * US) - max(usual) for k in range(1, 81)]
     if max(harmless) > US:
         raise Failure(f"masked for 100 us up to 480 us before, a start is put off by {us(max(harmless))}")
-    # The masks begin before the step task is called, or while it generates the first events. They end just before or
-    # just after the planned time of the first event, or just after the time at which the first step comes without a
-    # mask.
+    # Each mask begins before the step task is called, or while the task generates the first events. The mask ends near
+    # the planned time of the first event, or just after the usual time of the first step.
     delays = {}
     for before in range(200, 500, 6):
         for end in (-60 * US, -2 * US, 5 * US, max(usual) + 5 * US):

@@ -13,11 +13,12 @@ from .bench import HOLD_S, TRIP_S, US, byte_stop_s, fast, moving, us
 from .stepping import at_full_rate
 
 CALL_CYCLES = 140
-"""Maximum cycles from the call of an idle step task until no event can begin: less than 2 us on all boards."""
+"""Maximum cycles from the call of an idle step task for a stop until no more step events can begin: less than 2 us on
+all boards."""
 
 SERIAL_S = 100e-6
-"""Maximum time from the last bit of a command that stops the machine to the run of the serial task, which waits for the
-longest runs of the tasks with higher priority."""
+"""Maximum time from the last bit of a command that stops the machine until the serial task runs. The longest runs of
+the tasks with higher priority can come first."""
 
 
 def hold(bench):
@@ -108,9 +109,9 @@ def stops(bench):
 
 
 class StopWatch:
-    """Records for each stop the cycles from the call of the step task until no event can begin, and the slot of the
-    event ring (the DMA buffer of step events) at that moment. `halts` counts how often the output ended, by a stop or
-    because the ring ran dry."""
+    """Records two numbers for each stop: the cycles from the call of the step task until no event can begin, and the
+    DMA count, which tells the slot of the event ring (the DMA buffer of step events) at that time. `halts` counts how
+    often the output ended, by a stop or because the ring ran dry."""
 
     def __init__(self, board):
         self.board, self.called, self.stopped, self.halts, self.halted_at = board, None, [], 0, None
@@ -147,7 +148,7 @@ def ring_stops(bench):
     worst, place, watch, most = 0, 0, StopWatch(board), int(os.environ.get("OXMILL_RANDOM_STOPS", "48"))
     for k in range(most):
         bench.ask("$X")
-        # Limits the memory that long runs need.
+        # Discard the edges of the previous stop, because a long run would need too much memory.
         board.edges.clear()
         scope, watch.halts = Scope(board), 0
         sign = "-" if k % 2 else ""

@@ -184,8 +184,8 @@ def torn_line(bench):
         board, host = bench.board, bench.host
         scope = Scope(board)
         host.send(text)
-        # The button is pressed soon after the last byte, because the line must still wait in the UART's receiver, and
-        # the firmware reads all waiting bytes from time to time.
+        # Press the button soon after the last byte, while the line still waits in the UART's receiver. Later the
+        # firmware would read the waiting bytes.
         board.run(seconds=len(text) * 10 / host.baud + 0.0005)
         after = len(host.text)
         board.drive(bench.wiring.reset, 0)

@@ -60,13 +60,13 @@ def usb_port(bench):
 
 
 SENT_AHEAD = 64
-"""Bytes of the queue between the serial task and the UART."""
+"""Size, in bytes, of the queue between the serial task and the UART."""
 
 
 def usb_waits_for_answers(bench):
-    """The commands of the UART's host are done, but the answer to them is still being sent: a line of the USB host must
-    be refused, and no byte may be lost or go to the wrong host. If the rest of the answer is already in the UART's own
-    queue, which is sent in any case, the line may also be accepted."""
+    """The command of the UART's host is done, but its answer is still being sent: a line of the USB host must be
+    refused. If the rest of the answer is already in the UART's queue of `SENT_AHEAD` bytes, the line may also be
+    accepted. No byte may be lost or go to the wrong host."""
     host, uart = bench.host, bench.uart
     bench.host = uart
     bench.ask("G4P0")
@@ -151,9 +151,9 @@ BELTS = {"s0": 2, "s29": 0, "s100": 80, "s101": 80, "s110": 60000, "s111": 60000
 
 
 def usb_lines(bench):
-    """Sends short lines over USB by character counting: up to the promised number of lines per second, a job must last
+    """Sends short lines over USB by character counting. Up to the promised number of lines per second, a job must last
     only as long as its motion, because the look-ahead never runs low. Also measures how many lines per second the board
-    accepts if the motion would need more than it can accept."""
+    accepts when the motion needs more lines."""
     with_usb(bench)
     bench.settings(**BELTS)
     yield from many_lines(bench, LINES_S.get(bench.wiring.name, 4200))

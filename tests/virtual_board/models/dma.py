@@ -46,8 +46,8 @@ REQUESTS = {
 """Source of the requests, by (controller, stream, channel): RM0383 and RM0390, tables "DMA1 request mapping" and "DMA2
 request mapping"; the same in RM0368 (F401)."""
 TO_AHB, TO_APB, FETCH, BUSY = 12, 16, 10, 8
-"""Cycles from a request to the store on the AHB or an APB, from that store to the next word fetched, and from one store
-to the next (AN4031, tables 4 and 5)."""
+"""Cycles, in this order: from a request to the store on the AHB, from a request to the store on an APB, from that store
+to the fetch of the next word, and between two stores (AN4031, tables 4 and 5)."""
 USART_HOLD = 8
 """Cycles for which a transfer of a USART holds the controller, in addition to four clocks of its bus."""
 SETTLE = 8
@@ -72,7 +72,7 @@ class Dma(Peripheral):
     def __init__(self, name, board, bit):
         self.CLOCK = (0x30, bit)
         self.streams = {}
-        """Streams that may serve each source of requests."""
+        """Maps each source of requests to the numbers of the streams that can serve it."""
         for (controller, stream, _), who in REQUESTS.items():
             if controller == name:
                 self.streams.setdefault(who, []).append(stream)
@@ -81,15 +81,15 @@ class Dma(Peripheral):
     def reset(self):
         super().reset()
         self.next = [0] * 8
-        """Memory address of the next datum."""
+        """For each stream of a USART or of captures: memory address of the next datum."""
         self.agenda = []
         """Heap of the scheduled steps of transfers: (cycle, order, action)."""
         self.order = 0
         self.busy_until = 0
         self.whole = [0] * 8
-        """Number of data with which a circular stream restarts."""
+        """For each stream: NDTR at the start, with which a circular stream also restarts."""
         self.fetched = [None] * 8
-        """(index in the ring, word) that a stream to a peripheral has fetched."""
+        """For each stream to a peripheral: (index in the ring, word) of the word that it has fetched ahead, or None."""
         self.switched_on = [-SETTLE] * 8
         self.taken = [0] * 8
         """Number of requests that each stream has taken, but not served yet."""
@@ -331,7 +331,8 @@ class Dma(Peripheral):
             self._call()
 
     def request(self, asks, data_address, datum):
-        """Requests the transfer of a timer's capture. Returns whether a stream has taken it."""
+        """Transfers a timer's capture `datum` at once, if a stream serves the source `asks`. Returns whether one
+        does."""
         for (name, stream, channel), who in REQUESTS.items():
             base = 0x10 + 0x18 * stream
             cr = self.values[base + CR]

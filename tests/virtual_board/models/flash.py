@@ -92,7 +92,8 @@ class Flash(Peripheral):
         self.values[SR] |= EOP
 
     def program(self, address, size, value):
-        """Programs a store into flash."""
+        """Carries out a store of the processor to flash: it can only clear bits. Raises Misuse if the registers of the
+        flash interface do not allow the store."""
         cr = self.values[CR]
         if cr & LOCK or not cr & PG:
             self.values[SR] |= PGSERR

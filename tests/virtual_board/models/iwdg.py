@@ -27,7 +27,7 @@ class Iwdg(Peripheral):
 
     def write(self, offset, value):
         if offset == KR:
-            # IWDG_KR: access to PR and RLR, start, reload.
+            # Keys of IWDG_KR: 0x5555 opens PR and RLR, 0xCCCC starts the watchdog, 0xAAAA reloads the counter.
             self.open = value == 0x5555
             if value in (0xCCCC, 0xAAAA):
                 self.started |= value == 0xCCCC

@@ -51,7 +51,7 @@ class Nvic(Peripheral):
     # The lines of the peripherals.
 
     def level(self, irq, up):
-        """Sets the level of a peripheral's line."""
+        """Sets the interrupt line of a peripheral. A rise makes the interrupt pending."""
         number = 16 + irq
         if up:
             if number not in self.lines:
@@ -66,7 +66,7 @@ class Nvic(Peripheral):
         return {NMI: -2, HARD_FAULT: -1}.get(number, self.priorities[number])
 
     def running(self):
-        """Returns the priority of the running code, without masks."""
+        """Returns the priority of the running code. PRIMASK and BASEPRI are ignored."""
         return min((p for _, p in self.active), default=THREAD)
 
     def best(self):
@@ -89,13 +89,14 @@ class Nvic(Peripheral):
         return best, False
 
     def begin(self, number):
-        """Enters an exception."""
+        """Marks an exception as active and no longer pending."""
         self.pending.discard(number)
         self.active.append((number, self.priority(number)))
         self.entries[number] = self.entries.get(number, 0) + 1
 
     def end(self):
-        """Returns from the newest exception."""
+        """Ends the newest active exception and returns its number. The exception pends again if its line is still
+        high."""
         number, _ = self.active.pop()
         if number in self.lines:
             self.pending.add(number)

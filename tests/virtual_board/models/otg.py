@@ -24,7 +24,7 @@ OUT_DATA, OUT_DONE, SETUP_DONE, SETUP_DATA = 2, 3, 4, 6
 ENDPOINTS, FIFO_WORDS = 6, 320
 """RM0390, "OTG_FS main features": endpoint 0 and five more, 1.25 Kbytes of FIFO. RM0383 has endpoint 0 and three more."""
 OLD_CORES = (0x1100, 0x1200)
-"""CID of the cores of RM0383 and RM0368."""
+"""CID (version of the USB core) of the chips with three data endpoints: 0x1100 (RM0090), 0x1200 (RM0383, RM0368)."""
 END_S = 0.5e-6
 """Seconds from a packet to the entry that marks its end."""
 

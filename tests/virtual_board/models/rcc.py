@@ -20,7 +20,7 @@ CSR, DCKCFGR = 0x74, 0x8C
 
 HSI_HZ = 16_000_000
 LSI_HZ = 32_000
-"""RM0383 and RM0390, "HSI clock" and "LSI clock"; typical."""
+"""Typical frequencies of the internal oscillators: RM0383 and RM0390, "HSI clock" and "LSI clock"."""
 
 HSE_ON, CLOCK_SECURITY, PLL_ON = 1 << 16, 1 << 19, 1 << 24
 SOFTWARE_RESET, WATCHDOG_RESET, POWER_ON_RESET = 1 << 28 | 1 << 26, 1 << 29 | 1 << 26, 1 << 27 | 1 << 26 | 1 << 25
@@ -60,7 +60,7 @@ class Rcc(Peripheral):
         self.values[CSR] = self.flags
         self.values.update(zip(SLEEP_ENABLES, self.board.part.asleep, strict=True))
         self.arrives = {}
-        """The cycle from which each enabled clock runs, by its (offset, bit)."""
+        """Maps each enabled clock, as (offset of the register, bit), to the core cycle from which it runs."""
         self.all_there = 0
         """The cycle from which all enabled clocks run."""
         self.hclk, self.pclk1, self.pclk2 = HSI_HZ, HSI_HZ, HSI_HZ
@@ -157,8 +157,9 @@ class Rcc(Peripheral):
         self.board.slow_down(HSI_HZ)
 
     def timer_clock(self, bus_clock):
-        """Returns the clock of the timers of a bus: twice the bus clock if that is divided; with TIMPRE the core's
-        clock if the divider is at most 4."""
+        """Returns the clock, Hz, of the timers on a bus. Without TIMPRE: the bus clock, or twice the bus clock if the
+        bus has a divider. With TIMPRE: the core's clock if the divider is at most 4, otherwise four times the bus
+        clock."""
         divider = self.hclk // bus_clock
         if self.values[DCKCFGR] >> 24 & 1:
             return self.hclk if divider <= 4 else 4 * bus_clock

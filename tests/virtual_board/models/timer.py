@@ -22,8 +22,8 @@ CNT, PSC, ARR, CCR1, CCR2, CCR3, CCR4 = 0x24, 0x28, 0x2C, 0x34, 0x38, 0x3C, 0x40
 BDTR, MOE = 0x44, 1 << 15
 COMPARE = (CCR1, CCR2, CCR3, CCR4)
 OWN_PIN, FILTERS, BOTH_EDGES = 1, (0, 2), 0b1011
-"""CCxS for a channel's own pin and the values of ICxF whose effect is ignored (TIMx_CCMR1); CCxNP, CCxP and CCxE for
-both edges (TIMx_CCER)."""
+"""`OWN_PIN`: CCxS for a channel's own pin (TIMx_CCMR1). `FILTERS`: values of ICxF, the input filter, that the model
+accepts without filtering. `BOTH_EDGES`: CCxNP, CCxP and CCxE for both edges (TIMx_CCER)."""
 INPUTS = {("B", 6): ("TIM4", 1), ("B", 7): ("TIM4", 2), ("B", 8): ("TIM4", 3)}
 """Timer and channel by pin, as alternate function 2 (data sheets, table of alternate functions)."""
 FUNCTION = 2
@@ -63,7 +63,7 @@ class Timer(Peripheral):
         super().reset()
         self.values[ARR] = self.top
         self.since = 0
-        """Core cycle at which the counter had the value `began`."""
+        """Reference for the count: at core cycle `since` the counter had the value `began`."""
         self.began = 0
         self.prescaler = 0
         self.cycles = 1
@@ -118,7 +118,7 @@ class Timer(Peripheral):
         return super().read(offset)
 
     def captures(self, channel):
-        """Returns whether a channel is an input."""
+        """Returns a value other than 0 if a channel is an input (capture), and 0 if it compares."""
         return self.values[CCMR1 if channel <= 2 else CCMR2] >> 8 * (channel - 1 & 1) & 3
 
     def edge(self, channel):
@@ -201,7 +201,8 @@ class Timer(Peripheral):
         self._plan()
 
     def _check_requests(self, off, on):
-        """Checks a change of the DMA requests of compare events; `off` and `on` are the changed bits."""
+        """Raises Misuse if DMA requests of compare events change at a bad time. `off`, `on`: the bits of DIER that the
+        write clears and sets."""
         for channel in range(1, 5):
             if off >> 8 + channel & 1 and any(dma.under_way.get(f"{self.name}_CH{channel}") for dma in self.board.dma):
                 raise Misuse(f"{self.name}: a request of DMA is taken back while it is under way")

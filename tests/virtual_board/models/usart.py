@@ -61,7 +61,6 @@ class Usart(Peripheral):
             raise Unmodelled(f"{self.name} is on while clocks change")
 
     def bit_cycles(self):
-        """Returns the core cycles per bit."""
         rcc = self.board.rcc
         return self.values[BRR] * (rcc.hclk // getattr(rcc, self.bus))
 
@@ -124,7 +123,7 @@ class Usart(Peripheral):
         self._plan()
 
     def listen(self):
-        """Called when there are new bytes on the wire or the receiver's settings have changed."""
+        """Plans the next event again. Called when bytes come onto the wire or the receiver's settings have changed."""
         self._plan()
 
     @property

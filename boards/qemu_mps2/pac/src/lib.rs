@@ -78,7 +78,6 @@ mod vectors {
         fn UART4_TX();
     }
 
-    /// An entry of the vector table.
     #[derive(Clone, Copy)]
     pub union Vector {
         handler: unsafe extern "C" fn(),
@@ -125,7 +124,6 @@ mod vectors {
     ];
 }
 
-/// A register of 32 bits.
 struct Register(*mut u32);
 
 impl Register {
@@ -199,7 +197,7 @@ impl<const BASE: usize> Uart<BASE> {
 pub struct Timer<const BASE: usize>(());
 
 impl<const BASE: usize> Timer<BASE> {
-    /// CTRL: counting.
+    /// CTRL: the timer counts.
     pub const ENABLE: u32 = 1;
     /// CTRL: interrupt at 0.
     pub const INTERRUPT_ENABLE: u32 = 8;
@@ -207,9 +205,9 @@ impl<const BASE: usize> Timer<BASE> {
     registers! {
         /// Control: the `ENABLE` bits above.
         control set_control 0x0;
-        /// Current value.
+        /// Number of ticks left until 0.
         value set_value 0x4;
-        /// Value loaded after 0.
+        /// Value that the timer is set to after it has reached 0.
         reload set_reload 0x8;
         /// Interrupt status; writing 1 clears the interrupt.
         interrupts clear_interrupts 0xC;
@@ -226,7 +224,7 @@ impl<const BASE: usize> WatchdogTimer<BASE> {
     pub const RESET_ENABLE: u32 = 2;
 
     registers! {
-        /// Value to count down from; writing it restarts the count.
+        /// Start value of the count-down, in ticks; writing it restarts the count.
         reload set_reload 0x0;
         /// Control: the `ENABLE` bits above.
         control set_control 0x8;
@@ -235,7 +233,7 @@ impl<const BASE: usize> WatchdogTimer<BASE> {
     }
 }
 
-/// The watchdog.
+/// The watchdog; it counts at 25 MHz.
 pub type Watchdog = WatchdogTimer<0x4000_8000>;
 
 /// First UART: the host.

@@ -1,6 +1,6 @@
-//! Curves whose control points have a line each: G5.2 starts or continues a curve, G5.3 ends it. Points are collected
-//! in the interpreter, and G5.3 turns them into a move. Errors: G5.3 or a point without a G5.2, another motion before
-//! G5.3, too few or too many points.
+//! Rational B-splines (NURBS), whose control points have a line each. G5.2 starts or continues a curve; G5.3 ends the
+//! curve and moves along it. The interpreter collects the points until then. Errors: G5.3 or a point without a G5.2,
+//! another motion before G5.3, too few or too many points.
 
 use super::draft::Draft;
 use crate::axes::{Axis, AxisMask};
@@ -17,8 +17,8 @@ use crate::units::{Decimal, WeightedPoint};
 const POINTS: MotionMode = MotionMode::Spline(SplineKind::Nurbs);
 
 impl<const N: usize> Draft<'_, N> {
-    /// Whether a curve has been started, G5.2 is the motion mode in force, and the tool is still at the start of the
-    /// curve.
+    /// Returns whether a curve is open: G5.2 has started it and is still the motion mode, and the tool is still at the
+    /// start of the curve.
     fn has_control_points(&self) -> bool {
         let here = in_xy(&self.state.position);
         self.state.modal.motion == POINTS && self.state.control_points.iter().any(|points| points.begin_at(here))
@@ -31,8 +31,8 @@ impl<const N: usize> Draft<'_, N> {
         if leaves && self.has_control_points() { Err(Error::ControlPointsNotEnded) } else { Ok(()) }
     }
 
-    /// G5.2, or a line after it: a control point by X and Y, with its weight P and the order L. If the first line has
-    /// no point, its P is the weight of the start.
+    /// Checks G5.2, or a later line while G5.2 is in force. X and Y give a control point, P its weight, L the order of
+    /// the curve. The first line may have no X and Y. Then it has no control point, and P is the weight of the start.
     #[inline(never)]
     pub(super) fn control_point(&mut self) -> Result<(), Error> {
         let begins = !self.has_control_points();
@@ -61,7 +61,7 @@ impl<const N: usize> Draft<'_, N> {
         let start = in_xy(&self.state.position);
         let target = self.target();
         reachable(&target)?;
-        // The tool does not move, so `None` keeps the coordinates that the program wrote for the present position.
+        // The tool does not move. `None` keeps the coordinates that the program wrote for the present position.
         self.action.rotated.reached = None;
         self.action.rotated.scaled.rest = None;
         let weight_of_start = if has_point { 1.0 } else { weight };
@@ -91,7 +91,7 @@ impl<const N: usize> Draft<'_, N> {
         self.state.control_points.first().map_or(ORDER, ControlPoints::order)
     }
 
-    /// G5.3: moves along the curve of the control points. The motion mode becomes G80.
+    /// Checks G5.3: a move along the curve of the control points. The motion mode becomes G80.
     #[inline(never)]
     pub(super) fn nurbs(&mut self) -> Result<(), Error> {
         self.action.modal.motion = MotionMode::Cancelled;

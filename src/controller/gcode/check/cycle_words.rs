@@ -1,5 +1,5 @@
-//! Canned cycles (G73 to G89): reads hole, levels, peck, dwell and repeats from a line. A word that the line lacks
-//! keeps its most recent value, as long as the previous lines have the same cycle in the same plane. The result is a
+//! Canned cycles (G73 to G89): reads hole, levels, peck, dwell and repeats from a line. If the lines before have the
+//! same cycle in the same plane, a word that the line lacks keeps its most recent value. The result is a
 //! [`Cycle`](crate::gcode::Cycle) that the controller executes step by step.
 
 use super::draft::Draft;
@@ -16,8 +16,7 @@ use crate::units::{Coordinate, Decimal};
 const REPEATS_MAX: i32 = 1_000_000;
 
 impl<const N: usize> Draft<'_, N> {
-    /// G73 to G89. A word that the line lacks keeps its most recent value, if the motion mode before the line was the
-    /// same cycle in the same plane.
+    /// Checks a line of a canned cycle, and makes its words a [`MotionCommand::Cycle`].
     pub(super) fn cycle(&mut self, kind: CycleKind) -> Result<(), Error> {
         let modal = self.action.modal;
         if modal.feed_mode == FeedMode::InverseTime {
@@ -70,8 +69,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// Returns the vector from one hole to the next, the machine coordinates of R and of the bottom, and the depth of a
-    /// peck, all scaled.
+    /// Returns three scaled results: the vector from one hole to the next, the machine coordinates of R and of the
+    /// bottom, and the depth of a peck.
     fn levels(
         &self,
         words: &CycleWords,
@@ -95,7 +94,7 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Returns the words of the cycle. A word that the line lacks keeps the value in force.
+    /// Reads the words of the cycle from the line. A word that the line lacks keeps the value in force.
     fn cycle_words(&mut self, kind: CycleKind, axes: PlaneAxes) -> Result<CycleWords, Error> {
         let (before, modal) = (&self.state.modal, self.action.modal);
         let series = matches!(before.motion, MotionMode::Cycle(_)) && self.state.cycle.plane == modal.plane;
@@ -131,8 +130,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(words)
     }
 
-    /// Returns the machine coordinate at which the series of cycles began, adjusted to the tool length offset of the
-    /// line.
+    /// Returns the level at which the series of cycles began, as a machine coordinate along the axis of the holes.
+    /// `words` hold this level without the tool length offset; the offset of the present line is added.
     fn level_of(&self, words: &CycleWords, axes: PlaneAxes) -> Coordinate {
         words.level + self.tool_offset(axes.linear)
     }

@@ -27,7 +27,8 @@ pub(in crate::gcode) enum Purpose {
     Jog,
 }
 
-/// Returns the squared lengths of a straight move: of X, Y and Z in mm², and of the rotary axes in square degrees.
+/// Returns two squared lengths of a straight move: along X, Y and Z in mm², and along the rotary axes in square
+/// degrees.
 fn squared_ways<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coordinate, N>) -> [f32; 2] {
     let mut squares = [0.0; 2];
     let [linear, rotary] = &mut squares;
@@ -38,20 +39,21 @@ fn squared_ways<const N: usize>(from: &PerAxis<Coordinate, N>, to: &PerAxis<Coor
     squares
 }
 
-/// Returns the feed for F with G93. Not inlined, so that the code for lines in which F is a speed does not contain the
-/// division.
+/// Returns the feed for F with G93, where F is the inverse of a duration in minutes: F2 is 30 s. Not inlined, so that
+/// the code for other lines does not contain the division.
 #[inline(never)]
 fn inverse_time(feed: Decimal) -> Feed {
     Feed::InverseTime(60.0 / feed.to_f32())
 }
 
-/// A line during its check: its words, those of them that are still unused, and the result so far.
+/// A line while it is checked: its words, which of them are still unused, and the result so far.
 pub(super) struct Draft<'a, const N: usize> {
     pub(super) state: &'a Interpreter<N>,
     pub(super) line: &'a Parsed<N>,
     pub(super) dialect: Dialect,
     pub(super) purpose: Purpose,
-    /// Command that uses the axis words. An implied motion also counts as such a command.
+    /// Command that uses the axis words. If no command of the line uses them, they are a motion in the motion mode in
+    /// force ([`Claim::Motion`]).
     pub(super) claim: Claim,
     /// Letters of the axis words and value words that no step has used yet.
     pub(super) unused: Letters,
@@ -105,8 +107,8 @@ impl<'a, const N: usize> Draft<'a, N> {
         Self { state, line, dialect, purpose, claim, unused: line.values, rotated: None, scaled: None, action }
     }
 
-    /// Refuses offsets outside the range of coordinates: sums with such an offset would saturate, and a stored offset
-    /// could not be read back. Grbl accepts any offset.
+    /// Refuses offsets outside the range of coordinates. Sums with such an offset would saturate, and a stored offset
+    /// of this kind could not be read back. Grbl accepts any offset, so its dialect does, too.
     pub(super) fn allow_offset(&self, offset: &PerAxis<Coordinate, N>) -> Result<(), Error> {
         if self.dialect == Dialect::Grbl { Ok(()) } else { reachable(offset) }
     }
@@ -118,8 +120,8 @@ impl<'a, const N: usize> Draft<'a, N> {
         has
     }
 
-    /// Returns `others` with new values for the axes that have a word. `place` computes the new value from the axis and
-    /// the value of its word.
+    /// Returns `others`, with a new value for each axis that has a word. `place(axis, value)` computes the new value
+    /// from the value of the word.
     pub(super) fn with_axis_words(
         &self,
         others: PerAxis<Coordinate, N>,
@@ -155,8 +157,8 @@ impl<'a, const N: usize> Draft<'a, N> {
         along(&self.state.position, axis)
     }
 
-    /// Returns the present position along an axis in work coordinates, without the rotation. With G51 these are the
-    /// scaled coordinates, not the ones that the program wrote.
+    /// Returns the present position along an axis in work coordinates, before G68 or an angle of the system rotates
+    /// them. With G51 these are the scaled coordinates, not the ones that the program wrote.
     pub(super) fn program_coordinate(&self, axis: Axis) -> Coordinate {
         if FULL_IMAGE && let Some(rotated) = self.rotated {
             let [first, second] = self.state.in_program(rotated, rotated.part_of(&self.state.position));
@@ -183,7 +185,7 @@ impl<'a, const N: usize> Draft<'a, N> {
         along(&self.action.tool_length, axis)
     }
 
-    /// Returns F of G94 or G95 as a speed in mm/s.
+    /// Returns the speed in mm/s that F means with G94 or G95.
     pub(super) fn feed_per_second(&self) -> f32 {
         let modal = &self.action.modal;
         if FULL_IMAGE && modal.feed_mode == FeedMode::PerRevolution {
@@ -201,9 +203,10 @@ impl<'a, const N: usize> Draft<'a, N> {
         }
     }
 
-    /// Returns the feed of a straight move as the speed along its path in all axes, rotary axes included. F is the
-    /// speed along the path of X, Y and Z alone; rotary axes start and end with them. If only rotary axes move, F is in
-    /// degrees per minute (RS274NGC, 2.1.2.5).
+    /// Returns the feed of a straight move as the speed along its path in all axes, rotary axes included. F itself is
+    /// the speed along X, Y and Z alone, and rotary axes start and end with them. Example: for 3 mm in X and 4 degrees
+    /// in A the path is 5 long, so the result is 5/3 of F. If only rotary axes move, F is in degrees per minute
+    /// (RS274NGC, 2.1.2.5).
     pub(super) fn feed_to(&self, target: &PerAxis<Coordinate, N>) -> Feed {
         match self.feed_of_motion() {
             Feed::PerMinute(feed) if N > LINEAR => {

@@ -1,6 +1,5 @@
 //! Words that CAM programs write for other controls. Some have the same meaning here (G54.1 P, G154 P, U V W of G28).
-//! Others are accepted without effect; for those that switch the look-ahead and for M29, the host gets a message once
-//! per program.
+//! Others have no effect. If they switch the look-ahead, or are M29, the host gets a message once per program.
 
 use super::draft::{CENTRE, Draft};
 use crate::axes::PerAxis;
@@ -12,11 +11,12 @@ use crate::gcode::word::{Group, Groups, Letters};
 use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, Decimal};
 
-/// Number of coordinate systems before G59.1, which G54.1 P1 selects.
+/// Number of coordinate systems before G59.1 (G54 to G59). G54.1 P1 selects the one after them: G59.1.
 const BEFORE_THE_FIRST: usize = CoordinateSystem::OF_GRBL;
 
 impl<const N: usize> Draft<'_, N> {
-    /// G54.1 and G154 select a coordinate system by its number. G8 P, G103, G187 and M29 only cause a notice.
+    /// Executes words of other controls. G54.1 and G154 select a coordinate system by its number. G8 P, G103, G187 and
+    /// M29 only send a message to the host.
     pub(super) fn habits(&mut self) -> Result<(), Error> {
         let extended = &self.line.extended;
         if !FULL_IMAGE {
@@ -73,9 +73,9 @@ impl<const N: usize> Draft<'_, N> {
         Ok(point)
     }
 
-    /// Takes D if it is the only unused word of the line and is allowed there: on a line with G40 or G43 to G49, or
-    /// alone, but not beside G12 and G13. Stores in the action whether D names the radius of a tool. Returns whether D
-    /// was taken.
+    /// Accepts a D, the number of a tool radius, if no other word of the line is unused. D may be alone on its line,
+    /// or beside G40 or G43 to G49, but not beside G12 and G13. Stores in the action whether D names the radius of a
+    /// tool, which D0 does not. Returns `false` if D was not accepted.
     #[inline(never)]
     pub(super) fn take_radius_register(&mut self) -> Result<bool, Error> {
         let mut others = self.line.values;
@@ -90,8 +90,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(true)
     }
 
-    /// Whether the line's spline word switches the look-ahead, as on other controls: G5.1 with Q, or G5 with P, without
-    /// a destination. Such a word starts no curve.
+    /// Returns whether the line's spline word switches the look-ahead, as on other controls: G5.1 with Q, or G5 with
+    /// P, without a destination. Such a word starts no curve.
     #[inline(never)]
     pub(super) fn is_look_ahead(&self) -> bool {
         let letter = match self.line.modal.motion {

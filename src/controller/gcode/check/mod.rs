@@ -1,6 +1,6 @@
-//! The second step of G-code: what the words of a line mean in the present modal state. The steps run in the order in
-//! which Grbl checks, and the first error is returned. The interpreter calls [`check`] for lines of a program and for
-//! jogs; nothing changes before the line is committed. Short steps are in this file, the others in files of their own.
+//! Checks the words of a parsed line: what they mean in the present modal state. The steps run in the order in which
+//! Grbl checks, and the first error is returned. The interpreter calls [`check`] for lines of a program and for jogs.
+//! Nothing changes before the line is committed. Short steps are in this file, the others in files of their own.
 
 mod control_point_words;
 mod cycle_words;
@@ -31,11 +31,11 @@ use crate::units::{Decimal, per_second};
 use draft::Draft;
 pub(super) use draft::Purpose;
 
-/// Maximum line number.
+/// Maximum line number (N).
 const LINE_NUMBER_MAX: i32 = 10_000_000;
 
-/// Checks the words of a line in the present modal state, and writes the result to `action`. After an error, `action`
-/// is not valid.
+/// Checks the words of a line in the present modal state, and writes the result to `action`. If an error is returned,
+/// `action` must not be used.
 pub(super) fn check<const N: usize>(
     state: &Interpreter<N>,
     line: &Parsed<N>,
@@ -44,8 +44,8 @@ pub(super) fn check<const N: usize>(
     action: &mut Action<N>,
 ) -> Result<(), Error> {
     let mut draft = Draft::begin(state, line, dialect, purpose, action);
-    // Most lines have no extended words, and this function must be fast. So one test skips all steps that only extended
-    // words need.
+    // Most lines have no extended words (words that Grbl does not have), and this function must be fast. So one test
+    // skips all steps that only extended words need.
     let is_extended = line.extended.any;
     if is_extended {
         draft.sign_of_p()?;
@@ -92,8 +92,8 @@ pub(super) fn check<const N: usize>(
         ) && matches!(action.after.keeping, Keeping::Leave)
             && action.after.notice.is_none();
     } else {
-        // Grbl computes the target of a line before a G92.1 on the same line acts. So in its dialect the offset changes
-        // only here, after the motion.
+        // Grbl computes the target of a line first, and then executes a G92.1 on the same line. So in Grbl's dialect
+        // the offset changes only here, after the motion.
         if dialect == Dialect::Grbl {
             draft.offset_acts();
         }
@@ -114,8 +114,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// With G94 and G95, F stays in force. With G93, each motion needs its own F. After a change of the feed mode, F is
-    /// undefined.
+    /// Reads F. With G94 and G95, F stays in force. With G93, each motion needs its own F. After a change of the feed
+    /// mode, F is undefined.
     fn feed(&mut self) -> Result<(), Error> {
         if self.line.extended.keep.is_some() {
             // M72 on this line restores F together with the feed mode.
@@ -152,7 +152,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// With G95 a motion needs S, because F is the distance per revolution.
+    /// Refuses a motion with G95 while S is 0: F is the distance per revolution, so the speed would be 0.
     #[inline(never)]
     fn needs_speed(&self) -> Result<(), Error> {
         let line = self.line;
@@ -191,7 +191,7 @@ impl<const N: usize> Draft<'_, N> {
         self.action.coolant = (modal.coolant != before.coolant).then_some(modal.coolant);
     }
 
-    /// As in Grbl and grblHAL: M56 P0 disables parking; M56 without P or with another P enables it.
+    /// Executes M56 as Grbl and grblHAL do: P0 disables parking; another P or none enables it.
     fn parking_override(&mut self) {
         if self.line.parking_override {
             self.action.modal.no_parking = self.line.values.has(b'P') && self.line.value(b'P') == Decimal::ZERO;
@@ -199,8 +199,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G61, G61.1, and G64 with its tolerances P and Q. G64 without P, or with P0, keeps the path exact. The default of
-    /// Q is P.
+    /// Reads G61, G61.1, and G64 with its tolerances P and Q. G64 without P, or with P0, keeps the path exact. Q is P
+    /// if the line has no Q.
     fn path_control(&mut self) -> Result<(), Error> {
         let Some(path) = self.line.extended.path else { return Ok(()) };
         self.action.modal.path = path;
@@ -255,7 +255,7 @@ impl<const N: usize> Draft<'_, N> {
         Err(Error::UnusedWords)
     }
 
-    /// Whether the line consists of an O number alone, or of a line number (N) and an O number.
+    /// Returns whether the line consists of an O number alone, or of a line number (N) and an O number.
     fn is_program_number(&self) -> bool {
         let mut others = self.unused;
         others.remove(Letters::of(b"N"));
@@ -275,8 +275,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Completes the action: sets `flow` (what the program does after the motion), `uses_machine_place` and
-    /// `work_offset_changed`. M2 and M30 also reset modal state, rotation and scaling.
+    /// Completes the action: sets `flow`, `uses_machine_place` and `work_offset_changed`. M2 and M30 also reset modal
+    /// state, rotation and scaling.
     fn finish(self) {
         let action = self.action;
         action.flow = match self.line.flow {
@@ -309,7 +309,8 @@ impl<const N: usize> Draft<'_, N> {
     }
 }
 
-/// Returns the value in mm of the last of `places` decimal places, within the limits of [`Action::digit`].
+/// Returns the value in mm of the last of `places` decimal places: 0.001 for three places in mm. The limits of
+/// [`Action::digit`] apply.
 fn last_digit(units: Units, places: u8) -> f32 {
     match units {
         Units::Mm => match places {

@@ -13,7 +13,7 @@ use crate::gcode::word::{Claim, Letters, NonModal};
 use crate::image::FULL_IMAGE;
 use crate::units::{Coordinate, DECIMAL_ONE, Decimal};
 
-/// Maximum number of turns of an arc (P).
+/// Maximum number of turns of an arc (P of G2 and G3).
 const TURNS_MAX: i32 = 1_000_000;
 
 impl<const N: usize> Draft<'_, N> {
@@ -31,7 +31,8 @@ impl<const N: usize> Draft<'_, N> {
             self.leaves_control_points(mode)?;
         }
         if mode == MotionMode::Cancelled {
-            // In Grbl, axis words after G80 are an error even if another command of the line uses them.
+            // In Grbl, a line with axis words in the mode G80 is an error, even if another command of the line uses
+            // the words.
             let used = self.dialect != Dialect::Grbl && self.claim != Claim::Motion;
             return if self.line.axes.is_empty() || used { Ok(()) } else { Err(Error::AxisWordsUnused) };
         }
@@ -142,11 +143,11 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// G12 and G13, as on Mach: the tool feeds along X by I, moves in a full circle round its starting position, and
-    /// feeds back to that position. I is the radius of the tool's path.
+    /// Checks G12 and G13, which act as on Mach: the tool feeds along X by I, moves in a full circle round its
+    /// starting position, and feeds back to that position. I is the radius of the tool's path.
     ///
-    /// On Haas, I is the radius of the wall; if D has named the radius of a tool, the control subtracts it from I. So a
-    /// G12 or G13 is refused if its line has a word of Haas (D, K, L, Q, Z), or if it follows a D other than D0.
+    /// On Haas, I is the radius of the wall. If D has named the radius of a tool, Haas subtracts it from I. So a line
+    /// of a program for Haas is refused: one with D, K, L, Q or Z, and one after a D other than D0.
     #[inline(never)]
     fn circle(&mut self, clockwise: bool) -> Result<(), Error> {
         let axes = Plane::Xy.axes();
@@ -209,8 +210,8 @@ impl<const N: usize> Draft<'_, N> {
         let (first, second) = (centre_letter(axes.first), centre_letter(axes.second));
         let (has_first, has_second) = (self.line.values.has(first), self.line.values.has(second));
         let absolute = self.dialect != Dialect::Grbl && self.action.modal.arc_distance == ArcDistance::Absolute;
-        // Two of the words I, J and K belong to the plane. As distances, one of the two may be missing and counts as 0.
-        // As coordinates, both are required.
+        // Two of the words I, J and K belong to the plane. As distances (G91.1), one of the two may be missing and is
+        // then 0. As coordinates (G90.1), both are required.
         if !(has_first || has_second) || absolute && !(has_first && has_second) {
             return Err(Error::NoPlaneOffsets);
         }
@@ -251,7 +252,7 @@ impl<const N: usize> Draft<'_, N> {
     }
 
     /// Reads P of an arc: the number of turns, including the last one, which ends at the target. Returns the number of
-    /// full turns without the last one.
+    /// full turns before the last one: 0 for P1 or no P.
     fn turns(&mut self) -> Result<u32, Error> {
         if self.dialect == Dialect::Grbl || !self.unused.has(b'P') {
             return Ok(0);
@@ -265,7 +266,6 @@ impl<const N: usize> Draft<'_, N> {
     }
 }
 
-/// Returns the letter of the arc centre along an axis.
 fn centre_letter(axis: Axis) -> u8 {
     match axis {
         Axis::X => b'I',

@@ -47,8 +47,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G92.1, G92.2 and G92.3. A motion on the same line already uses the new offset, as in RS274NGC; in Grbl's dialect
-    /// it does not.
+    /// Executes G92.1, G92.2 and G92.3. A motion on the same line already uses the new offset, as in RS274NGC. In
+    /// Grbl's dialect the motion uses the old offset.
     pub(super) fn offset_acts(&mut self) {
         match self.line.non_modal {
             Some(word @ (NonModal::ClearOffset | NonModal::SuspendOffset)) => {
@@ -60,14 +60,15 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// If `acts` is true, restores the G92 offset that G92.2 has suspended; otherwise sets the offset in force to 0.
+    /// Restores the stored G92 offset if `acts` is `true` (G92.3), for example after G92.2. Otherwise sets the offset
+    /// in force to 0.
     pub(super) fn let_offset_act(&mut self, acts: bool) {
         self.action.g92 = if acts { self.state.offsets.g92_kept } else { PerAxis::all(Coordinate::ZERO) };
         self.action.after.g92_acts = acts;
     }
 
-    /// G10. L2 sets the system's origin to the given machine coordinates; L20 moves the origin so that the present
-    /// position has the given coordinates. The distance mode has no effect.
+    /// Executes G10. L2 sets the origin of a system to the given machine coordinates. L20 moves the origin so that the
+    /// present position gets the given coordinates. The distance mode has no effect.
     fn set_system(&mut self) -> Result<(), Error> {
         let line = self.line;
         let of_tool = self.dialect != Dialect::Grbl && line.value(b'L') == Decimal::from_int(1);
@@ -81,7 +82,7 @@ impl<const N: usize> Draft<'_, N> {
         // In Grbl's dialect, P is checked first, as in Grbl: a wrong system is reported before an unknown L. The other
         // dialects check L first.
         if self.dialect != Dialect::Grbl {
-            // If another word of the line has already used P, the G10 has no P.
+            // If a dwell or another word of the line has already used P, the G10 has no P.
             if line.values.has(b'P') && !self.unused.has(b'P') {
                 return Err(Error::ValueWordMissing);
             }
@@ -140,7 +141,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G92: shifts the work coordinates so that the present position has the given coordinates in the active system.
+    /// Executes G92: shifts the work coordinates so that the present position gets the given coordinates in the active
+    /// system.
     fn set_offset(&mut self) -> Result<(), Error> {
         if self.line.axes.is_empty() {
             return Err(Error::NoAxisWords);
@@ -160,15 +162,16 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// G28, G30: moves the axes that have a word to the stored position, through the intermediate point that the words
-    /// give. Without axis words, moves all axes directly.
+    /// Executes G28 and G30: the axes that have a word move to the stored position, through the intermediate point
+    /// that the words give. Without axis words, all axes move there directly.
     fn go_to_stored(&mut self, which: StoredOffset) -> Result<(), Error> {
         if FULL_IMAGE && which == StoredOffset::G30 && self.dialect != Dialect::Grbl && self.take(b'P') {
             self.second_position()?;
         }
         let stored = self.state.offsets.stored(which);
         let (via, target) = if self.line.axes.is_empty() {
-            // An axis that the machine had when the position was stored, but does not have now, does not move.
+            // An axis may have been in use when the position was stored, and not be in use now. Such an axis does not
+            // move.
             let has = |axis: Axis| N <= LINEAR || axis.index() < self.state.axes();
             let of = |axis| if has(axis) { along(&stored, axis) } else { self.position(axis) };
             (None, PerAxis::from_axis(of))

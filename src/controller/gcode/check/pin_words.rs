@@ -10,7 +10,7 @@ use crate::image::FULL_IMAGE;
 use crate::units::{Decimal, Duration};
 
 impl<const N: usize> Draft<'_, N> {
-    /// M62 to M68. If the line also has a dwell or an arc with P, both words use the same P, as in LinuxCNC.
+    /// Reads M62 to M68. If the line also has a dwell or an arc with P, both words use the same P, as in LinuxCNC.
     pub(super) fn pins(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.extended.pins.filter(|_| FULL_IMAGE) else { return Ok(()) };
         let (has_p, has_e) = (self.line.values.has(b'P'), self.line.values.has(b'E'));

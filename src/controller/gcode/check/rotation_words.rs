@@ -1,6 +1,6 @@
-//! G68 and G69: determines in which plane and by which angle the coordinates of a line are rotated. Also handles G10 in
-//! a rotated coordinate system, and refuses words that cannot be used while coordinates are rotated. `targets` applies
-//! the rotation.
+//! G68 and G69: finds the plane and the angle by which the coordinates of a line are rotated. Also executes G10 in a
+//! rotated coordinate system, and refuses words that cannot be used while coordinates are rotated. The file
+//! `targets.rs` applies the rotation.
 
 use super::draft::Draft;
 use crate::axes::{Axis, PerAxis};
@@ -14,8 +14,8 @@ use crate::image::FULL_IMAGE;
 use crate::units::Coordinate;
 
 impl<const N: usize> Draft<'_, N> {
-    /// Determines rotation and scaling of the line's coordinates. Grbl's dialect ignores both, because it has no words
-    /// to end them.
+    /// Finds the rotation and the scaling of the line's coordinates. Grbl's dialect ignores both, because it has no
+    /// words to end them.
     #[inline]
     pub(super) fn rotation(&mut self) -> Result<(), Error> {
         let system = self.action.modal.coordinate_system;
@@ -59,8 +59,9 @@ impl<const N: usize> Draft<'_, N> {
         self.state.offsets.rotated_plane(system, &self.action.g92, &self.action.tool_length, rotation)
     }
 
-    /// G68: R is the angle. Along an axis of the plane that has no word, the centre is at the present position. The
-    /// distance mode has no effect.
+    /// Reads G68: R is the angle, and the axis words give the centre. A and B can take the place of the axis words, as
+    /// on Mach. Along an axis of the plane without such a word, the centre is at the present position. The distance
+    /// mode has no effect.
     fn new_rotation(&mut self) -> Result<Rotation, Error> {
         let plane = self.action.modal.plane;
         let axes = plane.axes();
@@ -85,8 +86,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(Rotation { plane, angle: Angle::of(self.line.value(b'R')), centre })
     }
 
-    /// While a plane is rotated, refuses arcs, splines and cycles in another plane: after the rotation, that plane
-    /// would no longer contain two machine axes.
+    /// Refuses arcs, splines and cycles in another plane than the rotated one. After the rotation, their plane would
+    /// no longer contain two machine axes.
     pub(super) fn needs_plane(&self, axes: PlaneAxes) -> Result<(), Error> {
         match self.rotated {
             Some(rotated) if FULL_IMAGE && rotated.axes != axes => Err(Error::NotInRotatedPlane),
@@ -107,8 +108,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Refuses an angle for the active system, which rotates X and Y, while G68 rotates another plane. With both, every
-    /// following line would be refused.
+    /// Refuses an angle for the active system, which would rotate X and Y, while G68 rotates another plane. If both
+    /// were in force, every following line would be refused.
     pub(super) fn keeps_planes(&self, system: CoordinateSystem) -> Result<(), Error> {
         let turned = self.action.rotated.angle.is_some_and(|angle| angle != Angle::ZERO);
         let ends = self.line.extended.rotation == Some(false);
@@ -120,8 +121,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Returns the program coordinates of the present position. Along an axis that has a word, the word replaces the
-    /// coordinate. `None` if no axis of the plane has a word.
+    /// Returns the coordinates that G10 gives to the present position in the rotated plane. An axis with a word gets
+    /// the value of the word; the other axis keeps its program coordinate. `None` if neither axis has a word.
     fn named_in(&self, rotated: RotatedPlane) -> Option<[Coordinate; 2]> {
         let axes = [rotated.axes.first, rotated.axes.second];
         if !axes.into_iter().any(|axis| self.line.axes.has(axis)) {
@@ -136,8 +137,8 @@ impl<const N: usize> Draft<'_, N> {
         Some(place)
     }
 
-    /// G10 L20 of a rotated system: moves its origin along both axes so that the tool gets the coordinates of the line.
-    /// Returns whether the system is rotated; if not, nothing is set.
+    /// Executes G10 L20 for a rotated system: moves its origin along both axes, so that the tool gets the coordinates
+    /// that the line gives. Returns `false`, and sets nothing, if the system is not rotated.
     pub(super) fn moves_rotated_origin(&mut self, system: CoordinateSystem) -> Result<bool, Error> {
         if !FULL_IMAGE || self.dialect == Dialect::Grbl {
             return Ok(false);
@@ -156,7 +157,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(true)
     }
 
-    /// Returns `offset`, in machine coordinates, moved so that the tool gets the coordinates of the line's words.
+    /// Moves `offset`, in machine coordinates, so that the tool gets the coordinates of the line's words. Returns the
+    /// result.
     fn moved_by(&self, rotated: RotatedPlane, offset: [Coordinate; 2]) -> [Coordinate; 2] {
         match self.named_in(rotated) {
             Some(place) => {
@@ -167,8 +169,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// G10 L10 and L11 in a rotated system: sets the offset of the tool. `present` is the offset in the tool table so
-    /// far. Returns whether the system is rotated; if not, nothing is set.
+    /// Executes G10 L10 and L11 in a rotated system: sets the offset of a tool. `present`: the offset that the tool
+    /// table has so far. Returns `false`, and sets nothing, if the system is not rotated.
     pub(super) fn sets_rotated_tool(&mut self, l: i32, present: &PerAxis<Coordinate, N>) -> Result<bool, Error> {
         self.needs_no_rotation()?;
         let offsets = &self.state.offsets;

@@ -14,8 +14,8 @@ use crate::units::{Coordinate, Decimal};
 const FACTOR_MAX: Decimal = Decimal::from_int(100);
 
 impl<const N: usize> Draft<'_, N> {
-    /// G51 starts a scaling, which replaces an earlier scaling; G50 ends it. All other lines are scaled by the scaling
-    /// in force.
+    /// Executes G51 and G50: G51 starts a scaling, which replaces an earlier one, and G50 ends it. Other lines are
+    /// scaled by the scaling in force.
     #[inline(never)]
     pub(super) fn scaling(&mut self) -> Result<(), Error> {
         match self.line.extended.scaling {
@@ -35,8 +35,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// G51: P is the factor of X, Y and Z; or I, J and K are one factor each, and a negative I or J mirrors. Along an
-    /// axis that has no word, the centre is at the present position. The distance mode has no effect.
+    /// Reads G51. P is the factor of X, Y and Z; or I, J and K are one factor each, and a negative I or J mirrors.
+    /// Along an axis that has no word, the centre is at the present position. The distance mode has no effect.
     fn new_scaling(&mut self) -> Result<Scaling, Error> {
         let named = self.line.axes;
         if Axis::of_machine::<N>().skip(3).any(|axis| named.has(axis)) {
@@ -89,8 +89,8 @@ impl<const N: usize> Draft<'_, N> {
         self.scaled_word(axis, value, incremental).0
     }
 
-    /// Stores for each scaled axis what rounding its target has cut off, so that incremental lines do not add up
-    /// rounding errors.
+    /// Stores for each scaled axis the remainder that rounding has cut off from its target. The next incremental line
+    /// adds the remainder, so rounding errors do not add up.
     #[inline(never)]
     pub(super) fn keep_rest(&mut self, incremental: bool) {
         // A jog changes only the position, not the remainders that a program continues with.
@@ -106,7 +106,7 @@ impl<const N: usize> Draft<'_, N> {
         self.action.rotated.scaled.rest = Some(rest);
     }
 
-    /// Scales a vector of the program along two axes.
+    /// Scales a vector that the program gives along two axes.
     #[inline(never)]
     pub(super) fn scaled_vector(&self, axes: [Axis; 2], vector: [Coordinate; 2]) -> [Coordinate; 2] {
         let Some(scaling) = self.scaling_of(false) else { return vector };
@@ -120,7 +120,8 @@ impl<const N: usize> Draft<'_, N> {
         self.scaling_of(false).map_or(value, |scaling| scaling.size(axis, value))
     }
 
-    /// Returns whether arcs in the plane are mirrored. Unequal factors are an error: the arc would become an ellipse.
+    /// Returns whether the scaling mirrors arcs in this plane. Returns an error if the factors of the two axes are
+    /// unequal, because the arc would become an ellipse.
     #[inline(never)]
     pub(super) fn mirrors(&self, axes: PlaneAxes) -> Result<bool, Error> {
         let Some(scaling) = self.scaling_of(false) else { return Ok(false) };
@@ -131,8 +132,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(first != second)
     }
 
-    /// Converts a scaled vector in the plane of an arc back to the program's scale. Only its length is correct: if the
-    /// arc is mirrored, the direction can be wrong.
+    /// Converts a scaled vector in the plane of an arc back to the program's scale. Only the length of the result is
+    /// correct: if the arc is mirrored, the direction can be wrong.
     #[inline(never)]
     pub(super) fn written_vector(&self, axes: PlaneAxes, vector: Vector) -> Vector {
         let Some(scaling) = self.scaling_of(false) else { return vector };

@@ -20,8 +20,9 @@ impl<const N: usize> Draft<'_, N> {
         if self.line.extended.is_p_negative && !is_distance { Err(Error::NegativeValue) } else { Ok(()) }
     }
 
-    /// For G5, I and J lead from the start to the first control point, P and Q from the end to the second. For G5.1, I
-    /// and J lead from the start to the only control point. These words are distances even with G90.1, as in LinuxCNC.
+    /// Checks G5 and G5.1. For G5, I and J lead from the start to the first control point, P and Q from the end to the
+    /// second. For G5.1, I and J lead from the start to the only control point. These words are distances even with
+    /// G90.1, as in LinuxCNC.
     #[inline(never)]
     pub(super) fn spline(&mut self, kind: SplineKind) -> Result<(), Error> {
         if !FULL_IMAGE {
@@ -42,7 +43,7 @@ impl<const N: usize> Draft<'_, N> {
             (SplineKind::Quadratic, None) => return Err(Error::ValueWordMissing),
             (SplineKind::Quadratic, Some(middle)) => {
                 let chord = difference(in_xy(&target), in_xy(&start));
-                // A quadratic curve is a cubic curve whose vectors to the control points are two thirds as long.
+                // A quadratic curve equals a cubic curve whose vectors to the control points are two thirds as long.
                 (middle.map(two_thirds), difference(middle, chord).map(two_thirds))
             }
             (SplineKind::Cubic | SplineKind::Nurbs, _) => {
@@ -62,8 +63,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// Returns the vector that two words give in X and Y, converted to machine axes; `None` if the line has neither
-    /// word.
+    /// Returns the vector that two words give in X and Y, scaled and rotated to machine axes. `None` if the line has
+    /// neither word; an error if it has only one.
     #[inline(never)]
     fn vector(&mut self, letters: &[u8; 2]) -> Result<Option<[Coordinate; 2]>, Error> {
         let [has_first, has_second] = letters.map(|letter| self.take(letter));

@@ -10,8 +10,8 @@ use crate::gcode::word::{Groups, Letters};
 use crate::units::Decimal;
 
 impl<const N: usize> Draft<'_, N> {
-    /// M48 to M53. M48 enables the feed and spindle overrides of the operator, M49 disables them. M50 applies to the
-    /// feed override alone, M51 to the spindle override alone: P1 or no P enables it, P0 disables it.
+    /// Executes M48 to M53. M48 enables the feed and spindle overrides of the operator, M49 disables them. M50 applies
+    /// to the feed override alone, M51 to the spindle override alone: P1 or no P enables it, P0 disables it.
     pub(super) fn overrides(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.extended.overrides else { return Ok(()) };
         let takes_p = matches!(word, 50..=53);
@@ -34,7 +34,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// M70 to M73. They must be alone on their line, except for a line number (N).
+    /// Checks M70 to M73, which must be alone on their line, except for a line number (N).
     pub(super) fn keep_state(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.extended.keep else { return Ok(()) };
         let mut others = self.line.values;

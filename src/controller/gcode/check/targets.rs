@@ -28,8 +28,9 @@ impl<const N: usize> Draft<'_, N> {
         })
     }
 
-    /// Returns the target of a line with scaling or rotation. An axis without a word keeps its program coordinate.
-    /// Incremental jogs ignore both, because jog buttons and position reports refer to the machine's axes.
+    /// Returns the target of a line that is scaled or rotated. An axis without a word keeps its program coordinate.
+    /// Incremental jogs are neither scaled nor rotated, because jog buttons and position reports refer to the
+    /// machine's axes.
     #[inline(never)]
     fn transformed_target(&mut self) -> PerAxis<Coordinate, N> {
         let incremental = self.action.modal.distance == Distance::Incremental;
@@ -44,9 +45,9 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Replaces the coordinates of `target` in the rotated plane: `target` was computed without the rotation, the
-    /// result includes it. Also stores the target's program coordinates and machine coordinates in this plane in the
-    /// action, so that the next line can start from them without rounding.
+    /// Applies the rotation to `target`, which was computed without it. Also stores in the action the target's
+    /// coordinates in the rotated plane: those of the program and those of the machine. The next line starts from
+    /// them, so their rounding errors do not add up.
     fn rotated_target(
         &mut self,
         rotated: RotatedPlane,
@@ -75,8 +76,8 @@ impl<const N: usize> Draft<'_, N> {
         target
     }
 
-    /// Adjusts the target of a G28 or G30 that names only one axis of the rotated plane: along the other axis, the
-    /// target has the same program coordinate as the intermediate point `via`.
+    /// Adjusts the target of a G28 or G30 that names only one axis of the rotated plane. Along the other axis, the
+    /// target gets the program coordinate of the intermediate point `via`.
     pub(super) fn go_in_rotated_plane(
         &self,
         stored: &PerAxis<Coordinate, N>,

@@ -15,7 +15,7 @@ use crate::gcode::word::{Claim, Letters, NonModal, ToolLength};
 use crate::units::{Coordinate, Decimal};
 
 impl<const N: usize> Draft<'_, N> {
-    /// T selects a tool, M6 puts the selected tool into the spindle.
+    /// Executes T, M6 and M61. T selects a tool, M6 puts the selected tool into the spindle.
     pub(super) fn tool(&mut self) -> Result<(), Error> {
         let modal = &mut self.action.modal;
         if self.line.values.has(b'T') {
@@ -42,7 +42,8 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// M61: names the tool in the spindle, and also selects it unless the line has a T.
+    /// Executes M61: Q is the number of the tool that is in the spindle. Without a T on the line, this tool is also
+    /// the selected one.
     fn name_tool(&mut self) -> Result<(), Error> {
         if !self.take(b'Q') {
             return Err(Error::ValueWordMissing);
@@ -62,7 +63,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// Modal group 8: sets the tool length offset, which affects moves from this line on.
+    /// Executes G43 to G49 (modal group 8): sets the tool length offset, which affects moves from this line on.
     pub(super) fn tool_length(&mut self) -> Result<(), Error> {
         let Some(word) = self.line.tool_length else { return Ok(()) };
         let offset = match word {
@@ -88,7 +89,7 @@ impl<const N: usize> Draft<'_, N> {
         let number = if number == 0 { self.action.after.spindle_tool } else { number };
         let measured = self.state.measured_offset(number);
         let known = measured.or_else(|| self.state.tools.offset(number));
-        // If no length of any tool is known, the tool table is not in use, and the offset of G43 is 0.
+        // If no length of any tool is known, the program does not use the tool table, and G43 sets the offset 0.
         if known.is_none() && self.state.knows_no_length() {
             self.action.after.notice = Some(Notice::NoTools);
             return Ok(PerAxis::all(Coordinate::ZERO));
@@ -96,8 +97,8 @@ impl<const N: usize> Draft<'_, N> {
         known.ok_or(Error::UnknownTool)
     }
 
-    /// G10 L1, L10, L11: set the offset of tool P in the table, for the next G43. L1 without axis words removes the
-    /// tool, unless it has I, J, Q or R.
+    /// Executes G10 L1, L10 and L11: sets the offset of tool P in the table, for the next G43. L1 without axis words
+    /// removes the tool, unless the line has I, J, Q or R.
     pub(super) fn set_tool(&mut self, l: i32) -> Result<(), Error> {
         let number = whole(self.line.value(b'P'))?.unsigned_abs();
         if !self.line.values.has(b'P') {
@@ -108,8 +109,8 @@ impl<const N: usize> Draft<'_, N> {
         }
         let known = self.state.tools.offset(number);
         let has_room = self.state.tools.slot(entry_number(number, self.state.is_checking())).is_some();
-        // I, J, Q and R give angles, orientation and radius of the tool. This table, unlike LinuxCNC's, does not hold
-        // these values, so the words are ignored.
+        // I, J, Q and R give angles, orientation and radius of the tool. The table has no room for them, unlike
+        // LinuxCNC's, so these words are ignored.
         let unkept = Letters::of(b"IJQR");
         let describes = l == 1 && self.unused.has_any(unkept);
         if l == 1 {
@@ -124,8 +125,8 @@ impl<const N: usize> Draft<'_, N> {
             return Ok(());
         }
         let offsets = &self.state.offsets;
-        // The machine position at which the tip of the tool has the coordinate 0. L10 refers to the active system with
-        // the G92 offset; L11 refers to G59.3, the system of a fixture, without G92.
+        // The machine position at which the tip of the tool has the coordinate 0. For L10 this is the origin of the
+        // active system with the G92 offset. For L11 it is the origin of G59.3, the system of a fixture, without G92.
         let origin = if l == 11 {
             offsets.system(CoordinateSystem::G59_3)
         } else {

@@ -8,9 +8,9 @@ use crate::error::Error;
 use crate::gcode::state::{Interpreter, ProgramPlace};
 
 impl<const N: usize> Interpreter<N> {
-    /// Begins a call. `back`: the position in the held text to which the call returns, or [`STREAM`] for a call in a
-    /// line of the host. Such a line has already started the subroutine's text (`FlowControl::run`); if the call fails,
-    /// this function stops the text again.
+    /// Begins a call. `back`: position in the held text (recorded lines) to which the call returns, or [`STREAM`] for
+    /// a call in a line of the host. Such a line has already started the subroutine's text (`FlowControl::run`). If
+    /// the call fails, this function stops the text again.
     pub(super) fn call(
         &mut self,
         kind: FrameKind,
@@ -29,24 +29,27 @@ impl<const N: usize> Interpreter<N> {
         pushed
     }
 
-    /// Stops executing the held text after one of its lines was refused, and ends the modal call.
+    /// Stops executing the held text (recorded lines) after one of its lines was refused. Also ends the modal call
+    /// (G66).
     pub fn abandon_held(&mut self) {
         self.computed.flow.modal.end();
         self.stop_held();
     }
 
-    /// Stops executing the held text, ends its calls, and drops the modal states that M70 and M73 have saved in these
-    /// calls.
+    /// Stops executing the held text (recorded lines) and ends its calls. Drops the modal states that M70 and M73 have
+    /// saved in these calls.
     pub(super) fn stop_held(&mut self) {
         self.computed.flow.stop();
         self.computed.parameters.leave_calls();
         self.saved.abandon(0);
     }
 
-    /// Abandons the program. Call this when its remaining lines will not run, or when another host has taken over.
-    /// Forgets open conditions and loops, and all recorded lines except macros. Ends G68 and G51, because no other
-    /// program expects them. If the program waits for a subprogram that it has called, or the host is sending
-    /// subprograms, the lines that follow are refused until another program begins.
+    /// Abandons the program: forgets its open conditions and loops, and all recorded lines except macros. Ends G68 and
+    /// G51, because no other program expects them. Call this when the program's remaining lines will not run, or when
+    /// another host has taken over.
+    ///
+    /// Lines that follow can still belong to the abandoned program if it waits for a subprogram, or if the host is
+    /// sending subprograms. They are refused until another program begins.
     pub fn abandon_program(&mut self) {
         if self.is_held() || self.place == ProgramPlace::Subprogram {
             self.place = ProgramPlace::Refused;
@@ -68,7 +71,7 @@ impl<const N: usize> Interpreter<N> {
         Error::OutOfPlace
     }
 
-    /// Whether a program waits for a subprogram that it has called, or a subprogram is being recorded.
+    /// Returns whether a program waits for a subprogram that it has called, or a subprogram is being recorded.
     pub fn is_held(&self) -> bool {
         let flow = &self.computed.flow;
         match flow.state {

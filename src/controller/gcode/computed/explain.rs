@@ -1,6 +1,6 @@
-//! Explains what is wrong with a refused O word, and which parameter of an expression has not been set: the part of
-//! [`refusal`](crate::gcode::refusal) that needs the parameters and the recorded lines of subroutines, loops and
-//! macros.
+//! Explains what is wrong with a refused O word, and which parameter of an expression has not been set. This is the
+//! part of [`refusal`](crate::gcode::refusal) that needs the parameters and the recorded lines of subroutines, loops
+//! and macros.
 
 use super::expression::{self, ParameterReference};
 use super::flow::{FlowState, KEYWORDS, Keyword, OWord, digits, ends_program};
@@ -127,8 +127,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Writes why a line with a call of an M macro, `IF [..] THEN` or GOTO was refused. Returns `false` if it has
-    /// written nothing: the M word has no macro, so the other words of the line explain the error.
+    /// Writes why a line with a call of an M macro, `IF [..] THEN` or GOTO was refused. If the M word has no macro,
+    /// the other words of the line explain the error: writes nothing and returns `false`.
     #[inline(never)]
     fn explain_jump(&self, line: &[u8], order: &OWord, error: Error, out: &mut Reason) -> bool {
         let name: &[u8] = match order.keyword {
@@ -162,7 +162,7 @@ impl<const N: usize> Interpreter<N> {
         true
     }
 
-    /// Writes a sentence with the number of the missing subprogram in place of each `%`.
+    /// Writes a sentence in which the number of the missing subprogram replaces each `%`.
     #[inline(never)]
     fn say_missing(&self, sentence: &str, out: &mut Reason) {
         let mut number = heapless::Vec::<u8, 10>::new();
@@ -261,8 +261,8 @@ impl<const N: usize> Interpreter<N> {
         say(out, "% has no O% % before it", &[name, label, opening]);
     }
 
-    /// Returns the first parameter in a text that cannot be read: a name without a value, or a number that does not
-    /// exist. (A number without a value is read as 0.)
+    /// Returns the first parameter in a text that cannot be read: a name without a value, or a number of no parameter.
+    /// (A number without a value is read as 0.)
     #[inline(never)]
     pub(in crate::gcode) fn unset_parameter<'t>(&self, text: &'t [u8]) -> Option<&'t [u8]> {
         (0..text.len()).find_map(|at| {

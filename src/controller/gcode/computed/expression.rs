@@ -5,9 +5,9 @@
 //!  value     = number | [ sum ] | # value | #<name> | function[ sum ] | ATAN[ sum ]/[ sum ] | EXISTS[#...] | - value | + value
 //!  levels    ** first, then * / MOD, then + -, then EQ NE GT GE LT LE, then AND OR XOR; each from left to right
 //! ```
-//! Operators, brackets and functions that wait for a value are kept in a list of bounded length, not on the processor's
-//! stack, and every byte is read once. So time and memory are bounded. True is 1, false is 0; every value except 0 is
-//! true.
+//! Operators, brackets and functions that wait for a value are kept in a list of bounded length, not on the
+//! processor's stack. Every byte is read once. So time and memory are bounded. True is 1 and false is 0; every value
+//! except 0 counts as true.
 
 use super::real::Real;
 use crate::error::Error;
@@ -23,7 +23,7 @@ pub(super) enum ParameterReference<'a> {
     Name(&'a [u8]),
 }
 
-/// Result of looking up a parameter; `None` if it is not set.
+/// Result of looking up a parameter; `Ok(None)` if the parameter exists and is not set.
 pub(super) type Found = Result<Option<Real>, Error>;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -131,7 +131,7 @@ impl Binary {
     }
 }
 
-/// Operation that waits because its value or right operand has not been read yet.
+/// An operation whose value or right operand has not been read yet.
 #[derive(Clone, Copy, Debug)]
 enum Waiting {
     Negation,
@@ -144,8 +144,8 @@ enum Waiting {
     Operator(Binary, Real),
 }
 
-/// Whether a text begins with an expression; `false` for a plain number, and for a text that does not begin with a
-/// value.
+/// Returns whether a text begins with an expression. Returns `false` for a plain number, and for a text that does not
+/// begin with a value.
 pub(super) fn begins(text: &[u8]) -> bool {
     let signs = text.iter().take_while(|byte| matches!(byte, b'-' | b'+')).count();
     let text = text.get(signs..).unwrap_or(&[]);
@@ -166,7 +166,7 @@ pub(super) fn value<F: Fn(ParameterReference<'_>) -> Found>(text: &[u8], lookup:
     }
 }
 
-/// Splits a text at `>` into a name and the rest. Empty names are an error.
+/// Splits the text after `#<` at `>` into a name and the rest. An empty name is an error.
 pub(super) fn name(text: &[u8]) -> Result<(&[u8], &[u8]), Error> {
     let end = text.iter().position(|byte| *byte == b'>').filter(|end| *end > 0).ok_or(Error::ExpressionSyntax)?;
     let (name, rest) = text.split_at_checked(end).ok_or(Error::ExpressionSyntax)?;
@@ -231,8 +231,8 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         }
     }
 
-    /// Reads the text after `EXISTS[#`, including the closing bracket. Returns 1 if the named parameter is set, or if
-    /// the number is that of a possible parameter; otherwise 0.
+    /// Reads the text after `EXISTS[#`, including the closing bracket. For a name, returns 1 if the parameter is set.
+    /// For a number, returns 1 if a parameter can have this number. Otherwise returns 0.
     fn exists(&mut self) -> Result<Real, Error> {
         let found = if self.takes(b"<") {
             let (name, rest) = name(self.rest)?;
@@ -246,7 +246,7 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         if self.takes(b"]") { Ok(Real::truth(found)) } else { Err(Error::ExpressionSyntax) }
     }
 
-    /// Passes a value to the operations that wait for it. Returns the value of the whole expression, or `None` if
+    /// Gives a value to the operations that wait for it. Returns the value of the whole expression, or `None` if
     /// another operand has to be read first.
     fn complete(&mut self, value: Real) -> Result<Option<Real>, Error> {
         let mut value = value;
@@ -294,7 +294,8 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         }
     }
 
-    /// Reads the operator after a value. Waiting operators of the same level or a higher one are computed first.
+    /// Reads the operator after a value, and adds it to the waiting list. First computes waiting operators of the same
+    /// level or a higher one.
     fn operator(&mut self, value: Real) -> Result<(), Error> {
         let known = BINARIES.iter().find(|(name, _)| self.rest.starts_with(name));
         let (name, operator) = match (known, self.rest.first()) {
@@ -307,8 +308,9 @@ impl<F: Fn(ParameterReference<'_>) -> Found> Reader<'_, F> {
         self.wait(Waiting::Operator(*operator, left))
     }
 
-    /// Computes the waiting operators whose precedence is `level` or higher, the most recent one first. `value` is the
-    /// right operand of the most recent one. Returns the result.
+    /// Computes the waiting operators whose precedence is `level` or higher, the most recent one first, and returns
+    /// the result. `value` is the right operand of the most recent one. Example: at the minus in `1 + 2 * 3 - 4`,
+    /// `value` is 3, and the result is 7.
     fn left_sides(&mut self, value: Real, level: u8) -> Result<Real, Error> {
         let mut value = value;
         while let Some(Waiting::Operator(operator, left)) = self.waiting.last().copied() {

@@ -11,8 +11,9 @@
 //!   │              a subprogram after the end: ─────┴─────┴──▶ Recording ── M99 ─────┘  │
 //!   └─────────────────────────────── the end of the text, M2, an error ─────────────────┘
 //! ```
-//! If an error occurs while a program is held for a subprogram, all its held lines are dropped (see `subprograms`). A
-//! subprogram for which no program waits is forgotten at its M99.
+//! A program that calls an unknown subprogram is held: its lines are recorded until the subprogram has arrived. If an
+//! error occurs meanwhile, all its held lines are dropped (see `subprograms`). A subprogram for which no program waits
+//! is forgotten at its M99.
 //!
 //! A condition is not recorded, because the lines of its false branches are only skipped. Subroutines and loops are
 //! held as text of bounded size, because a serial link sends each line only once. A subroutine or loop that does not
@@ -26,19 +27,19 @@ use crate::gcode::comment::split_comment;
 use crate::gcode::program_number::behind_line_number;
 use crate::lent::Lent;
 
-/// Capacity of the held text on hosts, in bytes. Boards have their own (`held_bytes` in `boards/profiles.rs`), which is
-/// not larger.
+/// Capacity in bytes of the held text (the recorded lines of subroutines, loops and macros) in programs on a PC.
+/// Boards have their own capacity (`held_bytes` in `boards/profiles.rs`), which is not larger.
 #[cfg(feature = "alloc")]
 pub(super) const MOST_HELD: usize = 12_288;
-/// Minimum capacity of the held text, in bytes: enough for a probing subroutine of 150 lines and the loop that calls
-/// it. A held line takes one byte more than its length.
+/// Minimum capacity in bytes of the held text (recorded lines): enough for a probing subroutine of 150 lines and the
+/// loop that calls it. A held line takes one byte more than its length.
 #[cfg(feature = "alloc")]
 pub const LEAST_HELD: usize = 6144;
-/// Maximum number of bytes of the held text that macros may take; the rest is for programs.
+/// Maximum number of bytes of the held text (recorded lines) that macros may take; the rest is for programs.
 pub(super) const MOST_MACROS: usize = 3072;
-/// Number of bytes that remain free in the held text after a line is added. Only two kinds of lines may use these
-/// bytes: the first line of a subroutine or loop, and the `ENDSUB` that replaces M99. So the label of a block is
-/// recorded even if its other lines do not fit, and the last line of the block is recognized by this label.
+/// Number of bytes that remain free in the held text (recorded lines) after a line is added. Only two kinds of lines
+/// may use these bytes: the first line of a subroutine or loop, and the `ENDSUB` that replaces M99. So the label of a
+/// block is recorded even if its other lines do not fit. By this label the last line of the block is recognized.
 pub(super) const SPARE: usize = 64;
 /// Maximum nesting of conditions, loops and calls: enough for 16 nested calls, each within two conditions.
 const DEPTH: usize = 48;
@@ -46,9 +47,10 @@ const DEPTH: usize = 48;
 pub(super) const LABELS: usize = 384;
 /// Maximum number of arguments of a call.
 pub(super) const ARGUMENTS: usize = 30;
-/// Maximum number of jumps back in held text during one line of the host, to detect endless loops.
+/// Maximum number of jumps in held text (recorded lines) during one line of the host. More jumps mean an endless loop.
 pub(super) const PASSES: u32 = 100_000;
-/// Return position of a call from the stream: after the call, the program continues with the host's next line.
+/// Return position of a call in a line that the host sends. After the call, the program continues with the host's next
+/// line.
 pub(super) const STREAM: u16 = u16::MAX;
 
 /// A line of held text: its words, followed by its message, which begins with a mark (`(` or `;`, see `split_comment`).
@@ -114,9 +116,9 @@ pub(super) const KEYWORDS: [(&[u8], Keyword); 15] = [
     (b"CONTINUE", Keyword::Continue),
 ];
 
-/// A line with an O word, or with another word that controls the flow: M98, M99, G65, G66, GOTO, THEN, or an M word
-/// that calls a macro. `label` is empty for M98, M99, G65 and G66. For THEN, `label` holds the words after THEN, for
-/// GOTO the line number to jump to; `arguments` holds the condition, if there is one.
+/// The part of a line that controls the flow: an O word, M98, M99, G65, G66, GOTO, THEN, or an M word that calls a
+/// macro. `label` is empty for M98, M99, G65 and G66. For THEN, `label` holds the words after THEN; for GOTO, the line
+/// number to jump to. In both, `arguments` holds the condition, if there is one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OWord<'a> {
     pub(super) label: &'a [u8],
@@ -147,7 +149,7 @@ impl<'a> OWord<'a> {
         Some(OWord { label, keyword: *keyword, arguments: text.get(name.len()..)? })
     }
 
-    /// Reads, at the beginning of a line, a word other than O that controls the flow: a call or M99, IF, WHILE, END or
+    /// Reads a word other than O that controls the flow, at the beginning of a line: a call or M99, IF, WHILE, END or
     /// GOTO.
     fn without_o(line: &'a [u8]) -> Option<OWord<'a>> {
         match line.first()? {
@@ -200,7 +202,8 @@ impl<'a> OWord<'a> {
         }
     }
 
-    /// Reads the O word of a loop. `label` must be the number of the loop and nothing else.
+    /// Reads `DO1` or `END1` of a Fanuc loop. `label`: the text after DO or END. Returns `None` if this text is not a
+    /// plain number.
     fn of_loop(label: &'a [u8], keyword: Keyword, arguments: &'a [u8]) -> Option<OWord<'a>> {
         (!label.is_empty() && digits(label) == label.len()).then_some(OWord { label, keyword, arguments })
     }
@@ -215,7 +218,6 @@ impl<'a> OWord<'a> {
         })
     }
 
-    /// Whether `other` ends the block that this O word begins.
     pub(super) fn is_ended_by(&self, other: &OWord) -> bool {
         let end = match self.keyword {
             Keyword::Sub => Keyword::EndSub,
@@ -226,12 +228,13 @@ impl<'a> OWord<'a> {
         other.keyword == end && other.label == self.label
     }
 
-    /// Whether the label is an expression, which is allowed only in calls.
+    /// Returns whether the label is an expression, which is allowed only in calls: `O[#1] CALL`.
     pub(super) fn has_computed_label(&self) -> bool {
         matches!(self.label.first(), Some(b'[' | b'#'))
     }
 
-    /// Whether the text after the keyword is valid: values in brackets if the keyword takes values, otherwise nothing.
+    /// Returns whether the text after the keyword is valid: values in brackets if the keyword takes values, otherwise
+    /// nothing.
     pub(super) fn is_well_formed(&self) -> bool {
         let bracket = self.arguments.first() == Some(&b'[');
         match self.keyword {
@@ -254,8 +257,9 @@ impl<'a> OWord<'a> {
         if self.is_well_formed() { Ok(()) } else { Err(Error::FlowSyntax) }
     }
 
-    /// Whether this O word can come after the M2 or M30 of its program, if that M2 or M30 was only skipped or recorded
-    /// (because a block is open, or the program is held). Calls, M99, THEN and GOTO cannot.
+    /// Returns whether this O word can follow an M2 or M30 that was not executed, but skipped or recorded. This
+    /// happens if a block is open, or if the program is held for a subprogram. Calls, M99, THEN and GOTO cannot
+    /// follow.
     pub(super) fn may_follow_end(&self) -> bool {
         !matches!(
             self.keyword,
@@ -270,7 +274,7 @@ impl<'a> OWord<'a> {
         )
     }
 
-    /// Whether this O word can end the skipping of lines.
+    /// Returns whether this O word can end the skipping of lines.
     pub(super) fn ends_skipping(&self) -> bool {
         use Keyword::{Else, ElseIf, EndIf, EndRepeat, EndWhile, While};
         matches!(self.keyword, ElseIf | Else | EndIf | EndWhile | While | EndRepeat)
@@ -304,7 +308,7 @@ pub(super) fn digits(text: &[u8]) -> usize {
     text.iter().take_while(|byte| byte.is_ascii_digit()).count()
 }
 
-/// Whether a line has the word M2 or M30, written with a plain number.
+/// Returns whether a line has the word M2 or M30, written with a plain number.
 pub(super) fn ends_program(line: &[u8]) -> bool {
     has_m_word(line, &[b"2", b"30"])
 }
@@ -327,7 +331,7 @@ impl FrameKind {
         matches!(self, FrameKind::Call | FrameKind::Program(_))
     }
 
-    /// Whether a frame of this kind is a call with parameters of its own.
+    /// Returns whether a frame of this kind is a call with parameters of its own.
     pub(super) fn is_level(self) -> bool {
         matches!(self, FrameKind::Call | FrameKind::Program(Passes { is_macro: true, .. }))
     }
@@ -395,39 +399,42 @@ pub(super) struct FlowControl {
     pub(super) skipping: bool,
     /// Position in the held text of the line that is executed next.
     pub(super) next: u16,
-    /// Number of frames that lines of the host have opened. The frames after them were opened by held text that is
-    /// running.
+    /// Number of frames (open blocks and calls) that lines of the host have opened. The running held text has opened
+    /// the frames after them.
     pub(super) below: u8,
     passes: u32,
     pub(super) skipped: u32,
     /// Number of the host's present line; the first received line is 1.
     pub(super) line: u32,
-    /// Number of the host's line with which the present recording of a block, held program or subprogram began.
+    /// Number of the host's line with which the present recording began: of a block, of a held program or of a
+    /// subprogram.
     pub(super) recorded_from: u32,
     /// Whether the previous line was an M2 or M30 that was skipped or recorded.
     pub(super) after_end: bool,
-    /// If a block was still open at the end of the program: the number of the host's line at which this block began.
+    /// Number of the host's line at which a block began that was still open at the end of the program; `None` if no
+    /// block was open.
     pub(super) cut: Option<u32>,
     /// Position in the held text of the call for whose subprogram the program waits, because the host has not sent it
     /// yet. When the subprogram is complete, the program continues with this call.
     pub(super) waiting: Option<u16>,
-    /// Start of the held text that runs when the call at `waiting` continues; when it has run, it is removed.
+    /// Start of the held text that runs when the call at `waiting` continues. After it has run, the text from there on
+    /// is removed.
     held_from: u16,
     /// Number of the subprogram in the most recent call of an unknown subprogram.
     pub(super) missing: u32,
     /// Number of conditions and loops that are open in the subprogram being recorded.
     pub(super) within: u8,
-    /// Whether the line in execution, or the line that called it, comes from the host and not from a startup line. If
-    /// it calls an unknown subprogram, the program waits until the host sends the subprogram. A startup line cannot
-    /// wait, so the same call is an error there.
+    /// `true` if the line in execution, or the line that called it, comes from the host; `false` if it is a startup
+    /// line. When a line of the host calls an unknown subprogram, the program waits until the host sends it. A startup
+    /// line cannot wait, so the same call is an error there.
     pub(super) of_host: bool,
     /// The modal call (G66), which follows each line that moves an axis.
     pub(super) modal: ModalCall,
 }
 
 impl FlowControl {
-    /// Creates the state at power-up. `text`: empty buffer for the held text. `most`: maximum number of bytes of the
-    /// text.
+    /// Creates the state at power-up. `text`: empty buffer for the held text. `most`: maximum number of bytes to use
+    /// of it.
     pub fn new(text: Lent<HeldText>, most: usize) -> Self {
         Self {
             text,
@@ -454,8 +461,8 @@ impl FlowControl {
         }
     }
 
-    /// Forgets everything except the macros. The fields are reset one at a time, because a new value would be copied
-    /// here with all its frames and labels.
+    /// Forgets everything except the macros. Resets the fields one at a time, because a new value would be copied here
+    /// with all its frames and labels.
     pub fn reset(&mut self) {
         self.text.truncate(usize::from(self.macros));
         self.frames.clear();
@@ -493,12 +500,12 @@ impl FlowControl {
         self.frames.get(..of_stream)?.first().map(|frame| frame.begun).or(recorded)
     }
 
-    /// Whether lines of the host are recorded, in a block or in a held program.
+    /// Returns whether lines of the host are recorded, in a block or in a held program.
     pub(super) fn records(&self) -> bool {
         matches!(self.state, FlowState::Recording(..) | FlowState::Holding)
     }
 
-    /// Whether lines of the host are skipped or recorded.
+    /// Returns whether lines of the host are skipped, or recorded in a block or subprogram, and so are not executed.
     pub(super) fn leaves_lines_out(&self) -> bool {
         self.skipping || matches!(self.state, FlowState::Recording(..))
     }
@@ -509,7 +516,8 @@ impl FlowControl {
         rest.get(..usize::from(*length))
     }
 
-    /// Appends a line and its message to the held text, if `spare` bytes remain free after it.
+    /// Appends a line and its message to the held text. Returns an error if fewer than `spare` bytes would remain
+    /// free.
     pub(super) fn hold(&mut self, line: &[u8], comment: &[u8], spare: usize) -> Result<(), Error> {
         let length = line.len() + comment.len();
         let prefix = u8::try_from(length).map_err(|_| Error::OutOfMemory)?;
@@ -579,9 +587,9 @@ impl FlowControl {
         }
     }
 
-    /// Drops a refused subroutine, whose text begins at `from`, and an older subroutine with the same label. An empty
-    /// subroutine with this label and an invalid `endsub` takes their place, so that a call of this label is an error
-    /// instead of a call of a macro with the same label. `end`: the `endsub` line without its arguments.
+    /// Drops a refused subroutine, whose text begins at `from`, and an older subroutine with the same label. Leaves an
+    /// empty subroutine with this label, whose `endsub` is invalid, so that a call of the label is an error. Without
+    /// it, the call could run a macro with the same label. `end`: the `endsub` line without its arguments.
     pub(super) fn refuse_sub(&mut self, from: u16, label: &[u8], end: &[u8]) {
         let opening = 1 + self.line(from).map_or(0, <[u8]>::len);
         self.text.truncate(usize::from(from) + opening);
@@ -606,7 +614,6 @@ impl FlowControl {
         Some(frame)
     }
 
-    /// Whether the innermost frame has this label.
     pub(super) fn is_of_last(&self, label: &[u8]) -> bool {
         self.last_label() == label
     }
@@ -630,8 +637,8 @@ impl FlowControl {
         self.frames.last_mut().ok_or(Error::FlowSyntax)
     }
 
-    /// Continues with the held line at `at`. Fails after [`PASSES`] jumps within one line of the host, to end endless
-    /// loops.
+    /// Continues with the held (recorded) line at `at`. Returns an error after [`PASSES`] jumps within one line of the
+    /// host, to end endless loops.
     pub(super) fn go_back(&mut self, at: u16) -> Result<(), Error> {
         self.passes += 1;
         if self.passes > PASSES {
@@ -641,8 +648,8 @@ impl FlowControl {
         Ok(())
     }
 
-    /// Starts to execute the held text at `at`. `temporary_from`: start of a text that was stored only for this
-    /// execution (see [`FlowState::Running`]).
+    /// Starts to execute the held text (recorded lines) at `at`. `temporary_from`: start of a text that was stored
+    /// only for this execution (see [`FlowState::Running`]).
     pub(super) fn run(&mut self, at: u16, temporary_from: Option<u16>) {
         self.state = FlowState::Running(temporary_from);
         self.next = at;
@@ -670,8 +677,8 @@ impl FlowControl {
             self.after_end = false;
         }
         self.waiting = Some(at);
-        // From here on the program's lines are held text, too. So all open frames, even conditions that lines of the
-        // host have opened, belong to the text that runs next.
+        // From here on the program's lines are held text, too. So all open frames belong to the text that runs next,
+        // even conditions that lines of the host have opened.
         self.below = 0;
     }
 
@@ -685,8 +692,8 @@ impl FlowControl {
         true
     }
 
-    /// Stops executing the held text, whether or not it has reached its end, and closes the blocks and calls within it.
-    /// Removes the text if it was stored only for this execution.
+    /// Stops executing the held text (recorded lines), and closes the blocks and calls within it. Removes the text if
+    /// it was stored only for this execution.
     pub fn stop(&mut self) {
         if let FlowState::Running(temporary_from) = self.state {
             if let Some(at) = temporary_from {

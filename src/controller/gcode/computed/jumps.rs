@@ -1,5 +1,5 @@
-//! Words of Fanuc's macros: `IF [..] THEN`, and GOTO within held text. `WHILE [..] DO1` .. `END1` are loops like those
-//! of O words (see `flow`). Also calls of macros by M words: M10, M11, M100 to M199.
+//! Words of Fanuc's macros: `IF [..] THEN`, GOTO within held text (recorded lines), and calls of macros by M words
+//! (M10, M11, M100 to M199). `WHILE [..] DO1` .. `END1` are loops like those of O words: see `flow`.
 //!
 //! A jump stays within the running text: a subprogram, a subroutine, a loop, or the held part of a program. It leaves
 //! the loops that do not contain its target. A jump into a loop is an error at the end of that loop. A line that is
@@ -13,8 +13,8 @@ use crate::gcode::direction::Held;
 use crate::gcode::state::Interpreter;
 
 impl<const N: usize> Interpreter<N> {
-    /// Executes `IF [..] THEN` in a held line. If the condition is true, leaves only the words after THEN in the line;
-    /// otherwise empties the line.
+    /// Executes `IF [..] THEN` in a held (recorded) line. If the condition is true, leaves only the words after THEN
+    /// in the line; otherwise empties the line.
     #[inline(never)]
     pub(super) fn then(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         let order = OWord::of(line).ok_or(Error::FlowSyntax)?;
@@ -30,7 +30,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(Held::Line)
     }
 
-    /// Executes GOTO in held text: if its condition is true or absent, continues with the line that has this N number.
+    /// Executes GOTO in held text (recorded lines). If its condition is true or absent, continues with the line that
+    /// has this N number. Looks for this line below the GOTO first, then from the start of the text.
     #[inline(never)]
     pub(super) fn go_to(&mut self, order: &OWord) -> Result<(), Error> {
         if !order.arguments.is_empty() && !self.condition(order.arguments)? {
@@ -62,7 +63,7 @@ impl FlowControl {
         for frame in self.frames.get(usize::from(self.below)..)?.iter().rev() {
             let (others, label) = labels.split_at_checked(labels.len().checked_sub(usize::from(frame.label))?)?;
             if frame.kind.is_call() {
-                // A subroutine of the program and a macro can have the same label. So look among the macros if the
+                // A subroutine of the program and a macro can have the same label. Look among the macros if the
                 // running text is a macro, otherwise among the program's subroutines.
                 let found = if self.next < self.macros { self.find_macro(label) } else { self.find_own(label) };
                 return found.map(|(_, begin)| begin);
@@ -72,8 +73,8 @@ impl FlowControl {
         if let FlowState::Running(from) = self.state { from } else { None }
     }
 
-    /// Looks for a line number (N) from position `from` to the end of the subprogram or of the program. Returns the
-    /// position of the first line with this number.
+    /// Looks for a line number (N) from position `from` to the end of the subprogram or program. Returns the position
+    /// of the first line with this number; `None` if there is none.
     #[inline(never)]
     fn numbered(&self, number: i64, from: u16) -> Option<u16> {
         let mut at = from;
@@ -100,13 +101,13 @@ impl FlowControl {
         {
             let (first, end) = match frame.kind {
                 FrameKind::Call | FrameKind::Program(_) => return,
-                // A jump to the first line of a `while` leaves the loop, because this line pushes the frame again. So
-                // the range of the loop begins after the start of this line.
+                // A jump to the first line of a `while` leaves the loop, because this line opens the loop again. So
+                // the range of the loop begins one byte after the start of this line.
                 FrameKind::While => (frame.at + 1, Keyword::EndWhile),
                 FrameKind::Do => (frame.at, Keyword::While),
                 FrameKind::Repeat(_) => (frame.at, Keyword::EndRepeat),
-                // The frame of a condition does not store where the condition is in the text, so the condition is
-                // always closed. If the target is within it, its `endif` becomes an error.
+                // A frame does not store where its condition is in the text, so the condition is always closed. If the
+                // target is within the condition, its `endif` becomes an error.
                 FrameKind::If(_) => {
                     self.pop();
                     continue;

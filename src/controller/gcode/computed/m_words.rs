@@ -1,6 +1,6 @@
 //! Finds M words in the text of a line that is recorded or skipped. The words of such a line have not been evaluated.
 
-/// Whether a line has an M word with one of these numbers, written as a plain integer.
+/// Returns whether a line has an M word with one of these numbers, written as a plain integer: `M30` or `M030`.
 pub(super) fn has_m_word(line: &[u8], numbers: &[&[u8]]) -> bool {
     find_m_word(line, numbers).is_some()
 }

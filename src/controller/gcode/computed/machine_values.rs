@@ -14,28 +14,30 @@ use crate::messages::SpindleDirection;
 use crate::number;
 use crate::units::{Coordinate, DECIMAL_ONE, DECIMAL_PLACES, Decimal};
 
-/// Letters of words whose value is usually a number of something, such as a G code, a tool or a line. Computed values
-/// of these words are rounded (see `to_hundredths`).
+/// Letters of words whose value usually selects something, such as a G code, a tool or a line. Computed values of
+/// these words are rounded (see `to_hundredths`).
 const SELECTORS: &[u8] = b"DGHLMNOPT";
 
 impl<const N: usize> Interpreter<N> {
-    /// Stores the level of the input that M66 has read, for #5399: 1 if active, 0 if inactive, -1 after a timeout
+    /// Stores what M66 has read, for #5399: 1 if the input is active, 0 if it is inactive, -1 after a timeout
     /// (`None`).
     pub fn set_input_read(&mut self, active: Option<bool>) {
         self.computed.input_read = active.map_or(-1, i8::from);
     }
 
-    /// Stores the result of a probing move for #5061 to #5070. `place` is in machine coordinates; the parameters have
-    /// it in program coordinates.
+    /// Stores the result of a probing move for #5061 to #5070. `place` is in machine coordinates, and the parameters
+    /// show it in program coordinates. `succeeded`: `true` to make #5070 1.
     pub fn set_probed(&mut self, place: &PerAxis<Coordinate, N>, succeeded: bool) {
         self.computed.probed = self.to_program(place);
         self.computed.probe_succeeded = succeeded;
     }
 
-    /// Writes a message to `out` with its parameters (`#5`, `#<name>`) replaced by values, for `(DEBUG, ...)`. A value
-    /// has six decimals. The formats `%d` (no decimals), `%f` (four) and `%.2f` (two) apply to all values after them,
-    /// and are removed from the text. A name that is not set becomes `######`. Assignments of the line being checked
-    /// are already in effect here. Text beyond the capacity of `out` is cut off.
+    /// Writes a message to `out` in which values replace the parameters (`#5`, `#<name>`), for `(DEBUG, ...)`. A name
+    /// that is not set becomes `######`. Assignments of the line being checked are already in effect here. Text beyond
+    /// the capacity of `out` is cut off.
+    ///
+    /// A value has six decimals. The formats `%d` (no decimals), `%f` (four) and `%.2f` (two) change this for all
+    /// values after them, and are removed from the text.
     pub fn expand<const LENGTH: usize>(&self, comment: &[u8], out: &mut heapless::Vec<u8, LENGTH>) {
         let (mut rest, mut places) = (comment, 6);
         while let Some((byte, behind)) = rest.split_first() {
@@ -74,7 +76,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Computes the value of a word. Also returns the text after the value.
+    /// Computes the value of a word from an expression. Also returns the text after the value.
     #[inline(never)]
     pub(in crate::gcode) fn compute<'t>(&self, letter: u8, text: &'t [u8]) -> Result<(Word, &'t [u8]), Error> {
         if !expression::begins(text) {
@@ -138,7 +140,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Returns the value of a parameter that shows the machine's state; `None` for all other parameters.
+    /// Returns the value of a parameter that shows the machine's state, such as #5420; `None` for all other
+    /// parameters.
     fn of_machine(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
         match reference {
             ParameterReference::Number(number) => Ok(self.numbered(number)),

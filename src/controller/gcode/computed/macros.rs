@@ -1,8 +1,8 @@
 //! Macros (`$Mn=line`): numbered lines that survive programs, resets and power cycles. They can define subroutines,
 //! which a program can call.
 //!
-//! Macros are the first lines of the held text (see `flow`), and remain there when a program ends. The held text has a
-//! line for each number up to the highest number in use; the line of an unused number is empty.
+//! Macros are the first lines of the held text (recorded lines: see `flow`), and remain there when a program ends. The
+//! held text has a line for each number up to the highest number in use. The line of an unused number is empty.
 
 use super::flow::{FlowControl, FlowState, MOST_MACROS};
 use crate::error::Error;
@@ -31,8 +31,8 @@ impl FlowControl {
     }
 
     /// Replaces the macro line with this number, and adds empty lines for missing lower numbers. This moves all text
-    /// after the line, including the subroutines of a program, so it is refused while a subroutine, loop or condition
-    /// is open.
+    /// after the line, such as the subroutines of a program. So the call is refused while a subroutine, loop or
+    /// condition is open.
     fn set_macro_line(&mut self, index: usize, line: &[u8]) -> Result<(), Error> {
         if index >= LINES {
             return Err(Error::InvalidStatement);
@@ -87,7 +87,7 @@ impl<const N: usize> Interpreter<N> {
         self.computed.flow.macro_line(index)
     }
 
-    /// Sets a macro line; an empty one removes the line.
+    /// Sets the macro line with this number, 0 to 63. An empty `line` removes the macro line.
     ///
     /// # Errors
     /// [`Error::InvalidStatement`] for a number above 63, [`Error::OutOfMemory`] if there is no room,

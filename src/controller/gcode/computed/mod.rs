@@ -1,6 +1,6 @@
 //! Expressions, parameters and O words of a program. [`Computed`] holds their state. The interpreter prepares this
-//! state before each line, commits it with the line, and resets parts of it at the end of a program. A build without
-//! the feature `full` has `none.rs` instead.
+//! state before each line and commits it with the line. The end of a program resets parts of it. A build without the
+//! feature `full` has `none.rs` instead.
 
 mod calls;
 #[cfg(feature = "reasons")]
@@ -42,7 +42,7 @@ pub(super) struct ComputedMemory {
     held: usize,
 }
 
-/// Static storage for the memory of one [`Computed`] on a board, with `HELD` bytes for held text.
+/// Static storage on a board for the memory of one [`Computed`], with `HELD` bytes for held text (recorded lines).
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
 pub(super) struct ComputedStorage<const HELD: usize> {
@@ -74,14 +74,14 @@ pub(super) struct Computed<const N: usize> {
     flow: FlowControl,
     /// Value that the most recent subroutine returned; `None` if it returned no value.
     returned: Option<Real>,
-    /// Position of the most recent probing result, in the program coordinates at that time.
+    /// Position of the most recent probing result, in program coordinates as they were then.
     probed: PerAxis<Coordinate, N>,
     probe_succeeded: bool,
     /// Result of the most recent M66: 1 (input active), 0 (inactive) or -1 (timeout).
     input_read: i8,
     /// O number of the program; 0 if it has none.
     program: u32,
-    /// Number of bytes by which the most recent held program that did not fit was too long.
+    /// Count of the missing bytes, if the most recent held program did not fit into the memory.
     overflow: Overflow,
 }
 
@@ -115,40 +115,40 @@ impl<const N: usize> Computed<N> {
         self.flow.modal.end();
     }
 
-    /// Whether G66 is active.
+    /// Returns whether a modal call (G66) is active.
     pub fn has_modal_call(&self) -> bool {
         self.flow.modal.is_active()
     }
 
-    /// Forgets the program's O number, ends G66, and ends the count of the bytes by which a held program is too long.
-    /// Called when another program begins.
+    /// Forgets the program's O number, ends G66, and stops counting the missing bytes of a held program that did not
+    /// fit. Called when another program begins.
     pub fn forget_number(&mut self) {
         self.end_modal_call();
         self.program = 0;
         self.overflow.end();
     }
 
-    /// If a held program did not fit into the memory, adds a further refused line of the program to the count of the
-    /// bytes by which the program is too long. Counts only in builds with `reasons`.
+    /// Counts the bytes of a refused line, if it belongs to a held program that did not fit into the memory. The sum
+    /// tells by how many bytes the program is too long. Counts only in builds with `reasons`.
     pub fn count_refused(&mut self, line: &[u8]) {
         if REASONS {
             self.overflow.count(&self.flow, line);
         }
     }
 
-    /// Whether programs have left no state that another program could read. Macros and the most recent probe position
-    /// are not considered.
+    /// Returns whether programs have left no state that another program could read. Macros and the most recent probe
+    /// position may remain.
     pub fn is_blank(&self) -> bool {
         let text = self.flow.text.len() == usize::from(self.flow.macros) && !self.flow.modal.is_active();
         text && self.parameters.is_empty() && self.returned.is_none() && self.input_read == 0
     }
 
-    /// Prepares for the check of a line: drops the assignments of an earlier line that was not committed.
+    /// Prepares the check of a line: drops the assignments of an earlier line that was not committed.
     pub fn begin(&mut self) {
         self.parameters.drop_staged();
     }
 
-    /// Whether the line being checked assigns a parameter.
+    /// Returns whether the line being checked assigns a parameter.
     pub fn assigns(&self) -> bool {
         self.parameters.has_staged()
     }

@@ -6,9 +6,9 @@
 //!  X10          ──▶ X10, then the kept call          also in loops and in subprograms called by M98
 //!  G67          ──▶ the call is forgotten
 //! ```
-//! Guarantees: the lines of the called subprogram do not trigger the call again. The arguments are plain numbers, so
-//! each call gets the same values. A refused line ends the modal call, so that the machine does not drill at positions
-//! that the program did not intend.
+//! The lines of the called subprogram do not trigger the call again. The arguments are plain numbers, so each call
+//! gets the same values. A refused line ends the modal call, so that the machine does not drill at positions that the
+//! program did not intend.
 
 /// Maximum length of the stored call, in bytes.
 const LONGEST: usize = 80;
@@ -18,15 +18,14 @@ const LONGEST: usize = 80;
 pub(super) struct ModalCall {
     /// The call, as a line with G65; empty if there is none.
     line: heapless::Vec<u8, LONGEST>,
-    /// Number of calls with arguments that were active when G66 was read. Lines at other levels do not trigger the
-    /// modal call.
+    /// Number of calls with arguments that were active when G66 was read. Only lines at this level trigger the modal
+    /// call.
     level: u8,
-    /// Whether the call comes next, because the previous line moves an axis.
+    /// `true` if the call comes next, because the previous line moves an axis.
     is_due: bool,
 }
 
 impl ModalCall {
-    /// Whether there is a modal call.
     #[inline]
     pub fn is_active(&self) -> bool {
         !self.line.is_empty()
@@ -49,7 +48,6 @@ impl ModalCall {
         core::mem::take(&mut self.is_due).then(|| self.line.clone())
     }
 
-    /// Returns the level of calls at which G66 was read.
     pub fn level(&self) -> u8 {
         self.level
     }
@@ -60,8 +58,8 @@ impl ModalCall {
         self.is_due = false;
     }
 
-    /// Examines each line before it runs; `level` is the present level of calls. Ends the modal call if the line has
-    /// G67, or if `level` is lower than that of G66. If the line moves an axis, the call becomes due: it runs after the
+    /// Examines each line before it runs. `level`: the present level of calls. Ends the modal call if the line has
+    /// G67, or if `level` is lower than at the G66. If the line moves an axis, the call becomes due and runs after the
     /// line.
     #[inline(never)]
     pub fn look_at(&mut self, line: &[u8], level: u8) {
@@ -72,14 +70,14 @@ impl ModalCall {
     }
 }
 
-/// Whether a line moves an axis: it has an axis word or the centre of an arc, and no word that gives these another
-/// meaning.
+/// Returns whether a line moves an axis: it has an axis word or the centre of an arc, and no G word that gives these
+/// another meaning, such as G92.
 fn moves(line: &[u8]) -> bool {
     words(line).any(|(letter, _)| matches!(letter, b'X' | b'Y' | b'Z' | b'A' | b'I' | b'J' | b'K'))
         && !has_g_word(line, &[40, 100, 431, 510, 520, 650, 660, 680, 920])
 }
 
-/// Whether a line has one of these G words, in tenths: 431 is G43.1.
+/// Returns whether a line has one of these G words, in tenths: 431 is G43.1.
 fn has_g_word(line: &[u8], tenths: &[u32]) -> bool {
     words(line).any(|(letter, rest)| {
         let (whole, fraction) = rest.split_at(rest.iter().take_while(|byte| byte.is_ascii_digit()).count());

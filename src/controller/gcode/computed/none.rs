@@ -1,5 +1,5 @@
-//! Replaces this folder in builds without the feature `full`: the same functions, without effect. Lines that
-//! need the feature are refused with an error of their own.
+//! Replaces this folder (`computed`) in builds without the feature `full`: the same functions, without effect. Lines
+//! that need the feature are refused with an error of their own.
 
 use crate::axes::PerAxis;
 use crate::error::Error;
@@ -182,7 +182,7 @@ impl<const N: usize> Interpreter<N> {
         None
     }
 
-    /// Returns an error in all cases: there is no room for macros.
+    /// Returns an error always: there is no room for macros.
     ///
     /// # Errors
     /// [`Error::ExpressionsLeftOut`]

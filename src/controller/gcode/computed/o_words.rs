@@ -1,6 +1,7 @@
-//! O words: decides for each line of the host whether it is run, recorded or skipped, and which recorded line runs
-//! next. Conditions, loops, subroutines and their calls are handled here; the open blocks are stored in `flow`. A
-//! malformed O word is refused, and so are the following lines up to the end of its block.
+//! O words (`O100 SUB`, `O1 IF [#1 GT 2]`): decides for each line of the host whether it is run, recorded or skipped,
+//! and which recorded line runs next. Handles conditions, loops, subroutines and their calls; `flow` stores the open
+//! blocks. A malformed O word is refused. If it begins a subroutine or loop, all lines of this block are refused too;
+//! if it begins a condition, they are skipped.
 
 use super::Computed;
 use super::flow::{
@@ -17,14 +18,16 @@ use core::fmt::Write;
 /// The label of a call: a name or digits.
 type Label = heapless::Vec<u8, LABELS>;
 
-/// Line that runs when a call ends in which M73 has saved the modal state: M72 restores this state.
+/// Line that runs at the end of a call if M73 has saved the modal state in this call. M72 restores the saved state.
 const RESTORE: &[u8] = b"M72";
 
 impl<const N: usize> Interpreter<N> {
-    /// Returns what to do with a line of the host. `number` is the number of lines received up to this one. `comment`
-    /// is the line's message with its mark (see `split_comment`); `line` is empty if the line consists of a message
-    /// alone. If an error is returned, no part of the line has been executed. If the value of a condition cannot be
-    /// computed, none of its branches will run.
+    /// Returns what to do with a line of the host. `number`: how many lines the host has sent so far, with this one.
+    /// `comment`: the line's message with its mark (see `split_comment`). `line` is empty if the line consists of a
+    /// message alone.
+    ///
+    /// After an error, no part of the line has been executed. If a condition cannot be computed, none of its branches
+    /// will run.
     #[inline]
     pub fn direct(&mut self, line: &[u8], comment: &[u8], number: u32) -> Result<Direction, Error> {
         self.computed.begin();
@@ -68,8 +71,8 @@ impl<const N: usize> Interpreter<N> {
         self.computed.flow.skipped
     }
 
-    /// Returns the number of the host's line at which the outermost open block (sub, loop, condition) began. If no
-    /// block is open but the previous program ended within one, returns the line at which that block began.
+    /// Returns the number of the host's line at which the outermost open block (sub, loop, condition) began; `None` if
+    /// no block is open. After a program that has ended inside a block, returns the line at which that block began.
     pub fn open_since(&self) -> Option<u32> {
         let flow = &self.computed.flow;
         flow.open_since().or(flow.cut)
@@ -80,10 +83,10 @@ impl<const N: usize> Interpreter<N> {
         self.computed.flow.open_since().is_some()
     }
 
-    /// Handles a tape mark (`%`), which separates programs. If a block is still open, drops it and returns an error.
+    /// Handles a tape mark (`%`), which separates programs. A block that is still open is dropped and is an error.
     ///
     /// # Errors
-    /// [`Error::FlowSyntax`]; [`Error::OutOfPlace`] if the program waits for a subprogram.
+    /// [`Error::FlowSyntax`] if a block was open; [`Error::OutOfPlace`] if the program waits for a subprogram.
     pub fn tape_mark(&mut self) -> Result<(), Error> {
         let is_open = self.computed.flow.open_since().is_some();
         let error = if self.computed.flow.waiting.is_some() { Error::OutOfPlace } else { Error::FlowSyntax };
@@ -95,9 +98,9 @@ impl<const N: usize> Interpreter<N> {
         Err(error)
     }
 
-    /// Detects that a program has ended although a block is open: its M2 or M30 was only skipped or recorded. After
-    /// such an M2 or M30, only O words other than calls can still belong to the program. Any other line belongs to the
-    /// next program; for such a line, drops the open blocks and refuses the line.
+    /// Finds the end of a program that ended inside an open block, so that its M2 or M30 was only skipped or recorded.
+    /// After such an M2 or M30, only O words that are not calls can still belong to the program. Any other `line`
+    /// belongs to the next program: drops the open blocks and refuses the line.
     fn look_for_end(&mut self, line: &[u8], order: Option<OWord>) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         let left_out = flow.leaves_lines_out();
@@ -130,8 +133,8 @@ impl<const N: usize> Interpreter<N> {
         self.direct_part(line, comment, order)
     }
 
-    /// Decides what to do with a line, or with one part of a line that `split_call` has split. Records it if it belongs
-    /// to a subroutine or loop, and executes its O word.
+    /// Decides what to do with a line: records a line of a subroutine or loop, and executes an O word outside of them.
+    /// `line` can also be one of the two parts into which `split_call` has split a line.
     fn direct_part(&mut self, line: &[u8], comment: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
         if let Some(directed) = self.direct_subprogram(line, comment, order) {
             return directed;
@@ -188,7 +191,7 @@ impl<const N: usize> Interpreter<N> {
         Ok(Direction::Done)
     }
 
-    /// Records a line of a subroutine or loop. The line that ends a loop starts its first pass. If a line is refused or
+    /// Records a line of a subroutine or loop. The last line of a loop starts the first pass. If a line is refused or
     /// does not fit, all lines up to the end of the block are refused, and the block is dropped.
     fn record(
         &mut self,
@@ -239,8 +242,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Writes the next line of the held text that is running to `line`, or an empty line if conditions or loops skip
-    /// it. An error stops the text.
+    /// Reads the next line of the held text that is running, and writes it to `line`. Writes an empty line if
+    /// conditions or loops skip the line. An error stops the text.
     pub fn next_held(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         self.computed.begin();
         let next = self.next_line(line);
@@ -253,9 +256,9 @@ impl<const N: usize> Interpreter<N> {
         next
     }
 
-    /// Records that a line of the host was refused, possibly before `direct` was called for it. A subroutine or loop
-    /// being recorded would lack this line, so its remaining lines are refused. A held program or a subprogram being
-    /// recorded is dropped, and all lines that follow are refused.
+    /// Records that a line of the host was refused, possibly before `direct` was called for it. If a subroutine or loop
+    /// is being recorded, it now lacks this line, so its remaining lines are refused. If a program is held or a
+    /// subprogram is being recorded, all of it is dropped, and all lines that follow are refused.
     pub fn line_refused(&mut self, error: Error) {
         self.computed.begin();
         self.computed.end_modal_call();
@@ -291,8 +294,8 @@ impl<const N: usize> Interpreter<N> {
             line.clear();
             return Ok(Held::Again);
         };
-        // `endsub` is never skipped, because the line after it does not belong to the subroutine. The first line of the
-        // next subprogram is not skipped either.
+        // `endsub` is not skipped, because the line after it does not belong to the subroutine. The first line of the
+        // next subprogram is not skipped either: it is an error here.
         let ends = order.ends_skipping() && flow.is_of_last(order.label)
             || matches!(order.keyword, Keyword::EndSub | Keyword::Program);
         if flow.skipping && !ends {
@@ -363,7 +366,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Returns whether a branch of the innermost condition has run. Fails if the innermost block is not a condition
+    /// Returns `true` if a branch of the innermost condition has run. Fails if the innermost block is not a condition
     /// with this label.
     fn has_taken(&mut self, label: &[u8]) -> Result<bool, Error> {
         match self.computed.flow.last(label)?.kind {
@@ -378,8 +381,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    /// Executes the first and last lines of loops, `break` and `continue`, in the held line at `at`. Lines of the host
-    /// never come here, because loops are always recorded first.
+    /// Executes an O word of a loop in the held line at `at`: the first or last line of the loop, `break` or
+    /// `continue`. Not called for lines of the host, because loops are always recorded before they run.
     fn go_round(&mut self, order: OWord, at: u16) -> Result<(), Error> {
         let next = self.computed.flow.next;
         match order.keyword {
@@ -436,14 +439,14 @@ impl<const N: usize> Interpreter<N> {
         let frame = *flow.last(label)?;
         flow.skipping = false;
         if !again || frame.kind == FrameKind::While {
-            // The next pass of a `while` begins with its first line, and that line pushes the frame again.
+            // The first line of a `while` loop pushes a new frame in each pass, so the old frame is removed here.
             flow.pop();
         }
         if again { flow.go_back(frame.at) } else { Ok(()) }
     }
 
-    /// Executes `break` and `continue`: closes the blocks within the loop, and skips lines up to the last line of the
-    /// loop. After `break` the loop ends there, after `continue` the next pass can begin.
+    /// Executes `break` and `continue`: closes the blocks within the loop, and skips the lines up to the loop's last
+    /// line. There `break` ends the loop, while `continue` lets the next pass begin.
     fn cut_pass(&mut self, order: OWord) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         while !flow.is_of_last(order.label) {
@@ -461,8 +464,8 @@ impl<const N: usize> Interpreter<N> {
         Ok(())
     }
 
-    /// Returns the label of a called subroutine, computed if it is an expression, and the position of the subroutine's
-    /// second line.
+    /// Returns the label of a called subroutine and the position of the subroutine's second line, where its execution
+    /// begins. Computes the label if it is an expression: `O[#1] CALL`.
     fn called(&self, order: &OWord) -> Result<(Label, u16), Error> {
         let mut label = Label::new();
         if order.has_computed_label() {
@@ -479,8 +482,9 @@ impl<const N: usize> Interpreter<N> {
         Ok((label, begin))
     }
 
-    /// Executes `return`, `endsub` and M99: returns to the line after the call, with a value, or begins the next pass
-    /// of a subprogram. If M73 has saved a state in the call, writes M72 to `line`, which restores this state.
+    /// Executes `return`, `endsub` and M99: goes back to the line after the call, or begins the next pass of a
+    /// subprogram (L of M98). A value after `return` or `endsub` becomes the result of the call. If M73 has saved the
+    /// modal state in the call, writes M72 to `line`, so that this state is restored next.
     fn leave_call(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         let order = OWord::of(line).ok_or(Error::FlowSyntax)?;
         let is_back = order.keyword == Keyword::Back;
@@ -529,8 +533,8 @@ impl<const N: usize> Interpreter<N> {
         Err(if is_back { Error::OutOfPlace } else { Error::FlowSyntax })
     }
 
-    /// Returns the arguments of a call: parameter numbers from #1, and values. An M word passes P as #1 and Q as #2 to
-    /// its macro.
+    /// Returns the arguments of a call as pairs of parameter number and value: `[5] [7]` sets #1 to 5 and #2 to 7. An M
+    /// word passes P as #1 and Q as #2 to its macro.
     fn arguments(&self, order: &OWord) -> Result<heapless::Vec<(u8, Real), ARGUMENTS>, Error> {
         let mut values = heapless::Vec::new();
         let mut rest = order.arguments;

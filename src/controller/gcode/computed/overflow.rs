@@ -1,12 +1,13 @@
-//! Counts by how many bytes a held program is too long. The controller refuses its lines one by one and keeps none; a
-//! check of the whole file reports the sum. Only builds with the feature `reasons` count.
+//! Counts by how many bytes a held program is too long. (A program is held, that is recorded and run later, if it calls
+//! a subprogram that the host has not sent yet.) The controller drops a program that does not fit and refuses each of
+//! its remaining lines; a check of the whole file then reports the sum. Only builds with the feature `reasons` count.
 
 use super::flow::{FlowControl, PROGRAM, SPARE};
 use super::m_words::has_m_word;
 use crate::gcode::REASONS;
 use crate::gcode::program_number::{number_of, subprogram_number};
 
-/// Length of `O` and `ENDSUB`. With the number between them, they replace M99 in the held text.
+/// Length in bytes of `O` and `ENDSUB`. In the held text, `O1001ENDSUB` replaces the M99 of the subprogram 1001.
 const END_OF_SUBPROGRAM: usize = 7;
 
 /// Count of the bytes of a held program that did not fit into the held text.
@@ -21,8 +22,8 @@ struct Excess {
     digits: usize,
     /// Whether the lines being counted belong to the subprogram for which the program waits.
     is_awaited: bool,
-    /// Whether the next refused line is counted; `false` after the awaited subprogram, and when another program has
-    /// begun.
+    /// Whether the next refused line is counted. `false` once another program has begun, or a subprogram after the
+    /// awaited one.
     counts: bool,
 }
 
@@ -31,8 +32,8 @@ struct Excess {
 pub(super) struct Overflow([Excess; REASONS as usize]);
 
 impl Overflow {
-    /// Starts the count with the first line that did not fit into `flow`, of `length` bytes. `subprogram`: the number
-    /// of the subprogram to which the line belongs, and whether the program waits for this one.
+    /// Starts the count with the first line that did not fit into `flow`; the line has `length` bytes. `subprogram`:
+    /// the number of the subprogram to which the line belongs, and `true` if the program waits for this subprogram.
     pub fn begin(&mut self, flow: &FlowControl, length: usize, subprogram: Option<(&[u8], bool)>) {
         for excess in &mut self.0 {
             let (number, is_awaited) = subprogram.unwrap_or_default();
@@ -41,8 +42,8 @@ impl Overflow {
         }
     }
 
-    /// Adds a further refused line to the count. After the awaited subprogram the program would continue, so the count
-    /// ends at the number of the subprogram that follows it.
+    /// Adds a further refused line to the count. The program could have continued after the awaited subprogram, so the
+    /// count ends at the next O number after that subprogram.
     pub fn count(&mut self, flow: &FlowControl, line: &[u8]) {
         for excess in self.0.iter_mut().filter(|excess| excess.counts) {
             match subprogram_number(line) {

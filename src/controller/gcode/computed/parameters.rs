@@ -7,9 +7,9 @@
 //!          |<--------- in force: CAPACITY at most ---------->|<-- set by the line being checked -->|
 //! ```
 //! A parameter with a number takes 13 bytes, a parameter with a name 11 bytes and the length of the name. A parameter
-//! that has never been set takes no memory. Expressions of a line use the values in force, not the line's own
-//! assignments. [`Parameters::commit`] applies the assignments; without a commit, the check of the next line drops
-//! them.
+//! that has never been set takes no memory. Expressions use the values in force, without the assignments of their own
+//! line. [`Parameters::commit`] puts the assignments into force; the check of the next line drops assignments that were
+//! not committed.
 
 use super::expression::ParameterReference;
 use super::real::Real;
@@ -22,8 +22,8 @@ const CAPACITY: usize = 4096;
 const OF_A_LINE: usize = 256;
 /// Maximum length of a parameter's name, in bytes.
 pub(super) const NAME_LENGTH: usize = 32;
-/// Size of the part of a cell before its key, in bytes: the length of the key, and the level of the call to which the
-/// parameter belongs.
+/// Size in bytes of the two fields before the key of a cell: the length of the key, and the level of the call to which
+/// the parameter belongs.
 const HEAD: usize = 2;
 /// Size of the part of a cell after its key, in bytes: the parameter's value (mantissa and exponent).
 const TAIL: usize = 9;
@@ -66,7 +66,7 @@ struct Cell<'a> {
 }
 
 impl<'a> Cell<'a> {
-    /// Decodes the first of the `cells`.
+    /// Decodes the cell at the start of `cells`; `None` after the last cell.
     fn first(cells: &'a [u8]) -> Option<Cell<'a>> {
         let [length, level, rest @ ..] = cells else { return None };
         let (key, rest) = rest.split_at_checked(usize::from(*length))?;
@@ -82,7 +82,8 @@ impl Parameters {
         Self { cells, in_force: 0, growth: 0, level: 0 }
     }
 
-    /// Returns the value of a parameter; `None` if it is not set.
+    /// Returns the value in force of a parameter; `None` if it is not set. Ignores assignments that are not committed
+    /// yet.
     pub fn get(&self, reference: ParameterReference) -> Result<Option<Real>, Error> {
         let (key, level) = self.stored_as(reference)?;
         let at = find_cell(self.cells.get(..self.in_force).unwrap_or(&[]), &key, level);
@@ -159,12 +160,10 @@ impl Parameters {
         }
     }
 
-    /// Whether no parameter has a value.
     pub fn is_empty(&self) -> bool {
         self.in_force == 0
     }
 
-    /// Forgets all parameters.
     pub fn reset(&mut self) {
         self.cells.clear();
         (self.in_force, self.growth, self.level) = (0, 0, 0);
@@ -177,7 +176,7 @@ impl Parameters {
         self.forget_locals();
     }
 
-    /// Begins a call. `arguments`: numbers and values of the local parameters with which the call begins.
+    /// Begins a call. `arguments`: number and value of each local parameter that is set at the start of the call.
     pub fn enter_call(&mut self, arguments: &[(u8, Real)]) -> Result<(), Error> {
         self.level += 1;
         for (number, value) in arguments {
@@ -195,7 +194,6 @@ impl Parameters {
         self.level = self.level.saturating_sub(1);
     }
 
-    /// Ends all calls, and forgets the local parameters of each.
     pub fn leave_calls(&mut self) {
         while self.level > 0 {
             self.leave_call();
@@ -207,7 +205,7 @@ impl Parameters {
         self.level
     }
 
-    /// Forgets the local parameters of the present call and of calls within it.
+    /// Forgets the local parameters of the present call, and of deeper calls.
     fn forget_locals(&mut self) {
         let mut at = 0;
         while let Some(cell) = self.cells.get(at..).and_then(Cell::first) {
@@ -221,7 +219,6 @@ impl Parameters {
         self.in_force = self.cells.len();
     }
 
-    /// Removes the `size` bytes of the cell at `at`.
     fn cut_cell(&mut self, at: usize, size: usize) {
         let length = self.cells.len();
         if at + size <= length {
@@ -248,7 +245,6 @@ impl Parameters {
     }
 }
 
-/// Returns the position of the cell with this key and level.
 fn find_cell(cells: &[u8], key: &[u8], level: u8) -> Option<usize> {
     let mut at = 0;
     while let Some(cell) = cells.get(at..).and_then(Cell::first) {

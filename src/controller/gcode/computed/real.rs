@@ -2,8 +2,8 @@
 //! comparisons, roots, and series for sine, arc tangent, logarithm and exponential.
 //!
 //! * Sums, differences and products with results of up to 18 digits are exact: `10.1 + 0.2` is exactly 10.3.
-//! * A sum or difference below 10⁻¹⁴ of its larger operand is considered a rounding error and becomes 0. Comparisons,
-//!   whole parts and remainders use such differences, so 1/3 + 1/3 + 1/3 counts as equal to 1.
+//! * A sum or difference becomes 0 if it is smaller than 10⁻¹⁴ of the larger operand, because only a rounding error is
+//!   left. Comparisons, whole parts and remainders subtract in this way, so 1/3 + 1/3 + 1/3 counts as equal to 1.
 //! * Quotients and square roots are correct in 18 digits. Sine, cosine, arc tangent and logarithm are within 10⁻¹⁵,
 //!   powers with a fractional exponent within a relative 10⁻¹³.
 //! * All arithmetic is integer arithmetic: results are the same on every machine, and every operation takes a bounded
@@ -20,9 +20,9 @@ use core::cmp::Ordering;
 const DIGITS: u32 = 18;
 /// Exclusive upper limit of a mantissa.
 const MANTISSA_END: i64 = 1_000_000_000_000_000_000;
-/// Number of decimal digits by which a mantissa can be extended in an `i128`.
+/// Number of zeros that an `i128` has room for after an 18-digit mantissa.
 const SPARE_DIGITS: u32 = 20;
-/// Maximum decimal exponent of a number's first digit: 10^41 and more is an error.
+/// Maximum power of ten of a number's first digit. A number of 10^41 or more is an error.
 const EXPONENT_MAX: i32 = 40;
 /// Minimum of [`Real::exponent`]; a number that would need a smaller exponent becomes 0.
 const EXPONENT_MIN: i32 = -50;
@@ -35,9 +35,9 @@ pub(super) struct Real {
     exponent: i8,
 }
 
-/// Returns the remainder of a division. Not inlined, because the code of an `i128` division takes a few KB on a 32-bit
-/// processor. One of the operands must fit 64 bits. Then the remainder fits 64 bits, too, because it is no larger than
-/// either operand.
+/// Returns the remainder of a division. One of the operands must fit 64 bits; the remainder is no larger than either
+/// operand, so it fits 64 bits too. Not inlined, because the code of an `i128` division takes a few KB on a 32-bit
+/// processor.
 #[inline(never)]
 fn remainder(dividend: i128, divisor: i128) -> i64 {
     (dividend % divisor) as i64
@@ -53,7 +53,6 @@ impl Real {
         Real { mantissa, exponent: 0 }
     }
 
-    /// Returns 1 for true, 0 for false.
     pub const fn truth(holds: bool) -> Real {
         if holds { Real::ONE } else { Real::ZERO }
     }
@@ -89,18 +88,18 @@ impl Real {
         }
     }
 
-    /// Creates a number that the caller knows to be in range.
+    /// Creates a number whose parts the caller knows to be in range, so that no error is possible.
     #[inline(never)]
     fn known(mantissa: i64, exponent: i32) -> Real {
         Self::new(i128::from(mantissa), exponent).unwrap_or(Real::ZERO)
     }
 
-    /// Returns mantissa and exponent, for storage.
+    /// Returns mantissa and exponent, as [`Real::from_parts`] takes them.
     pub fn parts(self) -> (i64, i8) {
         (self.mantissa, self.exponent)
     }
 
-    /// Creates a number from stored parts.
+    /// Creates a number from the result of [`Real::parts`], without rounding or checks.
     pub fn from_parts(mantissa: i64, exponent: i8) -> Real {
         Real { mantissa, exponent }
     }
@@ -138,14 +137,13 @@ impl Real {
         Self::from_decimal(Decimal(value.0))
     }
 
-    /// Converts an `f32`. The result is rounded to seven digits, because an `f32` holds only about seven digits of the
-    /// number that the program wrote.
+    /// Converts an `f32`, rounded to seven digits. An `f32` is exact to about seven digits only; further digits would
+    /// differ from the number in the program.
     pub fn from_f32(value: f32) -> Real {
         let Real { mantissa, exponent } = Self::from_coordinate(Coordinate::from_mm_f32(value));
         Self::rounded(i128::from(mantissa), exponent.into(), 7).unwrap_or(Real::ZERO)
     }
 
-    /// Whether the number is within the range of [`Decimal`].
     pub fn fits_decimal(self) -> bool {
         self.to_decimal().0.unsigned_abs() < i64::MAX.unsigned_abs()
     }
@@ -277,8 +275,8 @@ impl Real {
         Ok(if none_is_left { Real::ZERO } else { rest })
     }
 
-    /// Rounds down to a whole number. A number that is within the rounding error of a whole number counts as that
-    /// number.
+    /// Rounds down to a whole number. If the number differs from a whole number by no more than a rounding error,
+    /// returns that whole number.
     #[inline(never)]
     pub fn floor(self) -> Real {
         let nearest = self.round();
@@ -288,7 +286,6 @@ impl Real {
         self.whole_part(|wide, power| wide.div_euclid(power))
     }
 
-    /// Rounds up to a whole number.
     pub fn ceiling(self) -> Real {
         self.neg().floor().neg()
     }
@@ -366,8 +363,8 @@ impl Real {
     }
 }
 
-/// `EQ` and `NE` treat numbers that differ by less than this as equal. A number this close to a whole number counts as
-/// whole.
+/// Two numbers that differ by less than this are equal for `EQ` and `NE`. A number that differs from a whole number by
+/// less than this counts as whole.
 const TOLERANCE: Real = Real { mantissa: 1, exponent: -4 };
 
 /// A sum counts as 0 if it is smaller than its larger operand divided by this number.
@@ -386,7 +383,7 @@ fn divided(value: i128, divisor: i128) -> i128 {
     value.saturating_add(half) / divisor
 }
 
-// The functions compute in binary fixed point: one unit is 2^-60.
+// Sine, arc tangent, logarithm and exponential compute in binary fixed point. One unit is 2^-60, so 1.0 is 2^60 units.
 
 const BITS: u32 = 60;
 const UNIT: i64 = 1 << BITS;
@@ -397,8 +394,8 @@ const ROOT_OF_HALF: i64 = 815_238_614_083_298_888;
 /// Number of terms after which every series here has converged.
 const TERMS: i64 = 64;
 
-/// Decimal places to which a function's result is rounded. Units of 2^-60 would allow more places, but then a result
-/// that should be 0.5 might not be exactly 0.5.
+/// Decimal places to which a function's result is rounded. Units of 2^-60 are finer than that; the rounding makes
+/// `SIN[30]` exactly 0.5.
 const PLACES: u32 = 16;
 /// Decimal places of a result that is an angle in degrees.
 const PLACES_OF_DEGREES: u32 = 14;
@@ -473,8 +470,8 @@ impl Real {
         self.sine(1)
     }
 
-    /// Returns the sine of the angle in degrees plus `quarters` right angles. Full turns are subtracted in decimal
-    /// arithmetic, so large angles lose no accuracy.
+    /// Returns the sine of an angle: `self` in degrees, plus `quarters` times 90 degrees. Full turns are subtracted in
+    /// decimal arithmetic, so large angles lose no accuracy.
     #[inline(never)]
     fn sine(self, quarters: u32) -> Result<Real, Error> {
         let right = Self::known(90, 0);
@@ -523,7 +520,7 @@ impl Real {
         self.other_leg()?.atan(self)
     }
 
-    /// Returns √(1 - x²).
+    /// Returns √(1 - x²), where x is `self`; an error if the absolute value of x exceeds 1.
     #[inline(never)]
     fn other_leg(self) -> Result<Real, Error> {
         Real::ONE.sub(self)?.mul(Real::ONE.add(self)?)?.sqrt()
@@ -534,7 +531,7 @@ impl Real {
         if self.mantissa <= 0 {
             return Err(Error::ArgumentOutOfRange);
         }
-        // mantissa = fraction × 2^binary, fraction from √½ to √2.
+        // Splits the mantissa into fraction × 2^binary, where the fraction is between √½ and √2.
         let zeros = self.mantissa.leading_zeros();
         let mut fraction = (self.mantissa << (zeros - 1)) >> (63 - BITS);
         let mut binary = i128::from(64 - zeros);
@@ -544,7 +541,7 @@ impl Real {
         }
         let of_fraction = 2 * tangent_series(over(fraction - UNIT, fraction + UNIT), 1);
         let sum = i128::from(of_fraction) + binary * LN_2 + i128::from(self.exponent) * LN_10;
-        // The sum has an error of up to 2^6 units, so the result has one decimal place less than other functions.
+        // The sum is wrong by up to 2^6 units of 2^-60, so one decimal place less than in other functions is exact.
         Ok(Self::from_fixed(sum, PLACES - 1))
     }
 
@@ -554,8 +551,8 @@ impl Real {
         if Self::known(100, 0).is_below(self) {
             return Err(Error::InvalidResult);
         }
-        // Below -94 the result is less than 10^-40, so it becomes 0. The steps below could not compute it: for `self`
-        // below about -94.3, `scale` is 2^137, which exceeds the maximum of a number (10^41).
+        // Below -94 the result is less than 10^-40, so it becomes 0. The code below would fail there: from about -94.3
+        // down, `scale` would be 2^137, which exceeds the maximum of a number (10^41).
         if self.is_below(Self::known(-94, 0)) {
             return Ok(Real::ZERO);
         }
@@ -577,8 +574,9 @@ impl Real {
     }
 }
 
-/// Returns the angle of a slope from 0 to 1, in degrees. Halves the angle twice, so that the series converges fast:
-/// half of an angle with slope t has the slope t / (1 + √(1 + t²)).
+/// Returns the angle, in degrees, of a slope from 0 to 1. (The slope is the tangent of the angle.) The series converges
+/// faster for small angles, so the angle is halved twice first: if t is the slope of an angle, the slope of half the
+/// angle is t / (1 + √(1 + t²)).
 fn slope(slope: Real) -> Real {
     let mut t = slope.to_fixed() as i64;
     for _ in 0..2 {

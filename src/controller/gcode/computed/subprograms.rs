@@ -1,8 +1,8 @@
 //! Fanuc's subprograms: `O1001` to `M99` after the end of the program, called by M98 or, with arguments, by G65. They
 //! are held as text like other subroutines, so M98 and G65 also call `O1001 SUB`.
 //!
-//! A call usually comes before its subprogram, whose lines the host has not sent yet. From such a call on, the program
-//! is held as well, without any motion:
+//! A call usually comes before its subprogram: the host has not sent the subprogram's lines yet. From such a call on,
+//! the lines of the program are held too, that is recorded without being executed:
 //!
 //! ```text
 //!            call of an unknown number        number after M2, M30               M99
@@ -14,11 +14,11 @@
 //! * A line of a subprogram is executed only by a call.
 //! * If a line of the held program or of a subprogram is refused before the program continues, the held lines are
 //!   dropped without being executed, and all lines that follow are refused. The same happens if the machine is idle and
-//!   the host sends nothing for a while, because the next line can then belong to another file.
+//!   the host sends nothing for 5 s, because the next line can then belong to another file.
 //! * M99 without a call means that a subprogram has been taken for the program: all following lines are refused.
 //! * A subprogram is valid only in its file. If no program waits for the subprogram, it is read and forgotten.
 //!
-//! M98 and G65 do not call macros. Otherwise a call in a file whose own subprogram comes later would run a macro with
+//! M98 and G65 do not call macros. If they did, a call whose subprogram comes later in the file would run a macro with
 //! the same number instead.
 
 use super::Computed;
@@ -38,8 +38,7 @@ use core::fmt::Write;
 const MOST_REPEATS: i64 = 9999;
 /// Highest number of a subprogram.
 const HIGHEST: i64 = 99_999_999;
-/// The letters of G65's arguments: the first one sets #1, the second one #2, and so on. A point stands for a parameter
-/// without a letter.
+/// The letters of G65's arguments: A sets #1, B sets #2, and so on. A point stands for a parameter that no letter sets.
 const LETTERS: &[u8; 26] = b"ABCIJKDEF.H.M...QRSTUVWXYZ";
 
 /// The number of a subprogram, or a line that consists of O, the number and a keyword.
@@ -60,7 +59,7 @@ impl<const N: usize> Interpreter<N> {
         self.computed.flow.state == FlowState::Holding
     }
 
-    /// Whether lines of the host are recorded.
+    /// Whether the host's lines are recorded, as lines of a subroutine, loop or subprogram, or of a held program.
     pub(in crate::gcode) fn is_recording(&self) -> bool {
         self.computed.flow.records()
     }
@@ -71,8 +70,9 @@ impl<const N: usize> Interpreter<N> {
         flow.waiting.map(|_| flow.missing)
     }
 
-    /// Decides on a line, or part of a line (see `split_call`), of a held program or of a subprogram: records it,
-    /// refuses it, or begins a subprogram. Returns `None` for all other lines, which the caller handles.
+    /// Handles a line of a held program or of a subprogram: records the line, refuses it, or begins a subprogram.
+    /// `line` can also be a part of a line (see `split_call`). Returns `None` for all other lines, which the caller
+    /// handles.
     #[inline(never)]
     pub(super) fn direct_subprogram(
         &mut self,
@@ -91,8 +91,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Decides on a line of the host that the check has refused with `error`. If M98 follows other words, these words
-    /// are executed before the call. M99 after other words has no call to return from, so all following lines are
+    /// Handles a line of the host that the check has refused with `error`. If M98 follows other words, executes these
+    /// words and then the call. If M99 follows other words, there is no call to return from, so all following lines are
     /// refused.
     #[cold]
     #[inline(never)]
@@ -109,9 +109,9 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Executes M98, G65, G66 or `IF [..] THEN` in a line of the host (`call`), after the `words` before it. The line
-    /// is added to the held text and runs there, as a loop does. If the subprogram is unknown, the program is held from
-    /// the call on.
+    /// Executes M98, G65, G66 or `IF [..] THEN` in a line of the host. `call`: the part of the line from this word on;
+    /// `words`: the part before it. Both parts are added to the held text and run there, as a loop does. If the
+    /// subprogram is unknown, the program is held from the call on.
     #[inline(never)]
     pub(super) fn run_call(
         &mut self,
@@ -139,8 +139,7 @@ impl<const N: usize> Interpreter<N> {
         Ok(Direction::Run)
     }
 
-    /// Appends a line of the host to the held text, where it runs next. If there is no room, refuses all lines that
-    /// follow.
+    /// Adds a line of the host to the held text and runs it there. If there is no room, refuses all lines that follow.
     pub(super) fn run_line(&mut self, line: &[u8], comment: &[u8]) -> Result<Direction, Error> {
         let flow = &mut self.computed.flow;
         let from = flow.text.len() as u16;
@@ -190,9 +189,9 @@ impl<const N: usize> Interpreter<N> {
         self.computed.program > 0 && number_of(line) == self.computed.program
     }
 
-    /// Holds a line of the program after the call of an unknown subprogram. If the line cannot belong to the program,
-    /// or the memory is full, refuses the line and all lines that follow. After the end of the program, the number of a
-    /// subprogram begins the definition of that subprogram.
+    /// Holds a line of the program after the call of an unknown subprogram. After the end of the program, the number of
+    /// a subprogram begins the definition of that subprogram. If the line cannot belong to the program, or the memory
+    /// is full, refuses the line and all lines that follow.
     #[inline(never)]
     fn hold_line(&mut self, line: &[u8], comment: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
         let flow = &mut self.computed.flow;
@@ -227,8 +226,8 @@ impl<const N: usize> Interpreter<N> {
         self.refuse_rest();
     }
 
-    /// Returns by how many bytes, at least, the most recent held program that did not fit was too long; `None` if all
-    /// programs have fit.
+    /// Returns by how many bytes the most recent held program that did not fit was too long; `None` if all programs
+    /// have fit. This is a minimum, because lines after the awaited subprogram are not counted.
     pub fn excess_bytes(&self) -> Option<usize> {
         self.computed.overflow.excess()
     }
@@ -260,9 +259,8 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Records a line of a subprogram. An M99 outside of conditions and loops ends the subprogram, and the program that
-    /// waits for the subprogram continues. If no program waits, the subprogram is forgotten, because no later program
-    /// may call it. If a line has a program number, M2 or M30, or if the memory is full, refuses the line and all lines
-    /// that follow.
+    /// waits for it continues. If no program waits, the subprogram is forgotten, because a later program must not call
+    /// it. A program number, M2, M30 or a lack of memory is an error: refuses the line and all lines that follow.
     #[inline(never)]
     fn record_subprogram(
         &mut self,
@@ -324,8 +322,8 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Makes the program wait until the host has sent the subprogram of the call at `at`. Returns `false`, because the
-    /// call has not been executed. Fails in a startup line, which cannot wait.
+    /// Makes the program wait for the subprogram that the held line at `at` calls, until the host has sent it. Returns
+    /// `false`, because the call has not been executed. Fails in a startup line, which cannot wait.
     pub(super) fn await_subprogram(&mut self, call: &Call, at: u16) -> Result<bool, Error> {
         let flow = &mut self.computed.flow;
         flow.missing = call.number;
@@ -345,16 +343,15 @@ impl<const N: usize> Interpreter<N> {
             return self.await_subprogram(&call, at);
         }
         let (level, modal) = (self.computed.level(), &self.computed.flow.modal);
-        // A G66 in the subprogram that the modal call runs would replace the modal call, which must remain active after
-        // the return.
+        // The modal call must remain active after its subprogram returns. A G66 in this subprogram would replace it.
         if modal.is_active() && modal.level() < level {
             return Err(Error::TooDeep);
         }
         if self.computed.flow.modal.begin(order.arguments, level) { Ok(true) } else { Err(Error::OutOfMemory) }
     }
 
-    /// While a modal call is active, examines the line that runs next. If this line moves an axis,
-    /// [`Self::call_if_due`] executes the call after it.
+    /// Examines the line that runs next, if a modal call is active. If this line moves an axis, [`Self::call_if_due`]
+    /// executes the call after it.
     #[inline]
     pub(super) fn note_for_modal_call(&mut self, line: &[u8]) {
         if self.computed.flow.modal.is_active() {
@@ -374,8 +371,8 @@ impl<const N: usize> Interpreter<N> {
         self.call_from_text(&order, at)
     }
 
-    /// Decides on a line of the host while a modal call is active. If the line moves an axis, appends it to the held
-    /// text and runs it there, followed by the call. Otherwise the line is checked as usual.
+    /// Decides on a line of the host while a modal call is active. A line that moves an axis is added to the held text;
+    /// it runs there, followed by the call. Any other line is checked as usual.
     #[inline(never)]
     pub(super) fn direct_before_modal_call(&mut self, line: &[u8], comment: &[u8]) -> Result<Direction, Error> {
         self.note_for_modal_call(line);
@@ -396,7 +393,8 @@ impl<const N: usize> Interpreter<N> {
     pub(super) fn read_call(&self, order: &OWord) -> Result<Call, Error> {
         let is_macro = order.keyword != Keyword::CallProgram;
         let is_modal = order.keyword == Keyword::BeginModalCall;
-        // G66 causes calls later in the program, and the value of an expression could change until then.
+        // G66 causes calls later in the program. An expression could have another value then, so only plain numbers are
+        // allowed.
         if is_modal && order.arguments.iter().any(|byte| matches!(byte, b'#' | b'[')) {
             return Err(Error::NotSupported);
         }
@@ -458,7 +456,7 @@ impl FlowControl {
         }
     }
 
-    /// Begins the next pass of the innermost call, which is a call of a subprogram.
+    /// Begins the next pass of the innermost call, which must be a call of a subprogram.
     #[inline(never)]
     pub(super) fn next_pass(&mut self) -> Result<(), Error> {
         let label = self.last_label();
@@ -483,7 +481,8 @@ impl FlowControl {
         self.within = if opens { self.within.saturating_add(1) } else { self.within.saturating_sub(1) };
     }
 
-    /// Whether a `while` with this label would end a `do` if it were the next line.
+    /// Whether the next line would end a `do` if it were a `while` with this label. `from`: where the recorded text
+    /// begins.
     fn closes_do(&self, from: u16, label: &[u8]) -> bool {
         let is_loop = |order: &OWord| matches!(order.keyword, Keyword::Do | Keyword::While) && order.label == label;
         let (mut at, mut closes) = (from, false);
@@ -495,20 +494,20 @@ impl FlowControl {
     }
 }
 
-/// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. If such a line is not an [`OWord`], it is
-/// not supported.
+/// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. If the line is not also an [`OWord`],
+/// this form of the word is not supported.
 pub(super) fn is_jump(line: &[u8]) -> bool {
     let line = behind_line_number(line);
     [b"IF".as_slice(), b"WHILE", b"END", b"GOTO"].iter().any(|word| line.starts_with(word))
 }
 
-/// Splits a line with M98 or M99 after other words into these words, and the part from M98 or M99 on.
+/// Splits a line with M98 or M99 after other words in two: these words, and the rest from M98 or M99 on.
 #[inline(never)]
 pub(super) fn split_call(line: &[u8]) -> Option<(&[u8], &[u8])> {
     line.split_at_checked(find_m_word(line, &[b"98", b"99"]).filter(|at| *at > 0)?)
 }
 
-/// Returns a line that consists of `O`, the label and the keyword.
+/// Returns a line such as `O1001ENDSUB`: `O`, the label and the keyword.
 #[inline(never)]
 fn line_of(label: &[u8], keyword: &[u8]) -> ShortLine {
     let mut line = ShortLine::new();

@@ -206,8 +206,8 @@ fn depth_is_bounded() {
     assert_eq!(compute(&nested(32)), Ok(Real::ONE));
     assert_eq!(compute(&nested(33)), Err(Error::TooDeep));
     assert_eq!(compute(&("-".repeat(33) + "1")), Err(Error::TooDeep));
-    // Left operands do not fill the waiting list, because they are computed as soon as the level of the next operator
-    // allows.
+    // A left operand waits only until the next operator has been read. So a sum of a hundred terms does not fill the
+    // waiting list.
     assert_eq!(compute(&format!("[1{}]", "+1".repeat(100))), Ok(number("101")));
 }
 
@@ -233,7 +233,7 @@ enum Tree {
     Atan(Box<Tree>, Box<Tree>),
 }
 
-/// A value and its maximum error: the rounding of every operation, propagated through all following operations.
+/// A value and its maximum error: the sum of what all operations so far can have added by rounding.
 #[derive(Clone, Copy, Debug)]
 struct Estimate {
     value: f64,
@@ -283,7 +283,8 @@ impl Tree {
                         let value = a.value / b.value;
                         Estimate::new(value, (a.error + value.abs() * b.error) / b.value.abs())
                     }
-                    // The result would be in range only for a base of 0 or near 1, so such powers are not tested.
+                    // With so large an exponent, only a base of 0 or near 1 gives a result in range. Such powers are
+                    // not tested.
                     "**" if b.value.abs() > 1e9 => None,
                     "**" => {
                         let value = a.value.powf(b.value);
@@ -298,10 +299,11 @@ impl Tree {
                 let Estimate { value: x, error } = of.estimate()?;
                 let radians = x.to_radians();
                 let per_degree = 1_f64.to_radians();
-                // Includes the error of `f64`, which grows with the angle.
+                // The maximum error of the angle in radians. The second part is the error of `f64`, which grows with
+                // the angle.
                 let turned = error * per_degree + radians.abs() * 3e-16;
-                // `Real` replaces an angle by a multiple of 90 degrees if it is within 10⁻¹⁴ of a turn (360 × 10⁻¹⁴
-                // degrees) of it. A result near 0 can be wrong by that.
+                // `Real` rounds an angle to a multiple of 90 degrees if the two differ by less than 360 × 10⁻¹⁴
+                // degrees. So a result near 0 can be wrong by this difference, in radians.
                 let rounding = |value: f64| if value.abs() < 1e-10 { 360e-14 * per_degree } else { ROUNDING };
                 match *name {
                     "SIN" => Estimate::new(radians.sin(), turned + rounding(radians.sin())),
@@ -321,7 +323,7 @@ impl Tree {
             }
             Tree::Atan(y, x) => {
                 let (y, x) = (y.estimate()?, x.estimate()?);
-                // The result can be near -180 or near 180 degrees, depending on the error of y, so it is not compared.
+                // If y is near 0, the result can be near -180 or near 180 degrees. Such a result is not compared.
                 if y.value.abs() <= 2.0 * y.error && x.value < 0.0 {
                     return None;
                 }
@@ -350,7 +352,7 @@ fn tree() -> impl Strategy<Value = Tree> {
     })
 }
 
-/// Cases found by random tests. In these, the rounding of differences exceeded the error that `Estimate` allowed.
+/// Cases that random tests have found: here, differences were rounded by more than `Estimate` had allowed.
 #[test]
 fn nearly_no_angle_is_none() {
     exact("[TAN[[SIN[83702]/96956509885]]]", "0");
@@ -380,7 +382,7 @@ fn too_great_a_result() {
     }
 }
 
-/// `O_WORDS`, used for lines after the end of a program, has the same keywords as `KEYWORDS`, used to execute them.
+/// The two lists of keywords are equal: `O_WORDS` examines lines after the end of a program, `KEYWORDS` executes lines.
 #[test]
 fn keywords_are_the_o_words() {
     assert_eq!(KEYWORDS.map(|(name, _)| name), crate::gcode::program_number::O_WORDS);

@@ -1,5 +1,5 @@
-//! Explains refused lines whose words can all be read, but do not fit together or do not fit the present modal state.
-//! (Other refusals are explained in `words`.)
+//! Explains refused lines in which each word can be read, but the words do not fit together or do not fit the present
+//! modal state. (`words` explains the other refusals.)
 
 use super::sentence::{digits, millimetres, name, say};
 use super::words::{Text, say_limit};
@@ -22,8 +22,9 @@ use crate::units::{Coordinate, DECIMAL_ONE, Decimal, integer_root};
 const PINS: [u16; 7] = [620, 630, 640, 650, 660, 670, 680];
 /// The numbers of the G words that are allowed in a jog, in tenths: G20 is 200.
 const OF_JOGS: [u16; 5] = [200, 210, 530, 900, 910];
-/// A corrected value of I, J or K is suggested only if the arc's chord is at most 50 times as long as the chord's part
-/// along the axis of that word. This constant is the square of 50, because squares are compared.
+/// Limit for the advice to correct I, J or K of an arc. The chord (the line from start to end) may be at most 50 times
+/// as long as its part along the axis of the word; otherwise the suggested value would be far off. The constant is the
+/// square of 50, because squares are compared.
 const FLATTEST: f32 = 2500.0;
 
 /// A refused line whose words could be read.
@@ -36,7 +37,7 @@ struct ReadableLine<'a, const N: usize> {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// Explains a line whose words do not fit each other or the present modal state. `action` is what the check had
+    /// Explains why the words of a line do not fit each other or the present modal state. `action`: what the check had
     /// filled in before it failed.
     #[inline(never)]
     pub(super) fn explain_meaning(
@@ -178,7 +179,8 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         self.modal.motion.word().as_bytes()
     }
 
-    /// Returns the word that uses the axis words: a G word such as G10 or G28, otherwise the motion word in force.
+    /// Returns the word that uses the axis words of the line: G10 or G28, for example, otherwise the motion word in
+    /// force.
     #[inline(never)]
     fn command(&self) -> &'a [u8] {
         let numbers = [40, 100, 280, 281, 300, 301, 510, 520, 530, 680, 920, 921, 922, 923];
@@ -344,7 +346,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         }
     }
 
-    /// Explains which word is missing in M62 to M68. Returns whether one is missing.
+    /// Explains which word is missing in M62 to M68. Returns `false` if none is missing.
     #[inline(never)]
     fn missing_of_pin(&self, word: &[u8], lacks: &mut impl FnMut(&str, &[u8], &str)) -> bool {
         let has = |letter: u8| self.parsed.values.has(letter);
@@ -589,7 +591,8 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         along(&system, axis) + along(&self.action.g92, axis) + along(&self.action.tool_length, axis)
     }
 
-    /// Whether a rotation or scaling acts, so that the program's axes differ from the machine's.
+    /// Whether a rotation or scaling is in force. Then the program's coordinates differ from machine coordinates by
+    /// more than an offset.
     #[inline(never)]
     fn is_turned(&self) -> bool {
         self.state.rotation.is_some()
@@ -612,8 +615,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         })
     }
 
-    /// Returns the first axis whose word or target is beyond the range of coordinates (50 m); `None` if there is no
-    /// such axis.
+    /// Returns the first axis whose word or target is beyond ±50 m, the range of coordinates; `None` if there is none.
     #[inline(never)]
     fn too_far(&self) -> Option<Axis> {
         let end = self.end();
@@ -688,13 +690,13 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         if absolute || self.modal.units == Units::Inch || [x, y] == [0, 0] {
             return say(out, "Correct I, J or the end", &[]);
         }
-        // Usually one of the two words is wrong. Suggest for each word the value that fits the other word: a centre at
-        // (i, j) is equally far from both ends if x * i + y * j is half the square of the chord (x, y).
+        // Usually either I or J is wrong. Suggest for each of the two a value that fits the other. With the chord (x,
+        // y), a centre at (i, j) is equally far from both ends of the arc if x * i + y * j = (x² + y²) / 2.
         let [first, second] = [axes.first, axes.second].map(centre_letter);
         let square = x as f32 * x as f32 + y as f32 * y as f32;
         let other = |across: i64, along: i64, kept: i64| {
             let value = Coordinate(((square / 2.0 - along as f32 * kept as f32) / across as f32) as i64);
-            // If the chord is nearly at right angles to this word's axis, the value would be far off.
+            // If the chord is nearly at right angles to the axis of this word, the suggested value would be far off.
             (across as f32 * across as f32 * FLATTEST >= square && value.in_range()).then_some(value.0)
         };
         let (other_i, other_j) = (other(x, y, j), other(y, x, i));

@@ -1,6 +1,5 @@
 //! Explains what is wrong with a refused line, in a sentence that names the word: "Q is missing in G83". A refused line
-//! has changed nothing. So this module can read the line again, word by word, in the same state in which it was
-//! refused.
+//! has changed nothing. So this module reads the line again, word by word, in the state in which the line was refused.
 //!
 //! Guarantees:
 //! * Accepted lines take no additional time.
@@ -9,8 +8,9 @@
 //! * Words are named as received: in capitals, without blanks. The wrong word comes before the first colon, advice
 //!   after it.
 //!
-//! The error number is that of the check. Nothing is inlined, because flash is scarce and a refusal need not be fast.
-//! Boards without room for texts lack the feature `reasons`, and with it this folder.
+//! The error number does not change: it is the one that the check has returned. Nothing is inlined, because flash is
+//! scarce and a refusal need not be fast. Boards without room for texts are built without the feature `reasons`, and so
+//! without this folder.
 
 mod meaning;
 mod sentence;
@@ -26,8 +26,9 @@ use words::Text;
 pub(super) use sentence::say;
 
 impl<const N: usize> Interpreter<N> {
-    /// Writes to `out` what is wrong with a line that has just been refused; writes nothing if the text of the error
-    /// number is sufficient. `action` is the action that the failed check has left.
+    /// Writes to `out` what is wrong with a line that has just been refused. Writes nothing if the text of the error
+    /// number says enough. `is_jog`: the line is a jog (`$J=`), without this prefix. `action`: what the failed check
+    /// has filled in.
     #[cold]
     #[inline(never)]
     pub fn explain(

@@ -4,11 +4,11 @@ use crate::gcode::Reason;
 use crate::number::{self, Digits};
 use crate::units::{DECIMAL_ONE, Decimal};
 
-/// Maximum length in bytes of a word or name that is inserted into a sentence. Longer ones are cut, because an
-/// expression can fill a line.
+/// Maximum length in bytes of a word or name within a sentence. A longer one is cut: an expression can fill a whole
+/// line.
 const NAME: usize = 24;
 
-/// Appends `template`, in which each `%` is replaced by the next of `others`.
+/// Appends `template` to `out`. Replaces each `%` in it by the next of `others`, as `name` writes it.
 #[inline(never)]
 pub(in crate::gcode) fn say(out: &mut Reason, template: &str, others: &[&[u8]]) {
     let mut others = others.iter();
@@ -21,7 +21,8 @@ pub(in crate::gcode) fn say(out: &mut Reason, template: &str, others: &[&[u8]]) 
     }
 }
 
-/// Appends a part of a line, up to its first bracket; characters outside printable ASCII become `?`.
+/// Appends the first `NAME` bytes of a part of a line. Stops at a bracket, which would end the message. Characters
+/// outside printable ASCII become `?`.
 #[inline(never)]
 pub(super) fn name(out: &mut Reason, text: &[u8]) {
     let end = text.iter().position(|byte| matches!(byte, b'[' | b']')).unwrap_or(text.len());
@@ -53,7 +54,7 @@ pub(super) fn digits(out: &mut Reason, mut value: u64, least: usize) {
     let _ = digits.iter().rev().try_for_each(|digit| out.push(*digit));
 }
 
-/// Returns the number of a word if it is written as a plain number.
+/// Returns the number of a word; `None` if it is computed or malformed.
 #[inline(never)]
 pub(super) fn plain_number(word: &[u8]) -> Option<Decimal> {
     let text = word.get(1..)?;

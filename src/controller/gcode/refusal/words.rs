@@ -1,5 +1,5 @@
-//! Explains words of a refused line that cannot be read, or that conflict with earlier words of the line. (All other
-//! refusals are explained in `meaning`.)
+//! Explains refused lines in which one word cannot be read, or conflicts with an earlier word of the line. (`meaning`
+//! explains the other refusals.)
 
 use super::sentence::{digits, millimetres, name, plain_number, say};
 use crate::axes::Axis;
@@ -27,7 +27,6 @@ pub(super) struct RefusedWord {
 }
 
 impl<'a> Text<'a> {
-    /// Returns the words of the line, from left to right.
     pub fn words(self) -> impl Iterator<Item = &'a [u8]> {
         let mut start = 0;
         core::iter::from_fn(move || {
@@ -37,7 +36,6 @@ impl<'a> Text<'a> {
         })
     }
 
-    /// Returns the first word with this letter.
     #[inline(never)]
     pub fn word(self, letter: u8) -> Option<&'a [u8]> {
         self.words().find(|word| word.first() == Some(&letter))
@@ -50,7 +48,7 @@ impl<'a> Text<'a> {
     }
 }
 
-/// Returns the number of a word, in tenths.
+/// Returns the number of a word in tenths, without further digits: 382 for `G38.2`. `None` if it is not a plain number.
 #[inline(never)]
 pub(super) fn tenths_of(word: &[u8]) -> Option<i64> {
     plain_number(word).map(|number| number.0 / (crate::units::DECIMAL_ONE / 10))
@@ -67,7 +65,8 @@ fn beginning(text: &[u8], names: &[&'static [u8]]) -> Option<&'static [u8]> {
     names.iter().copied().find(|name| text.starts_with(name))
 }
 
-/// Names of functions. At the beginning of a value, their letters belong to the value and do not begin other words.
+/// Names of functions. At the beginning of a value, as in `XSIN[30]`, these letters belong to the value and do not
+/// begin another word.
 const FUNCTIONS: [&[u8]; 14] = [
     b"ABS[", b"ACOS[", b"ASIN[", b"ATAN[", b"COS[", b"EXISTS[", b"EXP[", b"FIX[", b"FUP[", b"LN[", b"ROUND[", b"SIN[",
     b"SQRT[", b"TAN[",
@@ -107,7 +106,8 @@ pub(super) fn end_of(line: &[u8], start: usize) -> usize {
     at.min(line.len())
 }
 
-/// Sentences about refused G words, by the numbers of the words in tenths. Most sentences say what to write instead.
+/// Sentences about refused G words. The numbers are those of the words in tenths: 330 is G33. Most sentences say what
+/// to write instead.
 const INSTEAD_OF_G: [(&[u16], &str); 12] = [
     (
         &[330, 331, 760, 840],
@@ -167,15 +167,14 @@ impl<const N: usize> Interpreter<N> {
         parsed.read_apart(line, dialect, self)
     }
 
-    /// Explains a refused word: it is wrong by itself, or it conflicts with an earlier word of the line. Writes nothing
-    /// if the error of the word differs from `told`, the error with which the line was refused.
+    /// Explains a word that is wrong by itself or conflicts with an earlier word of the line. `told`: the error with
+    /// which the line was refused. If the error of the word differs from it, writes nothing.
     #[inline(never)]
     pub(super) fn explain_word(&mut self, text: &Text, found: RefusedWord, told: Error, out: &mut Reason) {
         let line = text.line;
         let word = line.get(found.start..found.end).unwrap_or_default();
         let before = line.get(..found.start).unwrap_or_default();
         let letter = word.first().copied().unwrap_or_default();
-        // The line was refused for another reason, so this word does not explain its error.
         if found.error != told {
             return;
         }
@@ -223,7 +222,7 @@ impl<const N: usize> Interpreter<N> {
             Error::ReadOnlyParameter => {
                 say(out, "% belongs to the machine: set one of your own, such as #100", &[word_name(word)]);
             }
-            // The text of the error is sufficient, for example for a word that this build lacks.
+            // The text of the error says enough, for example that this build lacks the word.
             error => {
                 say(out, "%: ", &[word_name(word)]);
                 let _ = out.extend_from_slice(error.text().as_bytes());
@@ -386,13 +385,13 @@ fn last_word(before: &[u8]) -> &[u8] {
     b"the beginning"
 }
 
-/// Returns the part of a word before `=` or before a computed value: its letter, or the parameter that it sets. Returns
-/// the whole word if it has neither.
+/// Returns the name of a word: the part before `=` or before the bracket of a computed value. This is a letter, or the
+/// parameter that the word sets. Returns the whole word if it has no `=` and no bracket.
 #[inline(never)]
 pub(super) fn word_name(word: &[u8]) -> &[u8] {
     let end = word.iter().position(|byte| matches!(byte, b'=' | b'[')).unwrap_or(word.len());
     let name = word.get(..end).unwrap_or_default();
-    // In `X-ABS[..]`, a sign and the name of a function precede the bracket. Only the letter is the name of the word.
+    // In `X-ABS[..]`, a sign and a function precede the bracket. The name of the word is only its letter.
     if end < word.len() && name.first().is_some_and(u8::is_ascii_uppercase) {
         return name.get(..1).unwrap_or_default();
     }
@@ -447,8 +446,8 @@ fn points(number: &[u8]) -> bool {
     plain.filter(|byte| **byte == b'.').count() > 1
 }
 
-/// Returns the position of the first operator outside of brackets. At the beginning it would be a sign, so that byte
-/// does not count.
+/// Returns the position of the first operator outside of brackets. The first byte does not count, because it can only
+/// be a sign.
 #[inline(never)]
 fn operator_at(value: &[u8]) -> Option<usize> {
     let mut depth = 0_usize;
@@ -462,7 +461,7 @@ fn operator_at(value: &[u8]) -> Option<usize> {
     })
 }
 
-/// Explains a letter, G word or M word that is unknown, or not available here.
+/// Explains a letter, G word or M word that does not exist, or that this dialect or machine lacks.
 #[inline(never)]
 fn explain_unknown<const N: usize>(text: &Text, word: &[u8], before: &[u8], error: Error, out: &mut Reason) {
     let letter = word.first().copied().unwrap_or_default();

@@ -1,5 +1,5 @@
-//! Checks the shortcuts of the module: the limits that it finds must be those of the complete rule, and leaving out
-//! limits that the machine cannot exceed must hardly change the speeds.
+//! Checks the shortcuts of `curvature`. The limits found must be those of the complete rule, without shortcuts. If
+//! limits that the machine cannot exceed are left out, the speeds must hardly change.
 
 use super::*;
 
@@ -19,7 +19,7 @@ impl Random {
         self.below(1 << 24) as f32 / (1 << 24) as f32
     }
 
-    /// Returns a number between two others, evenly distributed by order of magnitude.
+    /// Returns a number between two others, such that each order of magnitude is equally likely.
     fn size(&mut self, least: f32, greatest: f32) -> f32 {
         least * (greatest / least).powf(self.share())
     }
@@ -28,7 +28,7 @@ impl Random {
         if self.below(2) == 0 { 1.0 } else { -1.0 }
     }
 
-    /// Returns a rule from the whole range that the settings allow.
+    /// Returns a random rule from the whole range that the settings allow.
     fn rule<const N: usize>(&mut self) -> TurnRule<N> {
         let all = self.size(1.0e-3, 1.0e7);
         let acceleration = match self.below(3) {
@@ -41,8 +41,8 @@ impl Random {
         TurnRule::new(acceleration, deviation, curve_share)
     }
 
-    /// Returns the unit vector of a displacement, computed by divisions, as for single moves, or by multiplications
-    /// with the inverse of the length, as for spans of several moves.
+    /// Returns the unit vector of a displacement. At random, it is computed by divisions, as for single moves, or by
+    /// multiplications with the inverse of the length, as for spans of several moves.
     fn unit<const N: usize>(&mut self, way: [f32; N]) -> [f32; N] {
         let length = square_root(way.iter().fold(0.0, |sum, part| sum + part * part));
         let shortness = 1.0 / length;
@@ -184,7 +184,7 @@ fn winding(place: usize) -> f32 {
     if place % 50 < 15 { 1.0 + 0.3 * (place % 50) as f32 } else { 1.0 }
 }
 
-/// Returns the acceleration along a piece.
+/// Returns the maximum acceleration along a piece at which neither axis exceeds its limit.
 fn along(direction: &[f32; 2], place: usize, rule: &TurnRule<2>) -> f32 {
     let [x, y] = rule.acceleration;
     (x / direction[0].abs()).min(y / direction[1].abs()) * winding(place)
@@ -213,8 +213,8 @@ fn profile(points: &[[f32; 2]], limits2: &[f32], rule: &TurnRule<2>) -> Vec<f32>
     speeds2
 }
 
-/// Returns the entry limits (speed²) of a path's pieces, and how many bends have been found. `attainable`: whether
-/// limits that the machine cannot exceed anyway are omitted.
+/// Returns the entry limits (speed²) of a path's pieces, and how many bends have been found. `attainable`: `true` to
+/// leave out limits that the machine cannot exceed anyway.
 fn entry_limits(points: &[[f32; 2]], fast2: f32, rule: &TurnRule<2>, attainable: bool) -> (Vec<f32>, usize) {
     let place = |point: &[f32; 2]| PerAxis(point.map(|mm| Coordinate((f64::from(mm) * 1.0e7) as i64)));
     let mut chain = Chain::new(Lent::new(Chain::<2>::SCALES));
@@ -298,8 +298,8 @@ fn only_limits_that_the_machine_cannot_exceed_are_left_out() {
             slower += usize::from(*attainable < all * 0.999);
         }
     }
-    // Some limits do not apply if one of the entries in a range is already slow (`Bend::once`). If the limit that makes
-    // this entry slow was left out, they do apply, and the machine can be slower. That must be rare.
+    // A limit with `Bend::once` does not apply if an entry in its range is already slow. If the limit that makes this
+    // entry slow was left out, the limit with `Bend::once` applies, and the machine can be slower. That must be rare.
     assert!(slower < places / 200, "{slower} of {places}");
     assert!(of_attainable < of_all * 4 / 5 || !LEAVES_OUT, "{of_attainable} bends instead of {of_all}");
 }

@@ -53,7 +53,7 @@ fn compare_batches<const N: usize, const WORDS: usize>(
 }
 
 proptest! {
-    /// At every tick of consecutive blocks: each axis makes at most one step, its remainder is in range, and the
+    /// Runs consecutive blocks. At every tick, each axis makes at most one step, and its countdown is in range. The
     /// position equals the definition and the sum of the pulses.
     #[test]
     fn ticks_step_along_true_chords(

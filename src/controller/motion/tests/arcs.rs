@@ -50,8 +50,8 @@ fn geometry(
     }
 }
 
-/// Checks that all chords have both ends on the circle, their middle within the tolerance, and angles in order. Returns
-/// the number of chords.
+/// Checks all chords: the ends lie on the circle, the middle lies within the tolerance, and the angles never turn
+/// back. Returns the number of chords.
 fn check(geometry: &ArcGeometry<3>, radius: f64, tolerance: f64) -> u32 {
     let centre = [
         f(geometry.start.get(geometry.axis_0).unwrap() + geometry.offset_0),
@@ -119,7 +119,7 @@ fn helix_of_many_turns() {
     }
 }
 
-/// After very many turns the chords have the same ends as in the first turn.
+/// After 20,000 turns, the last chords still have equal angles and end on the circle.
 #[test]
 fn turns_add_no_error() {
     let (from, sweep) = (0.3, 1.0);
@@ -190,13 +190,13 @@ proptest! {
     }
 }
 
-/// Maximum distance of a step from an arc in addition to the tolerance of its chords, in steps. Each axis is within
-/// half a step of the chord, whose ends are exact to a fourteenth of a step (rounded to the nearest seventh). If both
-/// axes have their maximum error, the distance is √2 × (1/2 + 1/14).
+/// Maximum distance of a step from an arc, in steps, without the tolerance of the chords. Two errors add up in each
+/// axis. A step is at most 1/2 step off its chord. The ends of the chord are at most 1/14 step off, because they are
+/// rounded to sevenths of a step. If both axes have the maximum error, the distance is √2 × (1/2 + 1/14) = √2 × 4/7.
 const MOST_OFF: f64 = std::f64::consts::SQRT_2 * 4.0 / 7.0;
 
-/// Runs an arc to its end, which must be reached exactly. Returns the maximum distance of a step from the circle in
-/// addition to the tolerance, in steps.
+/// Runs an arc and checks that it ends exactly at its target. Returns how far the farthest step is from the circle,
+/// in steps, after subtraction of the chords' tolerance.
 fn farthest_off(geometry: &ArcGeometry<3>, config: super::super::MotionSettings<3>, feed: f32) -> f64 {
     let mut rig = Rig::<3, 64>::new(config);
     rig.motion.set_machine_position(&geometry.start);
@@ -258,8 +258,8 @@ fn steps_of_an_arc_stay_within_tolerance_and_four_fifths_of_a_step() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 150, ..ProptestConfig::default() })]
 
-    /// No step is farther from the arc than `MOST_OFF`, wherever between two steps the arc starts and ends, and at any
-    /// feed (at low feeds the ticks are finer than steps).
+    /// No step is farther from the arc than `MOST_OFF`. The arc can start and end anywhere between two steps. The
+    /// feed can have any value; at low feeds the ticks are finer than steps.
     #[test]
     fn steps_of_any_arc_stay_near_it(
         plane in 0_usize..3, log in -1.5_f64..1.7, from in -3.2_f64..3.2, sweep in 0.001_f64..6.27, left in any::<bool>(),
@@ -294,7 +294,7 @@ fn a_short_ramp_behind_a_constant_speed_is_no_steeper() {
     farthest_off(&g, config, 3.7653491);
 }
 
-/// Follows an arc with holds every `every` ticks, and checks that the reported position is the actual one.
+/// Runs an arc with a feed hold after every `every` ticks, and checks that the reported position is the actual one.
 fn run_with_holds<const N: usize>(rig: &mut Rig<N, 16>, every: usize, end: PerAxis<i32, N>) {
     rig.pump();
     rig.motion.start();
@@ -337,8 +337,8 @@ fn the_place_in_the_midst_of_a_chord_is_known() {
     }
 }
 
-/// The exact ends of a chord reach the step task on a machine with six axes, too. Their offsets are counted in the
-/// direction of motion.
+/// A chord ends between two steps. On a machine with six axes, too, the step task receives how far each end is from
+/// the nearest step. This offset is in sevenths of a step, counted in the direction of motion.
 #[test]
 fn six_axes_have_their_ends() {
     let three = settings(10.0, 100.0, 500.0);

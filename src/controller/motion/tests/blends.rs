@@ -1,4 +1,5 @@
-//! Moves with a tolerance that are held back: which blocks are queued for them, and when.
+//! Moves with a tolerance (G64 P) are held back, so that the corner after them can be cut off. Checks which blocks
+//! are queued for such moves, and when.
 
 use super::super::{Move, Observed, Speed, Tolerance};
 use super::rig::{Rig, settings, to};
@@ -54,7 +55,8 @@ fn chords_become_fewer_within_the_tolerance() {
     assert!(blocks(&exact).len() >= 200, "Q0");
 }
 
-/// Held moves count as queued: they determine the planned position, and their line numbers and power are reported.
+/// Moves that are held back count as queued: they determine the planned position, and their line numbers and power
+/// are reported.
 #[test]
 fn what_is_held_back_is_part_of_the_queue() {
     let mut rig = Rig::<3, 64>::new(settings(100.0, 100.0, 500.0));
@@ -71,7 +73,7 @@ fn what_is_held_back_is_part_of_the_queue() {
     assert_eq!(motion.planned_position(), to([0.0; 3], FEED).target);
 }
 
-/// Moves stay held while the queue is long enough, so that the corner after them can still be cut off.
+/// Moves stay held back while the queue is long enough, so that the corner after them can still be cut off.
 #[test]
 fn what_is_held_back_waits_while_the_queue_is_long_enough() {
     let mut rig = Rig::<3, 64>::new(settings(100.0, 100.0, 500.0));

@@ -1,4 +1,5 @@
-//! Checks `Planner::bounds_within`: its bounds for braking must not exceed those of any block on the way.
+//! Checks `Planner::bounds_within`, which returns the bounds for braking over a distance. Their acceleration must not
+//! exceed that of any block within the distance.
 
 use super::super::block::{Block, CurveLoad, OverrideFactors};
 use super::super::planner::Planner;
@@ -22,7 +23,8 @@ fn block() -> impl Strategy<Value = Block<3>> {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
-    /// With 64 slots a group has two blocks, so the bounds of some blocks come from summaries of groups.
+    /// The planner summarises the bounds of groups of blocks. With 64 slots a group has two blocks, so some bounds
+    /// come from these summaries.
     #[test]
     fn no_block_on_the_way_leaves_less_than_the_bound(
         blocks in prop::collection::vec(block(), 2..64), begun in 0.0_f32..1.0, reach in 0.0_f32..1.2, speed2 in 0.0_f32..4.0e4,

@@ -16,7 +16,7 @@ type Queue = Planner<3>;
 enum Change {
     /// Appends this many equal blocks.
     Append(Block<3>, usize),
-    /// Limits some of the last blocks, as if a new block had completed a bend.
+    /// Limits the last blocks from `nearest` to `farthest` (0: the newest), as if a new block had completed a bend.
     Limit {
         nearest: usize,
         farthest: usize,
@@ -25,7 +25,7 @@ enum Change {
     },
     /// Replaces the last block, as happens when a move is joined to it.
     Replace(Block<3>),
-    /// Runs this many blocks.
+    /// Removes this many blocks from the queue, one after the other, as if the machine ran them.
     Run(usize),
     /// Ends a block without running the postponed pass first. This happens if blocks are appended during the wait for
     /// its last tick.
@@ -41,7 +41,8 @@ enum Change {
 #[derive(Clone, Copy, Debug)]
 enum Path {
     Straight,
-    /// Bends so gentle, with blocks so short, that no block is steep (`Block::is_steep`).
+    /// Gentle bends and short blocks, so that no block is steep (`Block::is_steep`): a higher exit speed never
+    /// requires a lower entry speed.
     Gentle,
     /// Straight blocks when they are appended; `Change::Limit` then puts them on the tightest bends.
     Turning,
@@ -172,8 +173,9 @@ proptest! {
     }
 }
 
-/// An entry reaches its cap so narrowly that rounding decides: in a bend, an exit speed² that is greater by one bit can
-/// make the entry speed² lower by one bit. Such an entry must not count as settled (final, whatever is appended).
+/// In a bend, rounding can lower the entry speed² by one bit when the exit speed² rises by one bit. Here an entry
+/// just reaches its cap, and would no longer reach it after such a rise. It must not count as settled (final,
+/// whatever is appended).
 #[test]
 fn what_rounding_can_take_away_is_not_settled() {
     let bend = Block { length: 0.1, acceleration: 400.0, curve: CurveLoad::new(1000.0, 400.0), ..straight(1.0) };
@@ -203,8 +205,9 @@ fn straight(speed2: f32) -> Block<3> {
     }
 }
 
-/// A block turns out to lie in a tight bend, where a faster exit requires a slower entry. The planned speeds are the
-/// same whether or not a reverse pass had reached the block before, and at whichever slot of the ring the queue begins.
+/// A block lies in a tight bend, where a higher exit speed requires a lower entry speed. The bend is detected only
+/// after the block was appended. The planned speeds must be the same whether or not a reverse pass processed the
+/// block before that. They must not depend on the ring slot at which the queue begins.
 #[test]
 fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
     for (begin, walked_over) in (0..48).map(|case| (case / 2, case % 2 == 0)) {
@@ -230,8 +233,8 @@ fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
     }
 }
 
-/// A bend limits the entries of the last two blocks. The entry speed of the last block stays the same, but that of the
-/// block before falls, and an entry that counts as settled (final) depends on it.
+/// A bend limits the entry speeds of the last two blocks. It lowers only that of the second-last block. An earlier
+/// entry, which counts as settled (final), depends on the lowered one, so it must be lowered, too.
 #[test]
 fn what_counts_on_a_lowered_entry_is_lowered() {
     let mut ring = planner(24);

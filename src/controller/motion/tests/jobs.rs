@@ -59,7 +59,8 @@ fn a_long_chain_of_tiny_segments_reaches_its_speed() {
 
 #[test]
 fn a_short_look_ahead_brakes_in_time() {
-    // A look-ahead of 8 blocks of 0.1 mm: v² is at most 2·a·0.8 mm, and no stop exceeds the acceleration.
+    // The look-ahead is 8 blocks of 0.1 mm. To be able to stop, the machine keeps v² below 2·a·0.8 mm, so v is at
+    // most 17.9 mm/s. No stop exceeds the acceleration.
     let mut rig = Rig::<3, 8>::new(settings(80.0, 500.0, 200.0));
     for k in 1..=500 {
         rig.moves.push_back(to([0.1 * f64::from(k), 0.0, 0.0], Speed::Feed(100.0)));
@@ -72,8 +73,8 @@ fn a_short_look_ahead_brakes_in_time() {
 
 #[test]
 fn corners_are_taken_at_the_junction_rule() {
-    // A right angle with a = 500, deviation 0.01: along the bisector the limit of both axes gives a_j = a·√2. So v² =
-    // a_j·d·s/(1-s), with s = sin 45°.
+    // A right angle with the acceleration a = 500 mm/s² and the junction deviation d = 0.01 mm. Along the bisector,
+    // both axes together allow a_j = a·√2. So the corner speed is v² = a_j·d·s/(1-s), with s = sin 45°.
     let mut rig = Rig::<3, 16>::new(settings(400.0, 500.0, 500.0));
     rig.moves.push_back(to([50.0, 0.0, 0.0], Speed::Feed(100.0)));
     rig.moves.push_back(to([50.0, 50.0, 0.0], Speed::Feed(100.0)));
@@ -130,9 +131,9 @@ fn a_circle_of_short_chords_keeps_the_acceleration_of_its_radius() {
                     (path, seconds) = (0.0, 0.0);
                 }
             }
-            // The margin has three parts: the rounding of the points, which could explain 4 % of the bend at R = 1 mm
-            // (2 % in speed); the steps (1 %); and the junction deviation at the ends of the circle, where spans are
-            // short.
+            // The margin has three parts. The rounding of the points could explain 4 % of the bend at R = 1 mm (2 %
+            // in speed). The steps add 1 %. At the ends of the circle only short pieces of it can be compared, so the
+            // junction deviation adds speed.
             assert!(sum < most * (1.01 + 0.035 / radius), "{sum} of {most}, R = {radius}, lead {lead}");
             assert!(sum > most * 0.97, "{sum} of {most}, R = {radius}: slower than it need be");
         }
@@ -202,8 +203,8 @@ fn a_corner_between_long_chains_is_no_bend() {
         rig.run();
         rig.seconds()
     };
-    // In short moves, a span that contains a part of the corner can look like a gentle bend. That must cost less than 1
-    // % of the time.
+    // The planner divides short moves into spans, and compares their directions. A span that contains a part of the
+    // corner can look like a gentle bend. That must cost less than 1 % of the time.
     let (short, long) = (row(400), row(1));
     assert!((short / long - 1.0).abs() < 0.01, "{short} and {long}");
 }
@@ -278,8 +279,8 @@ fn reports_follow_the_segments() {
         seen.insert(rig.motion.line_number());
         fastest = fastest.max(rig.motion.speed());
         let steps = rig.motion.machine_steps().0[0];
-        // The reported position is the end of the running segment: at most 2 ms ahead of the actual position, at 5
-        // steps/ms.
+        // The reported position is the end of the running segment. The machine reaches this end at most 2 ms later,
+        // and moves 5 steps per ms.
         assert!(i64::from(steps) >= rig.position[0] && i64::from(steps) - rig.position[0] <= 11);
     }
     assert!(seen.contains(&7) && seen.contains(&8));
@@ -342,7 +343,8 @@ proptest! {
         }
         rig.run();
         prop_assert!(rig.events.is_empty());
-        // At step rates near the step clock's frequency, the clock itself is the limit, so the limits are not checked.
+        // Limits are not checked at step rates near the frequency of the step clock, because there the clock itself
+        // is the limit.
         if rate.min(feed) * spm * 2.0 < hz as f32 / 4.0 {
             rig.check_limits();
         }
@@ -368,8 +370,8 @@ fn every_stop_is_marked() {
     assert!(last.is_some_and(|s| s.flags & Segment::FLAG_LAST != 0));
 }
 
-/// Both images make the same steps at the same times, although the full image skips more of the limits that the machine
-/// cannot exceed.
+/// The small and the full firmware image make the same steps at the same times. The full image skips more of the
+/// limits that the machine cannot exceed anyway; this must not change the steps.
 #[test]
 fn tight_curves_have_the_same_steps_in_both_images() {
     let micrometres = |mm: f64| (mm * 1000.0).round() / 1000.0;

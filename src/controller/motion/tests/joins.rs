@@ -130,8 +130,8 @@ fn a_raster_changes_its_power_where_the_program_does() {
     assert_eq!(units, 300 * 80);
 }
 
-/// The settings by which the machines of the property tests differ: steps/mm of each motor, CoreXY, and, for all axes,
-/// jerk limit (mm/s³, 0 = none) and backlash (mm, 0 = none).
+/// Settings of a machine in the property tests. `scales`: steps/mm of each motor. For all axes: `jerk` in mm/s³ and
+/// `backlash` in mm (0 = none).
 #[derive(Clone, Debug)]
 struct Machine {
     scales: [f32; 3],
@@ -190,7 +190,8 @@ fn polylines() -> impl Strategy<Value = Vec<[f64; 3]>> {
     })
 }
 
-/// Asserts that `places` follow a polyline in order, within `off` steps in each axis. Both are in steps.
+/// Asserts that `places` lie along the polyline `corners`, in its order, at most `off` away in each axis. All values
+/// are in steps.
 fn assert_along(places: &[[f64; 3]], corners: &[[f64; 3]], off: f64) {
     let mut first = 0;
     let near = |place: [f64; 3], piece: usize| {
@@ -218,7 +219,8 @@ fn assert_along(places: &[[f64; 3]], corners: &[[f64; 3]], off: f64) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Whatever is joined, the steps follow the program's points to the end within the limits, even with a hold.
+    /// Whichever moves are joined, the steps follow the program's points to the end. The acceleration stays within
+    /// its limits, even with a feed hold.
     #[test]
     fn the_path_is_the_programs(
         machine in Machine::any(), points in polylines(), hold in prop::option::of(0_usize..400), early in 1_usize..600,
@@ -254,8 +256,8 @@ proptest! {
                 }
                 places.push(at);
             }
-            // The limit of 1.5 steps is the sum of half a step each for the ends of blocks, for the line between them,
-            // and for the points of a joined block.
+            // The limit is 1.5 steps: half a step each for the ends of blocks, for the line between them, and for the
+            // points of a joined block.
             assert_along(&places, &corners, 1.5 + 1e-6);
             rig.check_acceleration(hold.is_some());
         }

@@ -14,13 +14,13 @@ struct Point {
     seconds: f64,
     speed: f64,
     acceleration: f64,
-    /// Acceleration bound of the block, mm/s². `jerk` and `nominal` also belong to the block.
+    /// Limits of the block: `bound` is the acceleration, mm/s²; `jerk` is in mm/s³; `nominal` is the speed, mm/s.
     bound: f64,
     jerk: f64,
     nominal: f64,
     /// Step size, mm.
     pitch: f64,
-    /// Speed that the block's entry allows, mm/s.
+    /// Maximum speed at the entry of the block, mm/s.
     corner: f64,
     block: usize,
     last: bool,
@@ -59,7 +59,7 @@ impl<const B: usize> Course<B> {
         }
     }
 
-    /// Fills the queue with at most `most` moves.
+    /// Queues at most `most` further moves, as long as the queue has room.
     fn fill(&mut self, most: usize) {
         for _ in 0..most {
             let Some(m) = &self.next else { break };
@@ -141,7 +141,7 @@ impl<const B: usize> Course<B> {
         for pair in self.points.windows(2) {
             let [a, b] = pair else { continue };
             let jerk = a.jerk.max(b.jerk);
-            // Speed below which the machine can stop within about a step. There, changes of speed need not be smooth,
+            // Below this speed the machine can stop within about a step. There, changes of speed need not be smooth,
             // because they have no effect on the motor.
             let crawl = (2.25 * jerk * b.pitch * b.pitch).cbrt() * 1.3;
             if b.last && !a.last && a.speed > crawl && a.speed > 1.1 * (4.5 * jerk * b.way.powi(2)).cbrt() {
@@ -207,8 +207,9 @@ fn blocks_do_not_show_in_a_ramp() {
     }
 }
 
-/// Two blocks of a chain, in the middle of the ramps up and down, load an axis that allows only 94 % of the
-/// acceleration. The whole motion takes at most 5 % longer for that.
+/// Two blocks of a chain also move the slow Z axis, so they allow only 94 % of the acceleration. One lies in the
+/// middle of the ramp up, the other in the middle of the ramp down. The whole motion takes at most 5 % longer for
+/// that.
 #[test]
 fn a_slow_axis_in_one_block_does_not_spoil_the_ramp() {
     let mut config = machine(5.0e3);
@@ -236,7 +237,8 @@ fn a_crawl_knows_the_jerk_of_the_next_block() {
         config.junction_deviation = 1.0;
         let mut course = Course::<8>::new(config, moves);
         course.run();
-        // The maximum speed v from which the machine can stop within the block: v·√(v / J) = 0.05 mm.
+        // The maximum speed v from which the machine can stop within the block follows from v·√(v / J) = 0.05 mm,
+        // with the jerk limit J = 100 mm/s³.
         let most = (0.05_f64.powi(2) * 100.0).cbrt();
         assert!(course.entries[1] < most * 1.02, "{} of {most} mm/s", course.entries[1]);
         assert!(course.faults(false).is_empty(), "{:?}", course.faults(false));
@@ -283,7 +285,8 @@ fn job() -> impl Strategy<Value = Vec<Move<3>>> {
     })
 }
 
-/// Returns the settings of a machine with unequal axes. The third axis is the slow one.
+/// Returns settings with different limits for each axis. `share` (0.3 to 1) reduces the acceleration and changes the
+/// jerk of Y. `slow` (up to 0.1) reduces both for Z.
 fn unequal(jerk: f32, share: f32, slow: f32) -> MotionSettings<3> {
     let mut config = machine(jerk);
     config.acceleration.0[1] *= share;
@@ -336,8 +339,9 @@ proptest! {
     }
 }
 
-/// On a bend up to the end of the queue, the override is raised at any time during the braking. The bounds become
-/// tighter, because the bend takes more of the acceleration, but the machine still comes to rest.
+/// The queue ends in a bend. The override is raised at any time, also while the machine brakes for the end. At the
+/// higher speed the bend needs more of the acceleration, so less of it remains for braking. The machine must still
+/// come to rest.
 #[test]
 fn an_override_raised_in_a_bend_leaves_the_braking() {
     for (jerk, share) in [(20_000.0, 0.5), (20_000.0, 0.7), (100_000.0, 0.7)] {
@@ -363,9 +367,10 @@ fn an_override_raised_in_a_bend_leaves_the_braking() {
     }
 }
 
-/// A host sends moves on a bend just in time, with only two decimals, and then stops sending. Because of the rounding,
-/// the bend is only detected on long spans, after the stop at the end of the queue was planned with all of the
-/// acceleration, including the part that the bend needs.
+/// A host sends the moves of a bend just in time, with only two decimals, and then stops sending. Because of the
+/// rounding, the planner detects the bend late, over a long piece of the path. By then it has planned the stop at the
+/// end of the queue with the full acceleration, although the bend needs a part of it. The machine must still stop
+/// there.
 #[test]
 fn a_bend_that_is_seen_late_leaves_the_stop_at_the_end() {
     let rounded = |mm: f64| (mm * 100.0).round() / 100.0;

@@ -8,7 +8,6 @@ use crate::messages::{AxisSteps, Observed, SEGMENTS_DEPTH, Segment, StepEvent, T
 use crate::units::{Coordinate, DECIMAL_ONE, StepsPerMm};
 use std::collections::VecDeque;
 
-/// Returns an empty planner for `blocks` blocks.
 pub fn planner(blocks: usize) -> Box<Planner<3>> {
     let memory = on_heap(blocks);
     Box::new(Planner::new(memory.blocks, memory.groups))
@@ -63,7 +62,7 @@ pub struct Rig<const N: usize, const B: usize> {
     pub trace: Vec<Record>,
     pub hz: u32,
     pub events: Vec<StepEvent<N>>,
-    /// Whether messages are fetched from `motion`.
+    /// `false`: no more messages are fetched from `motion`, so the stepper's queue runs dry.
     pub feeding: bool,
     pub waits: usize,
     pub segments: usize,
@@ -267,7 +266,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         self.due = 0;
     }
 
-    /// Stops the step task at once. The control side learns of the stop only when the returned event is passed to
+    /// Stops the step task at once. `motion` is told of the stop when the returned event is passed to
     /// [`Rig::handle_stop`].
     pub fn stop(&mut self) -> StepEvent<N> {
         let event = self.stepper.stop([0; N]);
@@ -275,7 +274,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         event
     }
 
-    /// Handles the event of a stop as `control` does.
+    /// Tells `motion` the position of a stop, and queues the `Resume` for it, as the control task does.
     pub fn handle_stop(&mut self, event: StepEvent<N>) {
         let (StepEvent::Stopped { stops, position, .. } | StepEvent::Underrun { stops, position }) = event else {
             return;
@@ -326,10 +325,11 @@ impl<const N: usize, const B: usize> Rig<N, B> {
 
     /// Checks speed and acceleration along the path, computed from the tick intervals.
     ///
-    /// The speed of each tick is its path divided by its interval; tolerance 1 %. The acceleration is the difference of
-    /// the mean speeds of neighbouring windows (at least 2 ms and 8 ticks), divided by the time between their middles;
-    /// tolerance 1.5 %. Of that, half a percent is for the segment at the top of a ramp, which ends on a whole step
-    /// after the ramp and has linear intervals.
+    /// The speed of each tick is its path divided by its interval; the tolerance is 1 %. For the acceleration, ticks
+    /// are gathered in windows of at least 2 ms and 8 ticks. The acceleration is the difference of the mean speeds of
+    /// neighbouring windows, divided by the time between their middles; the tolerance is 1.5 %. Half a percent of
+    /// this is for the segment at the top of a ramp: it ends on a whole step after the ramp, and its intervals change
+    /// linearly.
     pub fn check_limits(&self) {
         let hz = f64::from(self.hz);
         for record in &self.trace {
@@ -345,9 +345,9 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         self.check_acceleration(false);
     }
 
-    /// Checks the acceleration as in [`Rig::check_limits`]. `cut_short`: whether there were overrides or holds at very
-    /// low speed. They can drop a pending tick of one unit or make it earlier, so the speed is also allowed to jump by
-    /// as much as can be reached within one unit.
+    /// Checks the acceleration as in [`Rig::check_limits`]. `cut_short`: `true` if there were overrides or holds at
+    /// very low speed. They can drop a pending tick of one unit or make it earlier. So the speed may also jump by as
+    /// much as the acceleration allows within one unit.
     pub fn check_acceleration(&self, cut_short: bool) {
         let hz = f64::from(self.hz);
         let mut window: Option<(f64, f64, f64)> = None; // middle, speed, acceleration limit
@@ -371,10 +371,10 @@ impl<const N: usize, const B: usize> Rig<N, B> {
                     // Allows for an error of one clock tick in the duration of a window of 2 ms.
                     let rounding = speed.max(old) / (0.002 * hz) / (middle - before);
                     let short = if cut_short { (2.0 * most * unit).sqrt() / (middle - before) } else { 0.0 };
-                    // A phase of the speed curve (accelerating, cruising or braking) ends on a whole step, so its last
-                    // segment contains a part of the next phase, with another acceleration. If the speed is constant
-                    // for the time t of a segment that lasts T, the segment's first speed is wrong by a·t·(T - t)/2T,
-                    // at most a·T/8.
+                    // A phase of the speed curve (accelerating, cruising or braking) ends on a whole step. So its
+                    // last segment also contains the start of the next phase, with another acceleration. For example,
+                    // a segment lasts T. Its speed is constant for the time t, then changes with the acceleration a.
+                    // The segment's first speed is then wrong by a·t·(T - t)/2T, at most a·T/8.
                     let edge = most * (step / speed / 2.0).min(0.002 / 8.0) / (middle - before);
                     assert!(
                         seen <= most * 1.015 + rounding * 2.0 + short + edge,

@@ -1,4 +1,4 @@
-//! A motion with the small memory for single moves behaves like a motion that has a look-ahead of its own.
+//! A `Motion` with the small memory for single moves sends the same messages as a `Motion` with its own look-ahead.
 
 use super::super::{MotionSettings, Speed, on_heap, on_heap_for_single_moves};
 use super::rig::{settings, to};
@@ -79,7 +79,7 @@ proptest! {
             });
             prop_assert_eq!(by_whole, by_small);
         }
-        // Exchanging the rings changes neither position.
+        // The second `lend_ring` returns the ring of segments in flight. It changes the position of neither motion.
         let before = (lender.machine_steps(), small.machine_steps());
         lender.lend_ring(&mut small);
         prop_assert_eq!(before, (lender.machine_steps(), small.machine_steps()));

@@ -13,7 +13,6 @@ fn f(coordinate: Coordinate) -> f64 {
     coordinate.0 as f64 / DECIMAL_ONE as f64
 }
 
-/// Returns the geometry for four control points.
 fn geometry(points: [Point; 4]) -> SplineGeometry<3> {
     let [start, leaving, arriving, target] = points.map(|point| point.map(mm));
     SplineGeometry {
@@ -158,7 +157,7 @@ proptest! {
         check(&geometry(points), tolerance);
     }
 
-    /// The chords of special curves are right, too: on a coarse grid, sides are often equal, mirrored or of length 0.
+    /// Special curves: on a coarse grid, sides of the polygon are often equal, mirrored or of length 0.
     #[test]
     fn chords_of_special_curves(cells in prop::array::uniform8(-2_i32..=2), unit in 0.1_f64..50.0) {
         let at = |k: usize| [f64::from(cells[k]) * unit, f64::from(cells[k + 1]) * unit];
@@ -177,8 +176,9 @@ proptest! {
     }
 }
 
-/// Runs a curve to its end, which must be reached exactly, and checks the limits of the axes. Returns the maximum
-/// distance of a step from the exact curve, mm.
+/// Runs a curve and checks that it ends exactly at its target. `every`: number of ticks between feed holds; `None`:
+/// no holds, and the limits of the axes are checked, too. Returns the maximum distance of a step from the exact
+/// curve, mm.
 fn farthest_off(g: &SplineGeometry<3>, scale: f32, feed: f32, every: Option<usize>) -> f64 {
     let mut config = settings(100.0, 100.0, 500.0);
     config.steps_per_mm = PerAxis::all(StepsPerMm::new(scale).unwrap());

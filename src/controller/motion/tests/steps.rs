@@ -47,7 +47,8 @@ fn nine_and_three_step_as_bresenham_does() {
     assert_eq!(ticks_of(&bits, 1), [2, 5, 8]);
 }
 
-/// Returns the ticks at which y steps, by Bresenham's line in integers: D starts at 2·dy - dx, and y steps when D > 0.
+/// Returns the ticks at which Y steps in Bresenham's line, in integers. `error` starts at 2·`dy` - `dx`, and Y steps
+/// when it is above 0.
 fn bresenham(dx: i64, dy: i64) -> Vec<usize> {
     let mut error = 2 * dy - dx;
     let mut at = Vec::new();
@@ -257,8 +258,8 @@ fn slow_feeds_are_exact() {
 
 #[test]
 fn a_step_that_rounding_makes_of_a_hairs_breadth_takes_its_time() {
-    // The moves are 0.002 and 1.998 steps long in turn, with one step each. No step must be made in the tiny time for
-    // 0.002 steps, and all moves together must take the time for their total length.
+    // The moves are 0.002 and 1.998 steps long in turn, and each makes one step. A step must not be made in the tiny
+    // time that 0.002 steps take. All moves together must take the time for their total length.
     let mut rig = Rig::<3, 64>::new(settings(80.0, 100.0, 5000.0));
     for k in 0..800 {
         let x = f64::from(2 * k);

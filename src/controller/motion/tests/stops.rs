@@ -42,7 +42,7 @@ fn holds_at_every_segment_resume_to_the_same_step() {
             let observed = rig.observed();
             rig.motion.observe(&observed);
             assert!(rig.motion.is_at_rest() && rig.motion.is_held());
-            // The hold takes the queued time, one segment, and the ramp.
+            // The machine stops after the queued segments, one more segment, and the braking ramp.
             let speed = rig.trace[from..].iter().map(|r| r.path / r.interval as f64).fold(0.0, f64::max);
             let ramp = speed * f64::from(rig.hz) / f64::from(accel) * 1.5;
             let took = (rig.time - called) as f64 / f64::from(rig.hz);
@@ -161,7 +161,7 @@ fn an_empty_queue_stops_and_says_so() {
         assert!(rested && rig.seconds() - begun < 0.03);
         let [event @ StepEvent::Underrun { stops: 1, position }] = rig.events[..] else { panic!("{:?}", rig.events) };
         assert_eq!(position.0.map(i64::from), rig.position);
-        // No axis steps before the gate is opened.
+        // No axis steps before the `Resume` that `handle_stop` sends: until then the stepper discards all messages.
         rig.feeding = true;
         let held = rig.position;
         assert!(rig.run_ticks(1000));
@@ -186,7 +186,7 @@ fn a_second_stop_keeps_the_gate_shut_for_the_first_resume() {
     let StepEvent::Stopped { stops: 1, moving: true, .. } = first else { panic!("{first:?}") };
     rig.flush();
     rig.handle_stop(first);
-    // The second stop comes while the answer to the first one is queued, followed by a move.
+    // The second stop comes while the `Resume` that answers the first one is still queued, followed by a move.
     rig.moves.clear();
     rig.moves.push_back(to([1.0, 1.0, 1.0], Speed::Rapid));
     rig.pump();

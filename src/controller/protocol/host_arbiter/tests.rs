@@ -13,7 +13,8 @@ fn a_host_that_leaves_in_mid_line_leaves_no_half_line() {
     both.usb(b"G4P0\n");
     assert!(!both.arbiter.is_host_change_due());
     assert_eq!((both.text().as_str(), both.refusals()), ("G0X1\nG1 X|G4P0\n", (0, 0)));
-    // The cut ([`HOST_CHANGED`]) contains the number of disconnected hosts, which shows whose lines precede the cut.
+    // A cut (`HOST_CHANGED`) contains the number of hosts that have disconnected. The number shows whose lines
+    // precede the cut.
     let cuts = |both: &Both<16>| {
         both.queues.lines.iter().filter(|b| b.byte == HOST_CHANGED).map(|b| b.epoch).collect::<Vec<_>>()
     };
@@ -37,8 +38,8 @@ fn a_cut_goes_before_the_first_line_of_each_host_that_comes() {
     assert_eq!(both.text(), "G4P0\n|G0\n|G0\n");
 }
 
-/// The start of the line is in the queue, and its end waits in the link. That end is dropped, because after the
-/// [`HOST_CHANGED`] it would be a line of its own.
+/// The start of a line is in the queue, and the rest waits in the link when the host opens its port. The rest is
+/// dropped: after the [`HOST_CHANGED`] it would be a line of its own.
 #[test]
 fn of_a_line_sent_before_the_port_is_opened_nothing_is_read() {
     let mut both = Both::<16>::new(8, 4);
@@ -118,8 +119,8 @@ fn a_line_in_which_another_host_resets_is_refused_to_its_end() {
     }
 }
 
-/// On 0x19 the link must keep complete lines, even those that wait for room in the queue, because Grbl's dialect
-/// ignores 0x19.
+/// On 0x19 of another host, the link must keep complete lines, even those that wait for room in the queue. The reason
+/// is Grbl's dialect, which ignores 0x19.
 #[test]
 fn a_stop_by_another_host_keeps_whole_lines() {
     let mut both = Both::<16>::new(8, 4);

@@ -11,8 +11,8 @@ pub struct Depths {
     pub lines: Vec<LineByte>,
     pub most_commands: usize,
     pub most_lines: usize,
-    /// The link being read cannot wait. Its resets always find room, because the serial task keeps them if the queue is
-    /// full.
+    /// `true`: the link being read cannot make its host wait. Then a reset finds room even in a full queue, because
+    /// the real serial task keeps such a reset until there is room.
     defers_resets: bool,
     pub free: bool,
     stops: usize,
@@ -90,19 +90,19 @@ impl<const HELD: usize> Both<HELD> {
         self.usb.pass_on(&mut self.arbiter, &mut self.queues) || uart
     }
 
-    /// Returns the text in the queue, with `|` for each [`HOST_CHANGED`], which cuts the line before it. At the start
-    /// it has no effect and is omitted.
+    /// Returns the bytes in the line queue as text. A `|` stands for a [`HOST_CHANGED`], which voids the unfinished
+    /// line before it. A [`HOST_CHANGED`] at the start of the queue voids nothing and is omitted.
     pub fn text(&self) -> String {
         let shown = |byte: &LineByte| if byte.byte == HOST_CHANGED { '|' } else { char::from(byte.byte) };
         self.queues.lines.iter().map(shown).collect::<String>().trim_start_matches('|').into()
     }
 
-    /// Returns the epochs of the line bytes in the queue.
+    /// Leaves out [`HOST_CHANGED`], because its `epoch` field counts disconnected hosts.
     pub fn epochs(&self) -> Vec<u16> {
         self.queues.lines.iter().filter(|byte| byte.byte != HOST_CHANGED).map(|byte| byte.epoch).collect()
     }
 
-    /// Returns how many lines of each link were refused.
+    /// Returns the number of refused lines that still have to be answered: first of `uart`, then of `usb`.
     pub fn refusals(&self) -> (u16, u16) {
         (self.uart.refusals, self.usb.refusals)
     }
@@ -120,7 +120,8 @@ fn a_link_that_cannot_wait_has_each_command_tried() {
     assert!(both.queues.lines[0].damaged && !both.uart.is_waiting(), "the others are lost, and that is said");
 }
 
-/// Bytes that were lost before a reset belong to lines that the reset drops, so they make no later line invalid.
+/// A reset drops all unfinished lines, also those that have lost bytes. So no line after the reset is refused for
+/// these losses.
 #[test]
 fn bytes_lost_before_a_reset_refuse_no_line_behind_it() {
     for is_lost_behind in [false, true] {
@@ -182,8 +183,8 @@ fn a_flood_is_told_to_wait_and_nothing_is_lost() {
     assert!(waits > 100 && most_held > HELD - PACKET, "{waits} {most_held}");
 }
 
-/// A sender that counts characters has at most 255 line bytes in transit, and all of them fit into their queue. So
-/// commands between them pass as long as their own queue has room, and the link holds no bytes.
+/// A sender that counts characters has at most 255 line bytes in transit. All of them fit into the line queue (256
+/// bytes here), so the link holds no bytes. Commands between them pass while the command queue has room.
 #[test]
 fn a_counting_sender_never_waits() {
     let mut both = Both::<HELD>::new(1000, 256);
@@ -240,7 +241,7 @@ fn a_refusal_is_sent_as_there_is_room() {
     assert_eq!(sent, REFUSAL.repeat(2));
 }
 
-/// Outside of a comment, bytes of `Ä` and `à` are commands: they open the door and switch the coolant.
+/// `Ä` is 0xC3 0x84, and `à` is 0xC3 0xA0. Outside of a comment, 0x84 opens the door and 0xA0 switches the coolant.
 #[test]
 fn characters_of_a_comment_are_no_commands() {
     let mut both = Both::<16>::new(8, 100);
@@ -307,8 +308,8 @@ fn a_hold_in_a_comment_is_a_hold_where_bytes_are_lost_or_the_host_goes() {
     }
 }
 
-/// The first bytes of a character wait for its other bytes. If these do not come, the waiting bytes are queued as
-/// commands, in order.
+/// In a comment, the first bytes of a UTF-8 character wait for the rest of the character. If the rest does not come,
+/// the waiting bytes are queued as commands, in order.
 #[test]
 fn a_character_that_is_broken_off_is_commands() {
     use Realtime::{FeedReset, JogCancel, SafetyDoor, Status};
@@ -322,7 +323,7 @@ fn a_character_that_is_broken_off_is_commands() {
     both.pass_on();
     assert_eq!(both.queues.commands, [FeedReset, JogCancel, Status]);
     assert_eq!(both.usb.room(), 16);
-    // After a loss, bytes are commands, because they can belong to another character or be outside of a comment.
+    // After a loss it is unknown whether a byte is in a comment or belongs to a character. So it counts as a command.
     let mut both = Both::<16>::new(8, 100);
     both.uart(b"(\xE3\x84");
     both.uart.lose();
@@ -344,7 +345,6 @@ fn each_refused_line_is_answered_however_late_the_host_reads() {
     assert_eq!(sent.len(), 1000 * REFUSAL.len());
 }
 
-/// Events on two links.
 #[derive(Clone, Debug)]
 enum Event {
     /// Bytes on one of the links: text, commands, any line ends.
@@ -379,7 +379,7 @@ fn event() -> impl Strategy<Value = Event> {
     ]
 }
 
-/// Generates bytes of comments, and of the characters in them.
+/// Generates bytes that begin or end a comment, and single bytes of UTF-8 characters.
 fn comment_byte() -> impl Strategy<Value = u8> {
     prop_oneof![
         4 => Just(b'('), 1 => Just(b')'), 1 => Just(b';'), 3 => Just(0xC3), 3 => Just(0xE3), 1 => Just(0xF0), 1 => Just(0xC2),
@@ -387,7 +387,8 @@ fn comment_byte() -> impl Strategy<Value = u8> {
     ]
 }
 
-/// Returns the commands in `bytes`: all command bytes except the text of comments, as the standard library decodes it.
+/// Returns the commands that a link must find in `bytes`. Outside of comments, each command byte counts. In a comment,
+/// bytes of UTF-8 characters (as the standard library decodes them), `!` and `~` are text.
 fn commands_of(bytes: &[u8]) -> Vec<Realtime> {
     let mut commands = Vec::new();
     let mut give = |bytes: &[u8]| {
@@ -423,8 +424,8 @@ fn commands_of(bytes: &[u8]) -> Vec<Realtime> {
 }
 
 impl Both<40> {
-    /// Plays an event as the serial task does. With `by_run`, a run of text is passed as a whole, otherwise each byte
-    /// separately.
+    /// Plays an event as the serial task does. `by_run`: consecutive bytes of text are passed in one call, not one by
+    /// one.
     fn play(&mut self, event: &Event, by_run: bool) {
         let Both { queues, arbiter, uart, usb } = self;
         match event {
@@ -459,8 +460,8 @@ impl Both<40> {
 }
 
 proptest! {
-    /// Exactly the commands outside of comments arrive, whatever the bytes are, however they are split, and however
-    /// much room there is.
+    /// All commands outside of comments arrive, and no others. This must hold for any bytes, in pieces of any length,
+    /// with any room in the queue.
     #[test]
     fn a_stop_byte_is_never_lost(
         mut bytes in proptest::collection::vec(

@@ -27,10 +27,10 @@ pub(crate) struct Door {
     coolant: Option<Coolant>,
 }
 
-/// Phases of the safety door.
+/// Phases of an open door, from braking to the way back into the cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-// Makes the tag one byte. Otherwise the 64-bit instants in the variants would make the tags of this enum and of `State`
-// 64 bits wide.
+// Makes the tag (the number of the variant) one byte. Without it, the tags of this enum and of `State` would have 64
+// bits, because some variants hold a 64-bit instant.
 #[repr(u8)]
 pub(crate) enum DoorPhase {
     /// Braking; parking begins at rest.
@@ -56,14 +56,14 @@ pub(crate) enum DoorPhase {
 /// What the machine was doing when the door opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Interrupted {
-    /// A job, which resumes when the door is closed.
+    /// A job. After the door is closed, `~` resumes it.
     Job,
     /// A jog, which is dropped once the machine is at rest.
     Jog {
         /// 0x19 has been received since the door opened.
         stopped: bool,
     },
-    /// A job that was stopped (0x19). It is dropped when the door is closed.
+    /// A job that was stopped (0x19). After the door is closed, `~` moves the tool back, and then the job is dropped.
     StoppedJob,
     /// Nothing resumes, because the machine falls asleep.
     Sleep,
@@ -91,7 +91,7 @@ impl Door {
         Door { phase: DoorPhase::Braking, interrupted, opening, coolant: None }
     }
 
-    /// Handles 0x19: interrupted work will be dropped instead of resumed.
+    /// Handles 0x19: marks interrupted work as stopped, so that it is dropped and does not resume.
     pub(crate) fn stop_job(&mut self) {
         self.interrupted = match self.interrupted {
             Interrupted::Job | Interrupted::StoppedJob => Interrupted::StoppedJob,
@@ -100,8 +100,8 @@ impl Door {
         };
     }
 
-    /// Remembers which coolant is switched off. If the door is opened a second time, keeps what was remembered the
-    /// first time.
+    /// Remembers which coolant is switched off. If the door is opened again on the way back, the coolant of the first
+    /// opening stays remembered.
     fn keep_coolant(&mut self, coolant: Coolant) {
         self.coolant.get_or_insert(coolant);
     }
@@ -115,7 +115,7 @@ impl Door {
 }
 
 impl DoorPhase {
-    /// Returns whether the door has been closed, and the machine is on its way back to the job.
+    /// Returns whether `~` was received at the closed door, and the machine is on its way back to the job.
     pub(crate) fn is_resuming(self) -> bool {
         matches!(
             self,
@@ -149,7 +149,7 @@ impl<const N: usize> Controller<N> {
                 self.open(Interrupted::Jog { stopped: false }, Opening::BY_DOOR);
             }
             State::Normal | State::Hold(_) => self.brake_for_door(Opening::BY_DOOR),
-            // A stop (0x19) is under way, so nothing resumes when the door is closed.
+            // The machine already brakes for a stop (0x19), so nothing may resume later.
             State::Braking { then: AfterBraking::Continue } => self.open(Interrupted::StoppedJob, Opening::BY_DOOR),
             State::Door(door) => match door.phase {
                 DoorPhase::SpindleRestoring(_) | DoorPhase::CoolantRestoring(_) => self.switch_off_and_park(),
@@ -173,7 +173,6 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Door(Door::opened(interrupted, opening)));
     }
 
-    /// Enters the next phase of an open door.
     #[inline(never)]
     fn enter_phase(&mut self, phase: DoorPhase) {
         if let State::Door(door) = &mut self.state {
@@ -181,8 +180,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Switches off a spindle that a fault has left on (`$924` to `$928`), because it must not turn while the door is
-    /// open.
+    /// Switches off the spindle if a reaction to a fault (`$924` to `$928`) has left it on. It must not turn while the
+    /// door is open.
     fn switch_off_for_door(&mut self) {
         match &mut self.state {
             State::Door(door) if door.opening.spindle_on => {
@@ -197,7 +196,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Brakes. Once the machine is at rest, the phases of an open door follow.
+    /// Brakes. When the machine is at rest, the next phases of an open door follow: the tool is parked as `opening`
+    /// says.
     pub(crate) fn brake_for_door(&mut self, opening: Opening) {
         self.m.motion.hold();
         self.task.forget_jog();
@@ -222,7 +222,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Handles `~`: leaves the parked state if the door is closed.
+    /// Handles `~`: if the machine is parked and the door is closed, starts the way back to the job. Does nothing in
+    /// sleep, or if an alarm follows.
     pub(crate) fn close_door(&mut self) {
         let State::Door(door) = &self.state else { return };
         let opens = door.phase == DoorPhase::Parked
@@ -239,8 +240,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Starts the next phase when the current one has ended. Repeats this for each phase that ends at once, because
-    /// nothing would wake the controller for the phase after it.
+    /// Starts the next phase when the current one has ended. If that phase also ends at once, starts the one after it
+    /// too, because no event would do so later.
     pub(crate) fn settle_phases(&mut self, mut phase: DoorPhase) {
         loop {
             self.settle_door(phase);
@@ -291,7 +292,7 @@ impl<const N: usize> Controller<N> {
                 } else {
                     self.m.settings.seconds(Key::DoorCoolantDelay)
                 };
-                // Skip a phase of no length: it would request a wake-up for the current time.
+                // Skip the phase if it would take no time: it would request a wake-up for the present moment.
                 if delay == Duration::millis(0) {
                     self.plunge();
                 } else {
@@ -339,9 +340,10 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Starts the first move of parking, which retracts the tool. There is no move if the position is untrusted, if
-    /// settings lock motion, if the program disables parking (M56 P0), or for the reasons of [`Parking::leave_job`]. In
-    /// these cases only spindle and coolant are switched off.
+    /// Starts the first parking move, which pulls the tool out. The tool stays where it is if the reaction (`retract`)
+    /// does not include parking, if the position is untrusted, if settings lock motion, if the program disables
+    /// parking (M56 P0), or for the reasons of [`Parking::leave_job`]. In these cases goes on at once with spindle and
+    /// coolant.
     ///
     /// [`Parking::leave_job`]: crate::states::door::parking::Parking::leave_job
     fn begin_parking(&mut self) {

@@ -34,7 +34,8 @@ struct Route<const N: usize> {
     left: PerAxis<Coordinate, N>,
     /// The end of the slow pull-out.
     clear: PerAxis<Coordinate, N>,
-    /// Parking position: that of the job, with the parking axis at the parking target (`$58`) or the end of the travel.
+    /// Parking position: as `left`, but with the parking axis at the parking place (`$58`). A place outside of the
+    /// travel is replaced by the end of the travel.
     park: PerAxis<Coordinate, N>,
 }
 
@@ -50,7 +51,7 @@ pub enum ParkingPoint {
 }
 
 impl<const N: usize> Parking<N> {
-    /// Returns the value for a tool that is at the job. `motion` will make the parking moves.
+    /// Returns the value at the start: the tool is at the job. `motion` will make the parking moves.
     pub fn new(motion: Lent<Motion<N>>) -> Self {
         Self { route: None, motion }
     }
@@ -103,8 +104,8 @@ impl<const N: usize> Parking<N> {
         true
     }
 
-    /// Makes the current move end with each motor `lead` steps ahead of its axis (because of backlash), as it was where
-    /// the job was left.
+    /// Makes the current move end with each motor `lead` steps ahead of its axis (backlash compensation). `lead`: the
+    /// value where the job was left.
     pub fn end_with_lead(&mut self, lead: [i32; N]) {
         self.motion.end_with_lead(lead);
     }
@@ -114,17 +115,18 @@ impl<const N: usize> Parking<N> {
         self.motion.hold();
     }
 
-    /// Drops the rest of the move.
+    /// Drops the rest of a parking move that [`Parking::hold`] has braked.
     pub fn discard(&mut self) {
         self.motion.discard();
     }
 
-    /// Returns the motion of the parking moves, separate from that of the job.
+    /// Returns the motion of the parking moves. The job has another one.
     pub fn motion(&self) -> &Motion<N> {
         &self.motion
     }
 
-    /// Returns the next message of the parking moves for the step task.
+    /// Returns the next message of the parking moves for the step task; `None` if there is none. The controller sends
+    /// these messages before those of the job.
     pub fn next_message(&mut self) -> Option<ToStep> {
         self.motion.next_message()
     }
@@ -134,8 +136,8 @@ impl<const N: usize> Parking<N> {
         self.motion.observe(observed);
     }
 
-    /// Sets the motion of the parking moves to the `position`, in motor steps, at which the step task has stopped. If
-    /// the tool is away from the job, the job's `motion` gets this position too, and how far each motor is ahead of its
+    /// Sets the motion of the parking moves to `position`, at which the step task has stopped (in motor steps). If the
+    /// tool is away from the job, also sets the job's `motion`: its position, and how far each motor is ahead of its
     /// axis because of backlash.
     pub fn stopped(&mut self, position: &PerAxis<i32, N>, motion: &mut Motion<N>) {
         self.motion.stopped(position);

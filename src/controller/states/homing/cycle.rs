@@ -72,7 +72,7 @@ pub(crate) enum Order<const N: usize> {
     },
     /// Wait this long, for the switches to settle.
     Wait(Duration),
-    /// The axes of one cycle (the mask) are at these machine coordinates.
+    /// The axes of the mask have completed their cycle, and are at these machine coordinates.
     Reached(AxisMask, PerAxis<Coordinate, N>),
     /// These axes have been homed; homing is over.
     Done(AxisMask),
@@ -89,7 +89,7 @@ enum Pass {
     Reached,
 }
 
-/// A homing cycle under way.
+/// Homing in progress: the cycles still to come, and the progress of the current one.
 #[derive(Clone, Debug)]
 pub(crate) struct HomingCycle<const N: usize> {
     settings: HomingSettings<N>,
@@ -101,9 +101,10 @@ pub(crate) struct HomingCycle<const N: usize> {
     locates_left: u32,
     /// Switches of the current seek or locate that have not closed.
     approaching: AxisMask,
-    /// Switches that can end the current move: all of `approaching`, or only the switch of the motor that moves alone.
+    /// Switches that can end the current move: all of `approaching`, or only one while one motor of the squared axis
+    /// moves alone.
     watched: AxisMask,
-    /// Whether the order returned last was a move; otherwise it was a wait.
+    /// `true` if the order returned last was a move, `false` if it was a wait.
     moving: bool,
 }
 
@@ -128,7 +129,8 @@ impl<const N: usize> HomingCycle<N> {
         }
     }
 
-    /// Returns the first order of a cycle; `switches` are the limit switches that are closed now.
+    /// Returns the first order of the next cycle, or [`Order::Done`] if no cycle is left. `switches`: the limit
+    /// switches that are closed now.
     pub fn begin(&mut self, switches: AxisMask) -> Order<N> {
         if self.cycles.is_empty() {
             return Order::Done(self.homed);
@@ -171,7 +173,7 @@ impl<const N: usize> HomingCycle<N> {
         self.cycles.front().copied().unwrap_or(AxisMask::NONE)
     }
 
-    /// Returns the switches that the current cycle looks for.
+    /// Returns the switches of the current cycle. A squared axis has two.
     fn switches_of_cycle(&self) -> AxisMask {
         match self.settings.squared {
             Some((axis, _)) if self.cycle().has(axis) => AxisMask(self.cycle().0 | SECOND_SWITCH),
@@ -208,7 +210,7 @@ impl<const N: usize> HomingCycle<N> {
         }
         let rate = if self.pass == Pass::Seek { self.settings.seek_rate } else { self.settings.locate_rate };
         if let Some((axis, motors, most)) = self.lagging() {
-            // The other axes wait, so that a skewed gantry is straightened as soon as possible.
+            // The other axes wait, because a gantry must be skewed for as short a time as possible.
             self.watched = AxisMask(match motors {
                 GangedMotors::Second => SECOND_SWITCH,
                 _ => AxisMask::NONE.with(axis).0,

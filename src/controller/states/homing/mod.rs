@@ -1,5 +1,5 @@
-//! The homing state: carries out the orders of [`cycle`]. A closing switch stops the step task. At the end the position
-//! is set, and the startup lines run.
+//! The homing state: carries out the orders (move, wait) of [`cycle`]. When a switch closes, the step task is stopped.
+//! At the end the position is set, and the startup lines run.
 
 mod cycle;
 
@@ -21,7 +21,8 @@ use cycle::{HomingCycle, HomingSettings, Order};
 enum Wait {
     /// The end of a move, or the closing of one of these switches.
     Motion(AxisMask),
-    /// A stop of the step task, because a switch has closed. Also set if the next order can follow at once.
+    /// A stop of the step task, because a switch has closed. This value also stands for no wait at all: the next order
+    /// can follow at once.
     Stop,
     /// This point in time.
     Until(Instant),

@@ -39,8 +39,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns whether the alarm comes from the bouncing of a limit switch, and the tool is already being parked
-    /// because of that switch. A closed switch of the parking axis does not count as bouncing.
+    /// Returns whether this is a limit switch that bounces: the tool is already being parked because of a limit
+    /// switch. A closed switch of the parking axis is not taken for bouncing.
     fn is_bounce(&self, alarm: Alarm) -> bool {
         matches!(self.state, State::Door(door) if door.opening.alarm == Some(alarm))
             && alarm == Alarm::HardLimit
@@ -71,8 +71,8 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Braking { then });
     }
 
-    /// Called when the machine is at rest after a controlled stop. Ends the soft stop, orders the stop of the step task
-    /// that raises the alarm, or retracts the tool.
+    /// Carries out what follows a controlled stop: ends the soft stop, raises the alarm (by an order to stop the step
+    /// task), or retracts the tool. Called when the machine is at rest.
     pub(crate) fn settle_braking(&mut self, then: AfterBraking) {
         match then {
             AfterBraking::Continue => self.finish_soft_stop(false),
@@ -85,7 +85,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Returns whether a limit switch of the parking axis is closed.
+    /// Returns whether a limit switch of the parking axis is closed. Then the tool must not move along that axis.
     fn is_parking_blocked(&self) -> bool {
         let closed = levels::axes_of_switches(self.m.inputs.signals().limits, &self.m.settings);
         let axis = Axis::ALL.get(self.m.settings.whole(Key::ParkingAxis) as usize);

@@ -66,8 +66,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Sets the spindle speed (S) to that of the move in execution. The last S can belong to a later line that will not
-    /// be executed; a spindle that stays on must not change to that speed.
+    /// Sets the spindle to the speed (S) of the move in execution. The S read last can belong to a later line, which
+    /// will not be executed. A spindle that stays on must not change to that S.
     pub(crate) fn keep_speed(&mut self) {
         if let Some(power) = self.m.motion.running_power() {
             self.m.accessories.set_speed(SpindleRange::of(&self.m.settings).speed_of(power));
@@ -87,7 +87,7 @@ impl<const N: usize> Controller<N> {
         match stop.reason {
             StopReason::Nothing => self.m.motion.discard(),
             StopReason::Contact => {
-                // The probe cycle continues from here. So does a hold or a door that started meanwhile.
+                // The probe cycle continues from here, and so does a hold or a door that has begun in the meantime.
                 self.m.probe.rests_after_contact();
                 self.m.motion.discard();
             }
@@ -180,7 +180,8 @@ impl<const N: usize> Controller<N> {
         self.m.motion.discard();
         self.m.lines.clear();
         if matches!(self.state, State::Hold(_) | State::Door(_)) {
-            // The drivers may have stayed on, for example for a tool change. Their idle delay (`$1`) starts now.
+            // The drivers may have stayed on in the hold or at the door, for example for a tool change. Their idle
+            // delay (`$1`) starts now.
             self.m.start_idle_delay();
         }
         let homing = matches!(self.state, State::Homing(_));

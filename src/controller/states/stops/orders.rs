@@ -20,10 +20,10 @@ pub enum StopReason {
     Alarm(Alarm),
     /// A homing switch.
     Switch,
-    /// A contact of the probe, for which the step task has already braked.
+    /// A contact of the probe. The step task has already braked by itself.
     Contact,
-    /// An armed input has stopped the step task and there is no reason to act, for instance because the machine was
-    /// already locked.
+    /// An armed input has stopped the step task without the controller, but there is no reason to act. For instance,
+    /// the machine was already locked.
     Nothing,
 }
 
@@ -54,13 +54,13 @@ impl StopReason {
 pub struct Finished {
     /// Why the step task was stopped.
     pub reason: StopReason,
-    /// Whether the machine was stepping when it was stopped.
+    /// `true` if the machine was stepping when it was stopped. Then steps may be lost.
     pub moving: bool,
     /// N word of the move in execution, 0 = none.
     pub line: u32,
 }
 
-/// Counts of requested stops and of stops that have happened.
+/// Counts the expected stops and the stops that have happened, and holds the reason of the pending stop.
 #[derive(Clone, Copy, Debug)]
 pub struct Stops {
     awaited: Option<StopReason>,
@@ -68,7 +68,7 @@ pub struct Stops {
     expected: u16,
     /// Number of stops that have happened (wrapping).
     seen: u16,
-    /// Whether the machine was stepping at any stop since the last [`Stops::finish`].
+    /// `true` if the machine was stepping at any stop since the last [`Stops::finish`].
     moving: bool,
     /// N word of the move in execution at the last stop reported to [`Stops::record_stop`], 0 = none.
     line: u32,
@@ -145,8 +145,8 @@ impl Stops {
         ordered
     }
 
-    /// If `ToStep::Resume` has to be sent to the step task now, returns the number of stops that have happened, which
-    /// this message carries. Returns it only once.
+    /// Returns the number of stops that have happened if `ToStep::Resume`, which carries this number, has to be sent
+    /// now. Returns it only once for each stop.
     pub fn take_resume(&mut self) -> Option<u16> {
         core::mem::take(&mut self.resume).then_some(self.seen)
     }
@@ -167,7 +167,7 @@ impl Stops {
         self.moving = true;
         if alarm == Alarm::Miscounted {
             // The position is unknown, so homing or a probe must not continue. If one of them waits for a stop, this
-            // alarm replaces the reason of that stop.
+            // alarm takes the place of its reason.
             self.wait_for(StopReason::Alarm(alarm));
         } else {
             self.awaited.get_or_insert(StopReason::Alarm(alarm));
@@ -270,7 +270,7 @@ mod tests {
         assert!(stops.finish().is_none() && !stops.is_open());
         stops.begin(StopReason::Reset);
         assert_eq!(stops.finish().map(|f| f.moving), Some(true));
-        // The same when the counts wrap.
+        // The counts can wrap from 65,535 to 0 between the request and the stop.
         let mut stops = Stops { expected: u16::MAX, seen: u16::MAX, ..Stops::NONE };
         stops.begin(StopReason::Reset);
         assert!(stops.finish().is_none());

@@ -36,7 +36,8 @@ impl Reaction {
         Reaction::of(key, settings)
     }
 
-    /// Returns the reaction set by `key`. Every fault switches a laser off.
+    /// Returns the reaction that the setting `key` selects. The values 0 to 2 switch the spindle off, 3 to 5 leave it
+    /// on. A laser is switched off in any case.
     pub fn of<const N: usize>(key: Key, settings: &Settings<N>) -> Reaction {
         let value = settings.whole(key);
         let braking = match value % 3 {

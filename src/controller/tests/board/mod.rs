@@ -7,7 +7,7 @@ use oxmill_controller::messages::{Event, Sensed};
 use oxmill_controller::units::Instant;
 use oxmill_controller::{Controller, Profile, StepRates};
 
-/// Three axes, a step clock of 1 MHz, and no store.
+/// The board of the tests: three axes, a step clock of 1 MHz, and no store for settings.
 pub const PROFILE: Profile = Profile {
     name: "test",
     step_clock_hz: 1_000_000,
@@ -22,11 +22,11 @@ pub const PROFILE: Profile = Profile {
     has_loader: false,
 };
 
-/// Time of power-up.
+/// The time of power-up, 0 µs. Most tests pass this time in every call, as if no time went by.
 pub const NOW: Instant = Instant::from_ticks(0);
 
-/// Returns a powered-up controller with no input active. The caller still has to take the outputs of the power-up, such
-/// as the welcome line.
+/// Returns a powered-up controller with no input active. `blocks`: the capacity of the look-ahead. The caller still
+/// has to take the outputs of the power-up, such as the welcome line.
 pub fn started(profile: Profile, blocks: usize) -> Box<Controller<3>> {
     let mut controller = Box::new(Controller::new(profile, Memory::on_heap(&profile, blocks, LEAST_HELD)));
     controller.start(NOW);

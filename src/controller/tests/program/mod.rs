@@ -16,7 +16,7 @@ pub fn ready(setup: &str) -> Program {
     program
 }
 
-/// Runs lines after `setup`. Each comes with the machine position in mm that it must lead to.
+/// Runs `setup` and then each line. Checks that a line leads to the machine position next to it, in mm.
 pub fn play(setup: &str, lines: &[(&str, [f64; 3])]) -> Program {
     let mut program = ready(setup);
     for (line, place) in lines {
@@ -39,7 +39,7 @@ impl Program {
         Self { interpreter: Interpreter::default(), dialect }
     }
 
-    /// Checks a line, which can have blanks.
+    /// Checks a line without executing it. Removes blanks first, as the line filter does.
     pub fn check(&self, line: &str) -> Result<Action<3>, Error> {
         self.interpreter.check(line.replace(' ', "").as_bytes(), self.dialect)
     }
@@ -85,7 +85,8 @@ impl Program {
     }
 }
 
-/// Converts to mm. Numbers in tests have at most seven decimals, so dividing gives the nearest `f64` of each.
+/// Converts a position to mm. Numbers in tests have at most seven decimals, so the division gives exactly the `f64` of
+/// such a number.
 pub fn in_mm(place: &PerAxis<Coordinate, 3>) -> [f64; 3] {
     place.0.map(|coordinate| coordinate.0 as f64 / DECIMAL_ONE as f64)
 }

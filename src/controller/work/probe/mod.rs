@@ -35,7 +35,7 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Orders a stop once the step task has braked for a contact. The report of that stop brings the position at rest.
-    /// Only after the stop does the step task take messages again.
+    /// Until the stop, the step task takes no messages.
     pub(crate) fn settle_probe(&mut self) {
         if self.m.probe.is_braking() && self.m.step_supply.observed().step_idle && !self.m.stops.is_awaited() {
             self.m.stops.order(StopReason::Contact);

@@ -12,15 +12,14 @@ use crate::axes::PerAxis;
 use crate::messages::ToStep;
 use crate::units::Coordinate;
 
-/// The level of the input to look for, and the deceleration with which the step task brakes when the input has that
-/// level.
+/// What the step task looks for: the level of the input, and the deceleration with which to brake then
+/// ([`ToStep::Watch`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Watched {
     level: bool,
     braking: f32,
 }
 
-/// Progress of a probing move.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
     /// Moving, no contact yet; holds what the step task looks for.
@@ -41,7 +40,6 @@ pub struct Probe<const N: usize> {
     position: PerAxis<Coordinate, N>,
 }
 
-/// Message that ends the step task's watch of the probe.
 const WATCH_ENDS: ToStep = ToStep::Watch { probe: None, braking: 0.0 };
 
 impl<const N: usize> Probe<N> {
@@ -74,7 +72,7 @@ impl<const N: usize> Probe<N> {
         matches!(self.phase, Some(Phase::Seeking(_)))
     }
 
-    /// Returns the message to be sent to the step task now, if any.
+    /// Returns the message about the watch that is to be sent to the step task now, if any.
     pub fn take_watch(&mut self) -> Option<ToStep> {
         self.watch.take()
     }
@@ -93,18 +91,18 @@ impl<const N: usize> Probe<N> {
         self.phase == Some(Phase::Braking)
     }
 
-    /// Returns whether no probe is in progress and the end of the watch has been sent to the step task.
+    /// Returns whether no probing move is in progress and the step task has been told to end its watch of the input.
     pub fn is_over(&self) -> bool {
         self.phase.is_none() && self.watch.is_none()
     }
 
-    /// Call this when the step task has been stopped for any reason. A stop also ends the step task's watch of the
-    /// probe.
+    /// Records that the step task has been stopped, for any reason. A stop also ends the step task's watch of the
+    /// probe, so no message about the watch is sent after it.
     pub fn stopped(&mut self) {
         self.watch = None;
     }
 
-    /// Records that the machine is at rest after the contact. Call this when the stop for the contact is over.
+    /// Records that the machine is at rest after the contact: the stop that was ordered for the contact is over.
     pub fn rests_after_contact(&mut self) {
         self.phase = Some(Phase::Touched);
     }
@@ -146,12 +144,12 @@ impl<const N: usize> Probe<N> {
         self.watch = Some(WATCH_ENDS);
     }
 
-    /// Returns the position and the success of the last probe.
+    /// Returns the position (machine coordinates) of the last probing move, and whether that move made contact.
     pub fn result(&self) -> (PerAxis<Coordinate, N>, bool) {
         (self.position, self.succeeded)
     }
 
-    /// Resets the result to what it is before the first probe.
+    /// Resets the result to that of power-up: position 0 and no success.
     pub fn forget_result(&mut self) {
         self.position = PerAxis::default();
         self.succeeded = false;

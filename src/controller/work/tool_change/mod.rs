@@ -42,7 +42,8 @@ impl<const N: usize> Controller<N> {
         Stage::ToolChange
     }
 
-    /// In check mode, applies a tool change to the program's state, after the line's state has been committed.
+    /// Applies a tool change to the state of the program in check mode (`$C`), where nothing moves. Called after the
+    /// state of the line has been committed.
     pub(crate) fn check_tool_change(&mut self) {
         if !(self.line.action.tool_change && self.m.prompts_for_tools()) {
             return;
@@ -69,7 +70,7 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Hold(Hold::BEGUN));
     }
 
-    /// Returns the reason if the tool cannot be changed and measured. Called before anything moves.
+    /// Returns the reason if the tool cannot be changed and measured; `None` if it can. Called before anything moves.
     #[inline(never)]
     pub(crate) fn refuse_tool_change(&mut self) -> Option<Error> {
         if !self.line.action.is_tool_change_alone() || self.line.action.motion != MotionCommand::None {
@@ -118,8 +119,8 @@ impl<const N: usize> Controller<N> {
         self.carry_out_change(order)
     }
 
-    /// Carries out the next step of the tool change and returns the next stage of the line; `None` while the previous
-    /// step is still being carried out.
+    /// Carries out the next step of the tool change. Returns the next stage of the line; `None` while the previous step
+    /// is still going on.
     #[inline(never)]
     pub(crate) fn advance_tool_change(&mut self) -> Option<Stage> {
         let touched = match self.line.change().is_probing() {
@@ -170,8 +171,8 @@ impl<const N: usize> Controller<N> {
         Stage::Measuring
     }
 
-    /// Called with the tool over the work. Lets the rest of the line switch spindle and coolant on again, and then move
-    /// the tool down.
+    /// Prepares the rest of the line, which switches spindle and coolant on again and then moves the tool down. Called
+    /// when the new tool is above the work.
     fn return_to_work(&mut self) -> Stage {
         let length = self.m.interpreter.offsets().tool_length;
         let longer = length.zip(&self.line.action.tool_length(), |new, old| new - old);
@@ -182,14 +183,14 @@ impl<const N: usize> Controller<N> {
         if outside || self.limits_travel() && way.iter().any(|place| self.is_outside_travel(place)) {
             return self.fail_tool_change(Alarm::SoftLimit);
         }
-        // With a laser the move down is a rapid, because in the moves of a line the laser is off only in rapids.
+        // In laser mode, the move down is a rapid. In a feed move of this line, the laser would be on.
         let rate = per_second(self.m.settings.value(Key::ParkingPullOutRate));
         let feed = if self.m.settings.is_on(Key::Laser) { Feed::Rapid } else { Feed::PerMinute(rate) };
         self.line.action.return_with_tool(way, feed, length);
         Stage::Apply
     }
 
-    /// Locks the machine where it is. Its position stays trusted.
+    /// Locks the machine with an alarm, without a further move. The position stays trusted.
     fn fail_tool_change(&mut self, alarm: Alarm) -> Stage {
         self.m.interpreter.set_position(self.m.motion.machine_position());
         self.lock(alarm);

@@ -1,6 +1,6 @@
 //! A tool change with a tool setter (`$918=2`) as a sequence: retract, go to the change position, wait, measure,
-//! return. This module moves nothing itself. It returns an order, and is called again when that order has been carried
-//! out.
+//! return. This module moves nothing itself: it returns one order at a time. The caller carries out the order and then
+//! asks for the next one.
 //!
 //! ```text
 //!  height   retract ──▶ to G30 ──▶ prompt ~ ──▶ to the setter       lift ──▶ back ──▶ (spindle on)
@@ -8,19 +8,20 @@
 //!              │                                   ▼ ──────┘    │     │         ▼ to the same work position
 //!  setter    left                                contact        └─ locate
 //! ```
-//! All moves between positions are at one height: that of G30, or that of the tool if the tool is higher when the
-//! change begins. Until the tool has been measured, only probing moves go below that height, and at most `$342` below
-//! G30. Without a tool (T0) nothing is measured. The first measured tool cannot be compared with an earlier tool, so
-//! the height of its tip over the work is not known. That tool stays up, and the program waits for the operator.
+//! All moves between positions are at one height: the height of G30, or the height of the tool at the beginning if that
+//! is higher. Until the tool has been measured, only probing moves go lower, and at most `$342` below G30. Without a
+//! tool (T0) nothing is measured.
+//! The first measured tool cannot be compared with an earlier tool, so the height of its tip above the work is not
+//! known. That tool stays up, and the program waits for the operator.
 
 use crate::axes::{Axis, PerAxis};
 use crate::error::Alarm;
 use crate::units::Coordinate;
 
-/// The axis along which a tool is measured.
+/// The axis along which the tool moves to the setter, and whose coordinate is measured.
 const ALONG: Axis = Axis::Z;
-/// How far the tool is pulled off the setter after the first contact, and how far below that contact the second pass
-/// may go, mm. A setter can be pressed down further than that, by about 5 mm.
+/// How far, in mm, the tool is pulled off the setter after the first contact. The second pass may go as far below the
+/// first contact. A setter can be pressed down further: by about 5 mm.
 const PULL_OFF: i32 = 2;
 
 /// Positions of a tool change, in machine coordinates, and its rates in mm/s.
@@ -38,7 +39,7 @@ pub struct ChangePlan<const N: usize> {
     pub seek_rate: f32,
     /// Rate of the second, slow approach to the setter (`$343`), mm/s.
     pub locate_rate: f32,
-    /// Whether the machine measures the new tool.
+    /// `true` if a new tool is measured; `false` for T0 (no tool).
     pub measures: bool,
 }
 
@@ -54,8 +55,8 @@ impl<const N: usize> ChangePlan<N> {
         measures: false,
     };
 
-    /// Returns whether both positions have been stored and `depth` is above 0. A G30 at machine zero counts as not
-    /// stored, except with `zero_is_clear`, where homing ends at machine zero.
+    /// Returns whether G30 and G59.3 have been stored and `depth` is above 0. A G30 at machine zero counts as not
+    /// stored, unless `zero_is_clear`: then homing ends at machine zero (`$932=1`).
     pub fn is_set_up(&self, zero_is_clear: bool) -> bool {
         let nowhere = PerAxis::all(Coordinate::ZERO);
         (self.change != nowhere || zero_is_clear) && self.setter != nowhere && self.depth > Coordinate::ZERO
@@ -66,15 +67,15 @@ impl<const N: usize> ChangePlan<N> {
         along(&self.change).max(along(&self.left))
     }
 
-    /// Returns the points between which the tool moves. If these points are within the travel, so are all moves.
+    /// Returns the points between which the tool moves. If all of them are within the travel, so are all moves.
     pub fn corners(&self) -> [PerAxis<Coordinate, N>; 4] {
         let at_setter = self.over(&self.setter, self.height());
         let down = self.over(&self.setter, self.lowest());
         [self.over(&self.left, self.height()), self.over(&self.change, self.height()), at_setter, down]
     }
 
-    /// Returns the machine coordinate Z of the lowest point of a probing move. The height at which the move starts does
-    /// not matter.
+    /// Returns the machine coordinate Z of the lowest point of a probing move. The depth counts from G30, even if the
+    /// move starts higher.
     fn lowest(&self) -> Coordinate {
         (along(&self.change) - self.depth).limited()
     }
@@ -91,9 +92,9 @@ impl<const N: usize> ChangePlan<N> {
         target
     }
 
-    /// Returns the ends of the two moves back to the work: a rapid to `clear` above the end, and a slow move to the
-    /// end. `longer` is the length of the new tool minus that of the old one. At the end, the new tip is where the old
-    /// tip was left.
+    /// Returns the ends of the two moves back to the work: a rapid to `clear` above the work position, then a slow move
+    /// to it. `longer`: length of the new tool minus length of the old tool. The second move ends where the new tip is
+    /// at the same place as the old tip was.
     fn way_back(&self, longer: Coordinate, clear: Coordinate) -> [PerAxis<Coordinate, N>; 2] {
         let end = (along(&self.left) + longer).limited();
         let above = (end + clear).min(self.height()).max(end);
@@ -105,7 +106,7 @@ fn along<const N: usize>(place: &PerAxis<Coordinate, N>) -> Coordinate {
     place.get(ALONG).unwrap_or(Coordinate::ZERO)
 }
 
-/// The next action of the tool change.
+/// An action that the caller must carry out for the tool change.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ChangeOrder<const N: usize> {
     /// A rapid to this machine position.
@@ -116,14 +117,14 @@ pub enum ChangeOrder<const N: usize> {
     Probe(PerAxis<Coordinate, N>, f32),
     /// The operator is to change the tool. Continues at the operator's command.
     Prompt,
-    /// The new tool has touched the setter at this machine coordinate.
+    /// The new tool has touched the setter at this machine coordinate Z.
     Measured(Coordinate),
     /// The first measured tool is over the position where the program was interrupted. Continues at the operator's
     /// command.
     Confirm,
-    /// The tool is over the position where the program was interrupted.
+    /// The tool is above the position where the program was interrupted, and the tool change is complete.
     Done,
-    /// The tool change failed.
+    /// The tool change failed, and the machine must be locked with this alarm.
     Failed(Alarm),
 }
 
@@ -156,9 +157,9 @@ enum ChangePhase {
 pub struct ToolChange<const N: usize> {
     plan: ChangePlan<N>,
     phase: ChangePhase,
-    /// Machine coordinate at which the first pass touched.
+    /// Machine coordinate Z at which the tool touched the setter in the first pass.
     touched: Coordinate,
-    /// Whether no tool has been measured before this one.
+    /// `true` if this tool is the first measured tool.
     is_first: bool,
 }
 
@@ -172,13 +173,14 @@ impl<const N: usize> ToolChange<N> {
         Self { plan, ..Self::NONE }
     }
 
-    /// Marks the tool as the first one that has been measured.
+    /// Marks the tool as the first measured tool, which stays up and waits for the operator. Called after the order
+    /// [`ChangeOrder::Measured`].
     pub fn mark_first_tool(&mut self) {
         self.is_first = true;
     }
 
-    /// Returns the ends of the two moves down to the work (see `ChangePlan::way_back`). For the first measured tool
-    /// both are at the height of the moves between positions, because that tool stays up.
+    /// Returns the ends of the two moves down to the work (see `ChangePlan::way_back`). The first measured tool stays
+    /// up, so for it both ends are at [`ChangePlan::height`].
     pub fn way_back(&self, longer: Coordinate, clear: Coordinate) -> [PerAxis<Coordinate, N>; 2] {
         match self.is_first {
             true => [self.plan.over(&self.plan.left, self.plan.height()); 2],
@@ -192,7 +194,7 @@ impl<const N: usize> ToolChange<N> {
         ChangeOrder::Rapid(self.plan.over(&self.plan.left, self.plan.height()))
     }
 
-    /// Returns whether the order returned last was a probing move.
+    /// Returns whether the last order was a probing move.
     pub fn is_probing(&self) -> bool {
         matches!(self.phase, ChangePhase::Seek | ChangePhase::Locate)
     }
@@ -206,8 +208,8 @@ impl<const N: usize> ToolChange<N> {
         }
     }
 
-    /// Returns the next order. Call it when the previous order has been carried out. `contact` is where a probing move
-    /// made contact; `None` if it made none.
+    /// Returns the next order. Call it when the previous order has been carried out. `contact`: where a probing move
+    /// touched the setter; `None` if it did not touch, or if the order was not a probing move.
     pub fn next(&mut self, contact: Option<PerAxis<Coordinate, N>>) -> ChangeOrder<N> {
         let plan = &self.plan;
         let height = plan.height();
@@ -285,7 +287,7 @@ mod tests {
     fn nothing_but_a_probing_move_goes_down_and_none_too_far() {
         let mut change = ToolChange::new(plan());
         let mut order = change.begin();
-        // The setter is touched at the very end of the first pass.
+        // In this test, the tool touches the setter only at the end of the first pass.
         let lowest = Coordinate::mm(-40);
         while order != ChangeOrder::Done {
             match order {

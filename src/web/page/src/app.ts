@@ -51,7 +51,7 @@ export class App implements Page {
   private readonly first: FirstVisit;
   private running?: AbortController;
   private timer?: ReturnType<typeof setTimeout>;
-  /** The line that the user has edited; it is selected again after the check. 0 if none. */
+  /** Number of the line that the user edited last; it is selected again after the check. 0 if none. */
   private keptLine = 0;
 
   constructor(readonly description: Description) {
@@ -237,7 +237,7 @@ export class App implements Page {
     });
   }
 
-  /** Enables the button that goes on to the machine if nothing keeps the job from running. */
+  /** Enables the button that leads to the machine, or disables it and shows why the job cannot run. */
   private allowRun(): void {
     const { summary } = this.checked ?? {};
     const hindered = summary && hindrance(summary);
@@ -284,7 +284,8 @@ export class App implements Page {
     onlaunch(openFile);
   }
 
-  /** Sets the light or dark theme: the theme of the system, until the user chooses one. */
+  /** Sets up the light and the dark theme. The page takes the theme of the system, at the start and whenever the system
+   * changes. The button switches the theme in between. */
   private theme(): void {
     const dark = matchMedia("(prefers-color-scheme: dark)");
     const set = (to: boolean) => {

@@ -6,7 +6,8 @@ import type { JobPanel, Page } from "./page";
 
 /** Rates that are tested, in bits per second. */
 const BAUDS = [9_600, 19_200, 38_400, 57_600, 115_200, 250_000, 1_000_000];
-/** If a job takes more than this factor times its time on an unlimited link, the machine waits for lines. */
+/** If a job takes more than this factor times its time on an unlimited link, the link is too slow: the machine waits
+ * for lines. */
 const WAITS = 1.005;
 
 export class Cable implements JobPanel {

@@ -3,9 +3,11 @@
 export type Vector = [number, number, number];
 const HALF_ANGLE = 0.35;
 const STEEPEST = 1.5707;
-/** Distance of the target above the middle of the view, as a fraction of half the view's height: the legend is below it. */
+/** The target is shown this far above the middle of the view, because the legend is at the bottom. A fraction of half
+ * the view's height. */
 const LIFT = 0.12;
-/** Values for a view with less than this height in pixels, in which the legend covers a larger part. */
+/** For a view lower than `height` pixels, in which the legend covers a larger part: `lift` replaces `LIFT`, and the
+ * camera is `farther` times as far away. */
 const LOW = { height: 420, lift: 0.3, farther: 1.2 };
 
 export class Camera {
@@ -25,7 +27,8 @@ export class Camera {
     this.height = Math.max(-STEEPEST, Math.min(STEEPEST, height));
   }
 
-  /** Makes a box completely visible in a view of this size in pixels. */
+  /** Moves the camera so that the box from `low` to `high` is completely visible. `width`, `height`: size of the view
+   * in pixels. */
   fit(low: Vector, high: Vector, width: number, height: number): void {
     const aspect = width / Math.max(1, height);
     const isLow = height > 0 && height < LOW.height;
@@ -36,13 +39,15 @@ export class Camera {
     this.distance = (size * 0.58) / Math.tan(HALF_ANGLE) / Math.min(1, aspect * 0.85) * (isLow ? LOW.farther : 1);
   }
 
-  /** Moves the target by pixels in a view of this height. */
+  /** Moves the picture by `dx` pixels to the right and by `dy` pixels down. `viewHeight`: height of the view, in
+   * pixels, which gives the scale. */
   pan(dx: number, dy: number, viewHeight: number): void {
     const scale = (2 * this.distance * Math.tan(HALF_ANGLE)) / viewHeight;
     this.target = this.target.map((t, i) => t + (-this.right[i] * dx + this.up[i] * dy) * scale) as Vector;
   }
 
-  /** Returns the matrix of view and perspective for an aspect ratio of width to height. */
+  /** Returns the matrix of view and perspective, column by column, as WebGL expects. `aspect`: width of the view
+   * divided by its height. */
   view(aspect: number): Float32Array {
     const { turn, height, distance, target } = this;
     const [sin, cos] = [Math.sin(turn), Math.cos(turn)];

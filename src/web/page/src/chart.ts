@@ -4,7 +4,7 @@ import { type Path, ROW } from "./engine";
 import { endOf, isRapid } from "./track";
 
 const RAMP = [0, 1, 2, 3, 4, 5].map(index => `--scale-${index}`);
-/** Number of colour steps along the ramp. */
+/** Number of colours between the slowest and the fastest feed. */
 const SHADES = 24;
 /** Space for the times below the curve, CSS pixels. */
 const FOOT = 16;
@@ -14,7 +14,7 @@ const MARKS = [1, 2, 5, 10, 30, 60, 120, 300, 600, 1800, 3600, 7200, 18_000, 36_
 export class Chart {
   /** Called with the time that the user selects, s. */
   onseek: (seconds: number) => void = () => {};
-  /** Times of rejected lines, s. */
+  /** Times of rejected lines in s, drawn as strokes across the chart. */
   refused: number[] = [];
   private readonly canvas = $<HTMLCanvasElement>("chart");
   private readonly curve = document.createElement("canvas");
@@ -58,7 +58,8 @@ export class Chart {
     this.redraw();
   }
 
-  /** Shows a time, s. `live`: whether this time follows a machine. */
+  /** Moves the marker to a time, in s. `live`: `true` if the time is the progress of a machine; the marker is then
+   * green. */
   at(time: number, live: boolean): void {
     [this.time, this.live] = [time, live];
     this.canvas.setAttribute("aria-valuenow", String(time));
@@ -84,7 +85,7 @@ export class Chart {
     const pen = canvas.getContext("2d");
     if (!pen || !this.path || !width || this.end === 0) return;
     const x = (this.time / this.end) * width;
-    // The part ahead is fainter.
+    // Draw the part of the job that lies ahead fainter.
     pen.globalAlpha = 0.3;
     pen.drawImage(curve, 0, 0);
     pen.globalAlpha = 1;
@@ -141,7 +142,7 @@ function drawCurve(pen: CanvasRenderingContext2D, path: Path, end: number): void
   }
 }
 
-/** Returns the colour at the fraction `part` of the ramp, 0 to 1. */
+/** Returns the colour for a speed. `part`: the speed as a fraction of the fastest feed, 0 to 1. */
 function mixed(part: number): string {
   const at = Math.min(4, Math.floor(part * 5));
   const [from, to] = [rgb(RAMP[at]), rgb(RAMP[at + 1])];

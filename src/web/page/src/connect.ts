@@ -26,7 +26,7 @@ export function listenToConnections(machine: Machine, page: Page): void {
     }
   };
   onclick("power", () => {
-    // Homing is on, because the linear axes have switches. A rotary axis has no switch.
+    // Homing is on, because each linear axis of the simulated machine has a switch.
     const settings: Record<string, number> = { "22": 1, ...page.settings.values() };
     const steps_per_mm = [100, 101, 102].map(number => page.settings.value(number));
     machine.attach(new PageLink(page.order({ settings, work_zero: undefined, machine: { ...FITTED, steps_per_mm } })));

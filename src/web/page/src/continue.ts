@@ -64,7 +64,7 @@ export class ContinuePanel implements JobPanel {
 
 const input = (id: string): HTMLInputElement => $<HTMLInputElement>(id);
 
-/** The typed values; fields left blank are omitted. */
+/** Returns the typed values; fields left blank are omitted. */
 function resumeOptions(): Resume {
   const typed = (id: string) => (input(id).value === "" ? undefined : input(id).valueAsNumber);
   const whole = (id: string) => Math.max(0, Math.trunc(typed(id) ?? 0));

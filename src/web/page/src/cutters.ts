@@ -31,8 +31,8 @@ export function cutterIn(text: string): Cutter | undefined {
   return { shape: isV ? "v" : isBall ? "ball" : "flat", diameter: width, angle: isV && angle !== undefined && angle > 0 ? Math.min(179, angle) : 60 };
 }
 
-/** Returns the cutters by tool number. A comment describes the cutter of the tool that it names, or of the next tool
- * change if it names none. */
+/** Returns the cutters by tool number. If a comment names a tool, it describes the cutter of that tool. Otherwise it
+ * describes the cutter of the next tool change. */
 export function cuttersOf(lines: string[]): Record<number, Cutter> {
   const found: Record<number, Cutter> = {};
   let last: Cutter | undefined;

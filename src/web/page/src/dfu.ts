@@ -1,6 +1,6 @@
-// Loads firmware into a board over USB, by the boot loader in the ROM of an STM32 (DfuSe: ST's UM0391 and AN3156). The
-// order of the steps keeps an interrupted board from starting half a program: the sector with the vector table is erased
-// first, and the block with the vector table is written last, after everything else.
+// Loads firmware into a board over USB, by the boot loader in the ROM of an STM32 (DfuSe: ST's UM0391 and AN3156). If
+// loading is interrupted, the board must not start half a program. So the sector with the vector table is erased first,
+// and the block with the vector table is written last, after everything else.
 
 /** A range of flash, and the bytes to write there. */
 export interface FlashRange { address: number; bytes: Uint8Array }
@@ -27,7 +27,7 @@ interface UsbAlternate { alternateSetting: number; interfaceClass: number; inter
 /** The browser's access to USB devices. */
 export interface Usb { requestDevice(options: { filters: { vendorId: number; productId: number }[] }): Promise<UsbDevice> }
 
-/** USB identity of the boot loader: of ST, in DFU mode. */
+/** USB vendor and product number of ST's boot loader. */
 export const LOADER = { vendorId: 0x0483, productId: 0xdf11 };
 /** Start of flash, with the vector table. */
 const FLASH = 0x0800_0000;
@@ -111,11 +111,11 @@ export function sectorsOf(name: string): Sector[] {
 /** The error that is thrown if the boot loader answers that it cannot carry out a command. */
 class Refused extends Error {}
 
-/** The boot loader of one board. */
+/** An open USB connection to the boot loader of one board, and the commands of DfuSe. */
 class Loader {
   private constructor(private readonly device: UsbDevice, private readonly number: number, readonly sectors: Sector[], readonly block: number) {}
 
-  /** Opens the device, and the alternate setting of its flash. Closes the device if that fails. */
+  /** Opens the device and selects its flash (a USB alternate setting). Closes the device if that fails. */
   static async open(device: UsbDevice): Promise<Loader> {
     await device.open();
     try {
@@ -131,7 +131,7 @@ class Loader {
     const descriptor = await descriptorOf(device, 0x0200, 0, 512);
     for (const { interfaceNumber, alternates } of device.configuration?.interfaces ?? []) {
       for (const { interfaceClass, interfaceSubclass, alternateSetting, interfaceName } of alternates) {
-        // Some systems do not give the name.
+        // Some systems do not report the name. Then read it from the device.
         const name = interfaceName ?? (await nameOf(device, descriptor, interfaceNumber, alternateSetting));
         const sectors = sectorsOf(name);
         if (interfaceClass !== 0xfe || interfaceSubclass !== 1 || !sectors.some(({ address }) => address === FLASH)) continue;
@@ -193,7 +193,7 @@ class Loader {
     return this.command(ERASE, sector.address, `erase the sector at ${hex(sector.address)}`);
   }
 
-  /** Writes one block. */
+  /** Writes one block, and waits until the boot loader has carried this out. */
   async write(address: number, bytes: Uint8Array): Promise<void> {
     const what = `write at ${hex(address)}`;
     await this.command(SET_ADDRESS, address, what);
@@ -201,7 +201,7 @@ class Loader {
     await this.carriedOut(what);
   }
 
-  /** Reads one block. */
+  /** Reads `length` bytes, at most one block. Afterwards the boot loader is in its idle state. */
   async read(address: number, length: number): Promise<Uint8Array> {
     await this.command(SET_ADDRESS, address, `read at ${hex(address)}`);
     await this.rest();
@@ -259,7 +259,8 @@ async function nameOf(device: UsbDevice, descriptor: DataView, number: number, a
   return String.fromCharCode(...letters);
 }
 
-/** Cuts ranges into blocks; the last part is filled up to whole words with the value of erased flash. */
+/** Cuts ranges into blocks of at most `size` bytes. Fills each range up to whole words with 0xff, the value of erased
+ * flash. */
 function blocksOf(ranges: FlashRange[], size: number): FlashRange[] {
   return ranges.flatMap(({ address, bytes }) => {
     const whole = new Uint8Array(Math.ceil(bytes.length / 4) * 4).fill(0xff);
@@ -276,7 +277,8 @@ const rethrowWith = (about: string) => (error: Error): never => {
   throw new Error(`${error.message} ${about}`.trim());
 };
 
-/** Does something with each part, one after the other, and reports the progress. */
+/** Calls `act` with each part, one after the other. Reports the progress in bytes: `size` returns the number of bytes
+ * of a part. */
 async function each<T>(parts: T[], size: (part: T) => number, what: Parameters<Progress>[0], progress: Progress, act: (part: T, isFirst: boolean) => Promise<void>): Promise<void> {
   const all = parts.reduce((sum, part) => sum + size(part), 0);
   let done = 0;
@@ -288,8 +290,8 @@ async function each<T>(parts: T[], size: (part: T) => number, what: Parameters<P
   progress(what, done, all);
 }
 
-/** Loads firmware into a board, reads it back, and starts it. Sectors that the firmware does not touch, such as those of
- * the settings, keep their contents. Throws an error that says what has happened, and what the board does now. */
+/** Loads firmware into a board, reads it back, and starts it. Sectors that the firmware does not touch, such as those
+ * of the settings, keep their contents. An error says what has happened, and what the board does now. */
 export async function load(device: UsbDevice, { ranges }: Firmware, progress: Progress): Promise<void> {
   const loader = await Loader.open(device);
   try {

@@ -3,7 +3,7 @@ import { $, button, el } from "./dom";
 
 export class Dialog {
   readonly element: HTMLElement;
-  /** While true, nothing closes the dialog. */
+  /** While `true`, `close` has no effect, for example while firmware is loaded. */
   isHeld = false;
   private before?: HTMLElement;
 
@@ -34,7 +34,8 @@ export class Dialog {
     this.before?.focus();
   }
 
-  /** Appends the row of buttons. The first one closes the dialog; it is called Close if it is alone, otherwise Cancel. */
+  /** Appends the row of buttons. The first one closes the dialog: it is called Close if it is alone, otherwise Cancel.
+   * */
   actions(...more: Node[]): HTMLElement {
     const row = el("div", { className: "actions-row" }, button(more.length ? "Cancel" : "Close", () => this.close()), ...more);
     this.element.append(row);

@@ -8,7 +8,7 @@ export const $ = <T extends HTMLElement = HTMLElement>(id: string): T => {
 
 type Child = Node | string;
 
-/** Makes an element with properties and children. Names with a hyphen become attributes. */
+/** Makes an element with properties and children. Names with a hyphen, `role` and `for` are set as attributes. */
 export function el<K extends keyof HTMLElementTagNameMap>(tag: K, more: Record<string, unknown> = {}, ...children: Child[]): HTMLElementTagNameMap[K] {
   const made = document.createElement(tag);
   for (const [name, value] of Object.entries(more)) {
@@ -19,14 +19,14 @@ export function el<K extends keyof HTMLElementTagNameMap>(tag: K, more: Record<s
   return made;
 }
 
-/** Makes a button with an action. */
+/** Makes a button that calls `act` when it is clicked. */
 export function button(text: string, act: () => void, className = "btn"): HTMLButtonElement {
   const made = el("button", { type: "button", className, textContent: text });
   made.addEventListener("click", act);
   return made;
 }
 
-/** Makes an icon from the sprite. */
+/** Makes an icon. `name`: its id in the page without `i-`. `size`: a further CSS class. */
 export function icon(name: string, size = ""): SVGSVGElement {
   const made = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   made.setAttribute("class", `ic ${size}`.trim());
@@ -36,7 +36,7 @@ export function icon(name: string, size = ""): SVGSVGElement {
   return made;
 }
 
-/** Calls `act` when a control is clicked. */
+/** Calls `act` when the element with this id is clicked. */
 export const onclick = (id: string, act: () => void): void => $(id).addEventListener("click", act);
 
 /** Shows a text if it differs from the present one: unchanged elements cost the browser nothing. */
@@ -52,7 +52,7 @@ export function allow(control: HTMLElement, why?: string, hint = ""): void {
   if (control.title !== (why ?? hint)) control.title = why ?? hint;
 }
 
-/** Marks the chosen button of a group. */
+/** Marks the chosen button of a group as pressed (`aria-pressed`), and the others as not pressed. */
 export function press(buttons: Iterable<Element>, chosen: (button: HTMLElement) => boolean): void {
   for (const one of buttons) {
     const pressed = String(chosen(one as HTMLElement));
@@ -60,7 +60,7 @@ export function press(buttons: Iterable<Element>, chosen: (button: HTMLElement) 
   }
 }
 
-/** Formats a duration in words. */
+/** Formats a duration with units, such as `12.34 s`, `2 min 3 s` or `1 h 2 min 3 s`. */
 export function clock(seconds: number): string {
   if (seconds < 60) return `${seconds.toFixed(2)} s`;
   const whole = Math.round(seconds);
@@ -68,7 +68,7 @@ export function clock(seconds: number): string {
   return h ? `${h} h ${m} min ${s} s` : `${m} min ${s} s`;
 }
 
-/** Formats a duration like a clock. */
+/** Formats a duration like a clock, such as `2:03` or `1:02:03`. */
 export function minutes(seconds: number): string {
   const whole = Math.max(0, Math.round(seconds));
   const [h, m, s] = [Math.floor(whole / 3600), Math.floor(whole / 60) % 60, String(whole % 60).padStart(2, "0")];
@@ -86,7 +86,7 @@ export function rgb(name: string): [number, number, number] {
   return [0, 2, 4].map(at => parseInt(hex.slice(at, at + 2), 16) / 255) as [number, number, number];
 }
 
-/** Offers the user a file to save. */
+/** Makes the browser save a file with this name and contents, as a download. */
 export function save(name: string, contents: string | Uint8Array): void {
   const type = typeof contents === "string" ? "text/plain" : "application/octet-stream";
   const link = el("a", { href: URL.createObjectURL(new Blob([contents as BlobPart], { type })), download: name });

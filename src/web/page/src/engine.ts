@@ -15,9 +15,11 @@ export interface Order {
   resume?: Resume;
 }
 
-/** Where a job is resumed; like the options of `oxmill resume`. */
+/** Where a job is resumed, like the options of `oxmill resume`. `clearance` in mm, `plunge` in mm/min, `spin_up` in
+ * s. */
 export interface Resume { line: number; clearance?: number; plunge?: number; spin_up?: number }
-/** The rest of a job as a program. `prologue`: the lines that were added before the lines of the job. */
+/** The program that does the rest of a job. `line`: line of the job at which the rest begins; `prologue`: lines that
+ * were added before it, to restore the state. */
 export interface Rest { program: string; line: number; lines: number; prologue: string[] }
 
 export interface LineError { line: number; code: number; text: string; source: string; advice: string }
@@ -37,11 +39,13 @@ export interface Summary {
   peak_speed_mm_s: number; peak_acceleration_mm_s2: number; trace_hash: string; order_hash: string; host_s: number;
 }
 
-/** Returns what keeps a job from running, if anything: a description, its line, and the explanation of the firmware. */
+/** Returns the reason why a job does not run to its end: `text` describes it, `line` is its line, and `more` is the
+ * firmware's explanation. Returns `undefined` if the job is complete. */
 export function hindrance({ errors, more_errors, alarm, complete }: Summary): { text: string; line?: number; more?: string } | undefined {
   const refused = errors.length + more_errors;
   const [first] = errors;
-  // Name the alarm, unless a line before it was rejected. Rejected lines after the alarm are only its consequence.
+  // Name the alarm, unless a line before the alarm was rejected. Rejected lines after an alarm only follow from the
+  // alarm.
   if (alarm && !(first && first.line < (alarm.line ?? 0))) return { text: `the job ends in alarm ${alarm.code}`, line: alarm.line ?? undefined, more: alarm.text };
   if (refused) return { text: `${refused.toLocaleString("en")} line${refused === 1 ? "" : "s"} would be refused`, line: first.line, more: `Line ${first.line}: ${first.text}` };
   return complete ? undefined : { text: "the job does not come to its end" };
@@ -55,8 +59,9 @@ export const workZero = (summary: Summary): [number, number, number] =>
 export const ROW = 6;
 export const RAPID = 0x80000000;
 export const ARC = 0x40000000;
-/** The rows of a path. For each row: its line with the bit RAPID or ARC, its tool, and its S (0 while the spindle is
- * off). */
+/** The path of the tool in rows. A row is a straight piece from the position of the previous row to its own, with ROW
+ * numbers in `rows`. `lines`: the line number of each row, with the bit RAPID or ARC set for these moves. `speeds`: S
+ * of each row; 0 while the spindle is off. */
 export interface Path { rows: Float32Array; lines: Uint32Array; tools: Uint32Array; speeds: Uint32Array }
 
 export interface Streamed { baud: number; forecast_s: number; complete: boolean; errors: number; lost: { line: number; seconds: number }[] }
@@ -66,7 +71,8 @@ export interface Setting {
   values: string; default: number; grbl: boolean; axis: string | null;
   /** What the setting does, and when to change it. */
   explanation: string;
-  /** The name that all axes share, the group, and the names of the choices or bits, from 0 on. */
+  /** `title`: the name without its axis, the same for all axes. `labels`: the names of the choices, or of the bits,
+   * from 0 on. */
   title: string; group: string; labels: string[];
 }
 export interface Meaning { code: number; text: string; advice: string }
@@ -74,7 +80,8 @@ export interface Description {
   version: string; boards: { name: string; step_clock_hz: number }[]; settings: Setting[]; errors: Meaning[]; alarms: Meaning[];
 }
 
-/** What the settings of another controller become. `from`: the entry of the file. */
+/** A setting that results from an entry in a settings file of another controller. `from`: this entry; `line`: its line
+ * in the file. */
 export interface Taken { number: number; value: number; name: string; unit: string; from: string; line: number }
 export interface Import {
   what: string;
@@ -83,7 +90,8 @@ export interface Import {
   left: { text: string; why: string; line: number }[];
 }
 
-/** A pin table without faults: the board's name, the firmware's image that it is for, and the number of its pins. */
+/** A pin table without faults. `name`: the board's name; `image`: the firmware image that the table is for; `pins`:
+ * the number of its pins. */
 export interface Pins { name: string; image: string; pins: number }
 
 interface Exports {
@@ -135,7 +143,8 @@ export class Engine {
     return JSON.parse(this.call(() => this.wasm.oxmill_describe()));
   }
 
-  /** Runs a job through the controller. `progress` is called from time to time with the part of the file read, 0 to 1. */
+  /** Runs a job through the controller. `progress` is called from time to time with the part of the file that has been
+   * read, 0 to 1. */
   check(order: Order, job: Uint8Array, progress: (part: number) => void = () => {}): Summary {
     this.put(encode(JSON.stringify(order)), new Uint8Array(1), job);
     this.call(() => this.wasm.oxmill_check_begin());
@@ -144,7 +153,8 @@ export class Engine {
     return JSON.parse(this.call(() => this.wasm.oxmill_check_summary()));
   }
 
-  /** Returns the path of the job that was checked with `path` in its order. */
+  /** Returns the path of the last check, or during a check the path so far. The order of the check must have
+   * `path`. */
   path(): Path {
     const count = this.guard(() => this.wasm.oxmill_path());
     // The module returns addresses as signed numbers; make them unsigned.
@@ -182,7 +192,7 @@ export class Engine {
     return this.call(() => this.wasm.oxmill_pins_file());
   }
 
-  /** Returns the name in the pin table of an image; empty if it has none. */
+  /** Returns the board name in the pin table of an image; empty if the image has no pin table. */
   pinsIn(image: Uint8Array): string {
     this.put(image);
     return this.call(() => this.wasm.oxmill_pins_in());

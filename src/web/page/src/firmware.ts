@@ -1,4 +1,5 @@
-// The firmware as the page calls it: each job runs in a worker of its own, and short calls on the page.
+// Calls the firmware's WebAssembly module. Each long task runs in a worker of its own. Short calls run on the page
+// itself.
 import { type Description, Engine, type Import, type Order, type Path, type Pins, type Rest, type Streamed, type Summary } from "./engine";
 import type { Block, Cutter, Material } from "./material";
 import type { Task } from "./worker";
@@ -21,19 +22,19 @@ export async function load(): Promise<void> {
   engine = await Engine.start(module);
 }
 
-/** Returns what the settings of another controller become. Throws an error if the text is not of a known form. */
+/** Translates the settings of another controller into settings of Oxmill. Throws an error if the format of the text is
+ * unknown. */
 export const importSettings = (text: string): Import => engine.importSettings(text);
 
 /** Returns the file with the pin table of a board of this project. */
 export const pinsOf = (board: string): string | undefined => engine.pinsOf(board) || undefined;
-/** Returns the name in the pin table of an image, if the image has one. */
+/** Returns the board name in the pin table of an image, if the image has a pin table. */
 export const pinsIn = (image: Uint8Array): string | undefined => engine.pinsIn(image) || undefined;
 /** Checks a pin table. Throws an error with all its faults, a line each. */
 export const checkPins = (table: string): Pins => engine.checkPins(table);
-/** Writes a pin table into an image. Throws an error with the reason if it is not for this image. */
+/** Writes a pin table into an image. Throws an error with the reason if the table is for another image. */
 export const writePins = (table: string, image: Uint8Array): Uint8Array => engine.writePins(table, image);
 
-/** Starts a worker with the module. */
 export function worker(): Worker {
   const made = new Worker(source);
   made.postMessage({ task: "module", module } satisfies Task);
@@ -42,7 +43,8 @@ export function worker(): Worker {
 
 type Answer = { is: string; part: number; why: string; path?: Path };
 
-/** Runs a task in a worker of its own, which is terminated after the task or by the signal. */
+/** Runs a task in a worker of its own. The worker ends after the task, or when `signal` aborts. `is`: the kind of
+ * message that carries the result. */
 function run<T extends Answer>(task: Task, is: string, signal?: AbortSignal, progress?: (part: number) => void, sketch?: (path: Path) => void): Promise<T> {
   return new Promise((resolve, reject) => {
     const one = worker();
@@ -88,7 +90,8 @@ export async function resume(order: Order, job: Uint8Array, signal?: AbortSignal
   return (await run<Answer & { rest: Rest }>({ task: "resume", order, job }, "resumed", signal)).rest;
 }
 
-/** Computes what the cutters leave of a block up to a time. It takes seconds, and therefore runs in a worker. */
+/** Computes the shape of a block after the moves of a job up to the time `until`, s. The computation takes seconds.
+ * Therefore it runs in a worker. */
 export async function cutBlock(path: Path, cutters: Record<number, Cutter>, block: Block, until: number, signal: AbortSignal, progress: (part: number) => void): Promise<Material> {
   return (await run<Answer & { material: Material }>({ task: "material", path, cutters, block, until }, "material", signal, progress)).material;
 }

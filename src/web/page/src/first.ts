@@ -37,7 +37,7 @@ export class FirstVisit {
     return made;
   }
 
-  /** Arrow keys select, as in all radio groups. */
+  /** Arrow keys select the next or the previous machine, as in all radio groups. */
   private move(event: KeyboardEvent): void {
     const step = { ArrowDown: 1, ArrowRight: 1, ArrowUp: -1, ArrowLeft: -1 }[event.key];
     if (!step) return;
@@ -63,7 +63,7 @@ export class FirstVisit {
     if ($("app").dataset.workspace === "first") void this.forecast();
   }
 
-  /** Call when the start page is shown. */
+  /** Call when the start page is shown: makes the forecasts that are missing. */
   show(): void {
     if (!this.drawn) void this.forecast();
   }
@@ -88,7 +88,7 @@ export class FirstVisit {
       }), () => {});
     } catch (error) {
       if (signal.aborted) {
-        // Forecasts that are still missing are made when the start page is shown again.
+        // The missing forecasts are made when the start page is shown again.
         if (this.running?.signal === signal) this.drawn = false;
         return;
       }

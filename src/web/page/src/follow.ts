@@ -1,5 +1,5 @@
-// Finds the position of a machine in its job: reports give the machine's position, and the path gives the times at
-// which the job is at this position.
+// Finds where a machine is in its job. A report gives the machine's position. The path gives the times at which the
+// job is at this position.
 import { type Path, ROW } from "./engine";
 import { endOf, isRapid, lineOf, placeAt, rowAt } from "./track";
 
@@ -10,10 +10,10 @@ const FASTEST = 2.2;
 const SLACK = 1;
 /** A machine that is nearer to the path than this counts as on the path, mm. */
 const NEAR = 0.3;
-/** The same distance for the second search, which covers everything that was sent, mm. */
+/** Like `NEAR`, for the second search, mm. The second search covers all lines that were sent. */
 const ASTRAY = 1;
-/** Cost of a deviation from the expected time, mm per s. If the path passes a position twice, or rests there, this cost
- * decides between the times. */
+/** Weight of time in the search, mm per s: a match that is 1 s off the expected time counts as 0.02 mm farther away.
+ * If the path passes a position twice, or rests there, this weight selects the time. */
 const SECOND = 0.02;
 
 export interface Overrides { feed: number; rapid: number }
@@ -58,7 +58,7 @@ export class Follower {
   }
 
   /** Searches the path from the present time to `until` for the position `at`. If the path comes within `within` mm of
-   * this position, sets `time` to that time. Returns whether it does. */
+   * `at`, sets `time` to the time of the best match, and returns `true`. */
   private look(at: number[], expected: number, until: number, sent: number, second: number, within: number): boolean {
     const { path } = this;
     let [best, found, off]: [number, number, number] = [Infinity, this.time, Infinity];
@@ -76,7 +76,7 @@ export class Follower {
       const [from, to] = [Math.max(began, this.time), Math.min(ended, until)];
       look(Math.min(until, Math.max(this.time, began)));
       if (to <= from) continue;
-      // `part`: where on the straight row the machine is nearest, as a fraction of the row.
+      // `part`: the point of this straight row that is nearest to the machine, as a fraction of the row.
       const a = [0, 1, 2].map(axis => path.rows[(row - 1) * ROW + axis]);
       const way = [0, 1, 2].map(axis => path.rows[row * ROW + axis] - a[axis]);
       const length2 = way.reduce((sum, v) => sum + v * v, 0);
@@ -92,7 +92,7 @@ export class Follower {
     this.time = this.end;
   }
 
-  /** Remaining seconds with these overrides (1 is 100 %). */
+  /** Returns the remaining seconds of the job with these overrides. An override of 1 is 100 %. */
   left({ feed, rapid }: Overrides): number {
     const { path, time } = this;
     const count = path.lines.length;

@@ -15,7 +15,6 @@ const LOOKED_AT = 65_536;
 
 const size = (bytes: number): string => (bytes < 1024 ? `${bytes} bytes` : bytes < 2 ** 20 ? `${(bytes / 1024).toFixed(1)} KB` : `${(bytes / 2 ** 20).toFixed(1)} MB`);
 
-/** Returns a refusal if a file is too large. */
 export const tooLarge = (name: string, bytes: number): Refusal | undefined =>
   bytes > LARGEST ? { head: "This file is too large.", text: `${name} has ${size(bytes)}; this page reads up to ${size(LARGEST)}. No line of it was checked: use the program oxmill check.` } : undefined;
 

@@ -6,11 +6,12 @@ import { units } from "./units";
 
 /** Duration of each move of a held jog, s. */
 const JOG_SECONDS = 0.2;
-/** Moves of a held jog that are sent ahead of the last report. If the page crashes, the machine makes only these. */
+/** Maximum number of moves of a held jog that are sent and, by the last report, not yet done. If the page crashes, the
+ * machine makes only these moves. */
 const JOGS_AHEAD = 3;
 /** Steps in the displayed unit. */
 const STEPS = { mm: [0.001, 0.01, 0.1, 1, 10], inch: [0.0005, 0.005, 0.05, 0.5] };
-/** Jogging by keys switches itself off after this time without a jog, ms. */
+/** Jogging by keys is switched off after this time without a jog, ms. */
 const FORGETFUL = 5 * 60_000;
 
 /** Direction of each axis that a jog moves, by axis letter. */
@@ -28,7 +29,7 @@ export class JogPanel {
   private step = 1;
   private pads: HTMLButtonElement[] = [];
   private axes = "";
-  /** Identifies the button or key that is held to jog. */
+  /** Identifies the button or key that is held to jog; `undefined` if none is held. */
   private jogging?: object;
   /** Resolved when the last held jog has ended. */
   private jogged = Promise.resolve();
@@ -60,7 +61,7 @@ export class JogPanel {
     $<HTMLInputElement>("key-jog").checked = false;
   }
 
-  /** Changes to the next smaller or larger step. */
+  /** Changes to the next larger step (`by` is 1) or to the next smaller step (`by` is -1). */
   changeStep(by: number): void {
     const steps = STEPS[units.name].map(step => step * units.size);
     const at = steps.findIndex(step => Math.abs(step - this.step) < 1e-9);
@@ -190,7 +191,7 @@ export class JogPanel {
     const { machine } = this;
     const { sender } = machine;
     const held = () => this.jogging === press && machine.sender === sender;
-    // Request the settings if they are not known: the machine may have refused to list them before.
+    // Request the settings if they are unknown: a machine in motion may have refused the first request.
     if (sender && held() && machine.settings[110] === undefined) await machine.readSettings();
     if (!sender || !held()) return;
     const axes = Object.keys(way).map(axis => "XYZABC".indexOf(axis));
@@ -200,14 +201,15 @@ export class JogPanel {
     const at = () => machine.status?.machine[axes[0]] ?? 0;
     const from = at();
     for (let sent = 0; held(); ) {
-      // The answer arrives when a jog is planned, not when it is done: only the reports show the progress.
+      // The machine answers when a jog is planned, not when it is done. Only the reports show the progress.
       if (sent * distance >= Math.abs(at() - from) + JOGS_AHEAD * distance) {
         await new Promise(resolve => setTimeout(resolve, 20));
         continue;
       }
       sent++;
       const answer = await sender.command(text);
-      // Cancel again: a line that was being sent when the button was released can arrive after the first jog cancel.
+      // Cancel once more: a jog that was being sent at the release of the button can arrive after the first jog
+      // cancel.
       if (!held() && machine.sender === sender) sender.realtime(REALTIME.jogCancel);
       if (answer !== "ok") {
         this.refused(text, answer);
@@ -217,7 +219,6 @@ export class JogPanel {
     if (held()) this.end();
   }
 
-  /** Ends a held jog. */
   end(): void {
     if (!this.jogging) return;
     this.jogging = undefined;

@@ -4,7 +4,7 @@ import { worker } from "./firmware";
 import type { Link } from "./sender";
 import type { Task } from "./worker";
 
-/** A simulated machine in the page. */
+/** A simulated machine, which runs in a worker of the page. */
 export class PageLink implements Link {
   onsaid: (text: string) => void = () => {};
   onlost: (why: string) => void = () => {};
@@ -64,7 +64,7 @@ interface Serial { requestPort(): Promise<SerialPort> }
 
 export const serial = (): Serial | undefined => (navigator as unknown as { serial?: Serial }).serial;
 
-/** A board at a serial port. */
+/** A board at a serial port, by Web Serial. */
 export class SerialLink implements Link {
   onsaid: (text: string) => void = () => {};
   onlost: (why: string) => void = () => {};
@@ -91,10 +91,9 @@ export class SerialLink implements Link {
     this.writer.write(bytes).catch(error => this.onlost(String(error)));
   }
 
-  /** Closes the port after all bytes have been written. */
+  /** Closes the port after all bytes have been written, but waits at most `LONGEST_CLOSE`. */
   async close(): Promise<void> {
-    // Each step can fail if the board has left the bus: ignore the error, and go on to close the port. Wait only
-    // briefly for a board that accepts no bytes.
+    // Each step can fail if the board has left the bus. Ignore the error, and go on to close the port.
     await Promise.race([this.writer.close(), new Promise(resolve => setTimeout(resolve, LONGEST_CLOSE))]).catch(() => {});
     this.writer.releaseLock();
     await this.reader.cancel().catch(() => {});
@@ -123,7 +122,7 @@ export function servedMachine(): string | undefined {
   return path && `ws://${location.host}${path}`;
 }
 
-/** A machine at a WebSocket. */
+/** A machine behind a WebSocket, such as that of `oxmill serve --web`. */
 export class SocketLink implements Link {
   onsaid: (text: string) => void = () => {};
   onlost: (why: string) => void = () => {};

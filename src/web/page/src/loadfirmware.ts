@@ -1,5 +1,5 @@
-// The dialog that loads firmware into a board over USB (WebUSB): the images that the site carries, or a .dfu file of a
-// release or of `cargo fw`, each with its own pin table or with one that the user has chosen.
+// The dialog that loads firmware into a board over USB (WebUSB). The image comes from the site, or from a .dfu file of
+// a release or of `cargo fw`. The image keeps its own pin table, or gets one that the user has chosen.
 import { allow, button, el, onclick, save, say } from "./dom";
 import { type Firmware, load, LOADER, parse, type Usb, type UsbDevice } from "./dfu";
 import { Dialog } from "./dialogs";
@@ -7,7 +7,7 @@ import type { Pins } from "./engine";
 import { checkPins, pinsIn, pinsOf, writePins } from "./firmware";
 import type { Machine } from "./machine";
 
-/** Maximum size of a file, in bytes: the flash of the largest chip, twice. */
+/** Maximum size of a firmware file, in bytes: twice the flash of the largest chip. */
 const LARGEST = 4 * 2 ** 20;
 /** Maximum size of a pin table, in bytes. */
 const LARGEST_TABLE = 2 ** 16;
@@ -15,10 +15,11 @@ const LARGEST_TABLE = 2 ** 16;
 const SETTINGS = { from: 0x0800_4000, to: 0x0800_c000 };
 const DOING = { erase: "Erasing", write: "Writing", verify: "Reading back" };
 
-/** An image that the site carries: the name of its board, and the board's name for people. */
+/** An image that the site carries. `board`: the board's name, such as blackpill_f411; `title`: the name that the user
+ * sees. */
 interface Image { board: string; title: string }
 
-/** Returns the browser's access to USB devices, if it has any. */
+/** Returns the browser's WebUSB interface; `undefined` in a browser without WebUSB. */
 const usb = (): Usb | undefined => (navigator as { usb?: Usb }).usb;
 
 /** Gets a file of the site. The browser checks a cached copy with the server first, because page, list and images must
@@ -37,13 +38,12 @@ async function carried(): Promise<Image[]> {
   return Array.isArray(images) ? images.filter(image => typeof image?.board === "string" && /^\w+$/.test(image.board) && typeof image.title === "string") : [];
 }
 
-/** Reads a file of at most `largest` bytes. Throws an error if the file is larger. */
 async function contents(file: File, largest: number, what: string): Promise<Uint8Array> {
   if (file.size > largest) throw new Error(`${file.name} is too large to be ${what}.`);
   return new Uint8Array(await file.arrayBuffer());
 }
 
-/** A choice of the user whose value takes time to get. */
+/** An image or a pin table that the user has chosen, and that is then downloaded or read from a file. */
 class Choice<T> {
   value?: T;
   /** Why the value could not be read or downloaded. */
@@ -93,7 +93,7 @@ export class LoadFirmware {
   private readonly about = el("p", { className: "note", id: "firmware-connected" });
   private readonly cancel = button("Cancel", () => void this.device?.close());
   private readonly image = new Choice<Uint8Array>(() => this.combine());
-  /** The text of a pin table. */
+  /** The text of the pin table that the user has chosen. */
   private readonly pins = new Choice<string>(() => this.combine());
   /** The chosen image with the chosen pin table, if neither has a fault. */
   private ready?: Ready;
@@ -176,7 +176,7 @@ export class LoadFirmware {
     });
   }
 
-  /** Why nothing can be loaded or saved now; `undefined` if something can. */
+  /** The reason why firmware cannot be loaded or saved now; `undefined` if it can. */
   private get whyNot(): string | undefined {
     if (this.isLoading) return "Firmware is being loaded.";
     if (this.ready) return undefined;
@@ -184,7 +184,7 @@ export class LoadFirmware {
   }
 
   private show(): void {
-    // A disconnected board sends no answer to the restart.
+    // Forget the restart: a board that has disconnected sends no answer to it.
     if (!this.machine.isConnected) this.isRestarting = false;
     allow(this.loader, this.isLoading ? "Firmware is being loaded." : !this.machine.isSerial ? "No board is connected." : this.isRestarting ? "The board restarts." : undefined);
     this.cancel.hidden = !this.isLoading;
@@ -238,15 +238,16 @@ export class LoadFirmware {
     this.tell(`${firmware.name}, ${(bytes / 1024).toFixed(0)} KiB.${this.withPins}${rename}${settings}${this.warning}`, this.warning ? false : undefined);
   }
 
-  /** A sentence about the firmware's pin table; empty if the table is that of the board in the firmware's name. */
+  /** A sentence about the pin table of the firmware. Empty if the name of the firmware already names the table's
+   * board. */
   private get withPins(): string {
     const { ready } = this;
     if (!ready || ready.firmware.name === `Oxmill for ${ready.name}`) return "";
     return ready.name === "firmware" ? " It has no pin table: it is firmware of another project." : ` With the pins of ${ready.name}.`;
   }
 
-  /** A warning if the firmware is not for the connected board; empty otherwise. There is no warning if the user gives
-   * the connected board's own image other pins. */
+  /** A warning if the firmware is for another board than the connected one; otherwise empty. The image of the
+   * connected board with other pins, chosen by the user, causes no warning. */
   private get warning(): string {
     const { ready, connected } = this;
     if (!ready || !connected || ready.name === connected) return "";
@@ -306,10 +307,9 @@ export class LoadFirmware {
   }
 }
 
-/** Whether firmware leaves the sectors of the settings as they are. */
+/** Returns `true` if loading the firmware does not erase the flash that holds the settings. */
 const keepsSettings = ({ ranges }: Firmware): boolean => ranges.every(({ address, bytes }) => address >= SETTINGS.to || address + bytes.length <= SETTINGS.from);
 
-/** Checks a pin table. Throws an error with all its faults. */
 function readTable(text: string): Pins {
   try {
     return checkPins(text);
@@ -318,7 +318,7 @@ function readTable(text: string): Pins {
   }
 }
 
-/** Returns the chosen file of an input, and makes the input ready for the same file to be chosen again. */
+/** Returns the chosen file of an input. Empties the input, so that the same file can be chosen again. */
 function taken(input: HTMLInputElement): File | undefined {
   const [file] = input.files ?? [];
   input.value = "";

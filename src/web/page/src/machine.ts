@@ -13,14 +13,13 @@ import { workZero } from "./engine";
 const POLL = 200;
 /** After this time without output, the machine counts as not responding, ms. */
 const SILENT = 2000;
-/** Number of the setting for the dialect; its value 0 is Grbl's. */
+/** Number of the setting for the dialect (`$900`). The value 0 means Grbl. */
 const DIALECT = 900;
 /** After this time without output, the connection counts as lost, ms. */
 const GONE = 6000;
 
 export type Phase = "none" | "connecting" | "idle" | "jog" | "home" | "run" | "hold" | "stopping" | "alarm" | "door" | "sleep" | "check" | "silent" | "lost";
 
-/** A job that is running. */
 export interface Running {
   job: Job;
   summary: Summary;
@@ -29,11 +28,14 @@ export interface Running {
   began: number;
   holds: number;
 }
-/** A job that ended before its last line. */
+/** A job that ended before its last line. `line` and `seconds`: the line and the time that the job had reached; `at`:
+ * the work position there, mm; `lifted`: `true` after the user has lifted Z. */
 export interface Stopped { job: Job; line: number; seconds: number; why: string; at: number[]; lifted?: boolean }
-/** A job that was completed. */
+/** A completed job. `took` and `forecast`: its real and its expected duration, s; `times`: speed of a simulated
+ * machine, as a multiple of real time. */
 export interface Finished { name: string; took: number; forecast: number; holds: number; times: number }
-/** An alarm, from its report until the machine can work again. */
+/** An alarm, from its report until the machine can work again. `at`: the work position, mm; `limits`: letters of the
+ * axes whose limit switches tripped. */
 export interface Trouble { code?: number; text: string; advice: string; at: number[]; line?: number; limits: string; unlocked: boolean; positionLost: boolean }
 
 export class Machine {
@@ -45,7 +47,7 @@ export class Machine {
   modes: string[] = [];
   /** Lines of `$#`: offsets and tools. */
   stored: string[] = [];
-  /** Whether the machine has been homed, if known. */
+  /** `true` if the machine has been homed, `false` if not, `undefined` if the page does not know. */
   homed?: boolean;
   running?: Running;
   stopped?: Stopped;
@@ -58,25 +60,25 @@ export class Machine {
   boardName = "";
   /** Overrides of feed, rapids and spindle, in percent. */
   overrides = [100, 100, 100];
-  /** Spindle and coolant that are on: letters S, C, F, M. */
+  /** Letters for what is on, as in the field `A:` of a report: S spindle clockwise, C counterclockwise, F flood, M
+   * mist. */
   accessories = "";
   onsay: (text: string, kind?: string) => void = () => {};
   onnote: (text: string) => void = () => {};
   private link?: Link;
   private endPoll = () => {};
   private stopping?: Stopping;
-  /** Counts presses of Stop and ended connections. A sequence of lines must not continue if the count has changed since
-   * its start. */
+  /** Number of presses of Stop and of ended connections. A sequence of lines ends when this number changes. */
   stopCalls = 0;
   private receivedAt = 0;
   private reported = 0;
   /** Why the connection was lost, if it was. */
   private lostWhy = "";
-  /** Number of consecutive reports in which the machine is idle and no line is pending. */
+  /** Number of reports in a row in which the machine was idle and no line was pending. */
   private rests = 0;
-  /** Whether modes and offsets may have changed and must be requested. */
+  /** `true` if modes and offsets may have changed and must be requested. */
   private stale = true;
-  /** Whether modes and offsets have been requested and have not arrived yet. */
+  /** `true` while the answer to the request for modes and offsets is missing. */
   private asking = false;
   private limits = "";
   private readonly listeners: (() => void)[] = [];
@@ -136,7 +138,7 @@ export class Machine {
     return this.link instanceof PageLink;
   }
 
-  /** Whether the displayed position may be wrong. */
+  /** `true` if the displayed position may be wrong, as after an alarm in motion. */
   get isUnsure(): boolean {
     return this.trouble?.positionLost ?? false;
   }
@@ -147,7 +149,7 @@ export class Machine {
     return word === undefined ? 0 : Number(word.slice(1, 3)) - 53 + Number(word.split(".")[1] ?? 0);
   }
 
-  /** Why the page must not send jogs or lines of its own now; `undefined` if nothing prevents it. */
+  /** The reason why the page must not send jogs or lines of its own now; `undefined` if it may. */
   get whyNot(): string | undefined {
     switch (this.phase) {
       case "none": return "Connect a machine first.";
@@ -166,13 +168,13 @@ export class Machine {
     }
   }
 
-  /** Like `whyNot`, but a running jog is a reason, too. */
+  /** Like `whyNot`, but a jog in progress also is a reason. */
   get whyNotAtRest(): string | undefined {
     return this.phase === "jog" ? "Off while the machine jogs." : this.whyNot;
   }
 
-  /** Whether the machine is at rest, so that a job can start. Two reports must agree on this, because a single one can
-   * be older than the last move. Modes and offsets must also be known. */
+  /** `true` if the machine is at rest, so that a job can start. Two reports in a row must say so, because a single
+   * report can be older than the last move. Modes and offsets must also be known. */
   get isAtRest(): boolean {
     return this.rests >= 2 && !this.stale && !this.asking;
   }
@@ -191,7 +193,7 @@ export class Machine {
     this.onsay(answered.answer, answered.answer === "ok" ? "" : "wrong");
     this.stale = true;
     if (answered.answer === "ok") this.after(text.trim().toUpperCase());
-    // Read the settings again, because the new one can change the unit of reports, or speeds.
+    // Read all settings again: a changed setting can change the unit of reports, or speeds.
     if (/^\s*\$(\d|RST)/i.test(text)) await this.readSettings();
     this.changed();
     return answered;
@@ -233,7 +235,7 @@ export class Machine {
       this.trouble.unlocked = true;
       if (!this.trouble.positionLost) this.trouble = undefined;
     }
-    // After a change of these settings, the positions do not match the homed coordinates.
+    // A change of these settings invalidates the coordinates that homing has set.
     if (/^\$(3|23|10\d|904|930)=/.test(line)) this.homed = undefined;
   }
 
@@ -312,12 +314,13 @@ export class Machine {
     this.onnote(homes ? "Disconnected. The machine is homing, and goes on with it." : moves ? "Disconnected. The machine was moving, and is held." : "Disconnected.");
   }
 
-  /** Whether the machine has work. It can still move after all lines have been answered. */
+  /** Returns `true` if the machine has work. It can still move after all lines have been answered. */
   moves(): boolean {
     return this.sender !== undefined && (this.sender.busy || /^(Run|Jog|Home)/.test(this.status?.state ?? ""));
   }
 
-  /** Handles a lost connection. Bytes may still reach the machine, so a moving machine is put into a hold. */
+  /** Handles a lost connection. Commands may still reach the machine, although its answers are lost. So a moving
+   * machine is put into a hold. */
   private lost(why: string): void {
     const moves = this.moves();
     if (moves) this.realtime("hold");
@@ -339,7 +342,7 @@ export class Machine {
     this.changed();
   }
 
-  /** Call when the user has acknowledged a lost connection. */
+  /** Call when the user has acknowledged the loss of the connection. */
   dismissLost(): void {
     this.lostWhy = "";
     this.changed();
@@ -414,7 +417,7 @@ export class Machine {
     this.changed();
   }
 
-  /** Handles a machine that is locked and has reported no alarm, as after power-up or a reset. */
+  /** Handles a machine that is locked without an alarm, as after power-up or a reset. */
   private locked(): void {
     this.trouble = { text: "the machine is locked until it is homed or unlocked", advice: "Home it, or unlock it if you know where it is.",
       at: this.status?.work ?? [], limits: "", unlocked: false, positionLost: this.homed === false };
@@ -426,7 +429,7 @@ export class Machine {
     this.onnote(/refused/.test(why) ? `The job has ended: ${why}. The machine is in Hold: press Stop to drop the lines it has received, Resume to run them.` : `The job has ended: ${why}.`);
   }
 
-  /** Ends a job before its last line. */
+  /** Records that a job ended before its last line. Sends nothing. */
   private end({ job, follower }: Running, why: string): void {
     this.stopped ??= { job, line: Math.max(1, follower.line), seconds: follower.time, why, at: this.status?.work ?? [] };
     this.running = undefined;
@@ -445,7 +448,8 @@ export class Machine {
     this.changed();
   }
 
-  /** Stops any motion: a jog by a jog cancel, all else by braking and a reset at rest. A second press resets at once. */
+  /** Stops any motion. A jog is cancelled. Anything else is braked, and the machine is reset at rest. A second press
+   * resets at once. */
   stop(): void {
     const { sender } = this;
     if (!sender) return;
@@ -476,7 +480,8 @@ export class Machine {
     this.changed();
   }
 
-  /** Sends lines one after the other, until one is rejected or Stop is pressed. Returns what went wrong, if anything. */
+  /** Sends lines one after the other, until one is rejected or Stop is pressed. Returns what went wrong; `undefined`
+   * if all were accepted. */
   async sequence(lines: string[]): Promise<string | undefined> {
     const calls = this.stopCalls;
     for (const line of lines) {
@@ -487,12 +492,13 @@ export class Machine {
     return this.stopCalls === calls ? undefined : "stopped";
   }
 
-  /** Returns an answer in words. */
+  /** Returns the explanation of an answer, or the answer itself if it has none. */
   explain(answer: string): string {
     return this.meanings?.(answer) ?? answer;
   }
 
-  /** Returns the explanation of an error answer. */
+  /** Returns the explanation of an answer such as `error:9`; `undefined` for other answers. Set by the page at its
+   * start. */
   meanings?: (answer: string) => string | undefined;
 
   /** Unlocks the machine; resets it first if there was an alarm. */

@@ -47,7 +47,7 @@ export class Macros {
     const macro = { name: this.name.value.trim(), lines: this.text.value.trim() };
     if (!macro.name || !macro.lines) return void (this.note.textContent = "A macro needs a name and lines.");
     this.note.textContent = "Checking";
-    // Leave out lines with `$`, which are for the real machine only.
+    // Do not check lines with `$`: they are for the real machine only. Blank them, so that line numbers stay.
     const program = macro.lines.split("\n").map(line => (line.trim().startsWith("$") ? "" : line)).join("\n");
     const { summary } = await firmware.check({ ...this.page.order(), name: macro.name }, new TextEncoder().encode(program));
     const [error] = summary.errors;
@@ -91,7 +91,7 @@ function stored(): Macro[] {
     const kept: unknown = JSON.parse(localStorage.getItem(STORED) ?? "null");
     if (Array.isArray(kept)) return kept.filter(one => typeof one?.name === "string" && typeof one?.lines === "string");
   } catch {
-    // Ignore data that another page may have stored.
+    // Another page may have stored these data: ignore them.
   }
   // There are no predefined macros: what is safe depends on the machine.
   return [];

@@ -1,14 +1,14 @@
-// What cutters leave of a block: a height map, each height exact for the middle of its cell. Pure geometry: computes
-// heights and collisions from the rows of a path.
+// Simulates cutting: what the cutters of a job leave of a block, and which rapids go through material. The result is a
+// height map. Each height is exact for the middle of its cell. Draws nothing.
 import { ARC, type Path, RAPID, ROW } from "./engine";
 
 export type Shape = "flat" | "ball" | "v";
 /** Diameter in mm; `angle` is the full angle of a V, in degrees. */
 export interface Cutter { shape: Shape; diameter: number; angle: number }
-/** A block, in mm of machine coordinates. */
+/** A block of material before it is cut, in mm of machine coordinates. */
 export interface Block { low: number[]; high: number[] }
-/** A rapid that went through material: its line, its rows of the path, its start (s), and its maximum depth in material
- * (mm). */
+/** A rapid that went through material. `rows`: its rows of the path; `seconds`: its start, s; `depth`: its maximum
+ * depth in the material, mm. */
 export interface Crash { line: number; rows: number[]; seconds: number; depth: number }
 export interface Material {
   block: Block; cell: number; nx: number; ny: number; heights: Float32Array; crashes: Crash[];
@@ -18,7 +18,7 @@ export interface Material {
 
 /** Maximum number of cells in the map. */
 const CELLS = 360_000;
-/** Maximum number of cells examined for all moves together. Examining them takes a second or two. */
+/** Maximum number of cells that are examined for all moves together, which takes a second or two. */
 const WORK = 80_000_000;
 const SMALLEST_CELL = 0.02;
 /** How far a rapid may enter material, sideways and downwards, without counting as a crash, mm. The path of a long job
@@ -74,11 +74,9 @@ export function blockOf(path: Path, cutters: Record<number, Cutter>, zero: numbe
   };
 }
 
-/**
- * Cuts a block, up to the time `until` of the job. A move lowers each cell to the lowest height that the cutter had
- * above it. The profile of the cutter is convex, so the point of the move at which the cutter is lowest above a cell
- * follows from the slope of the move in closed form.
- */
+/** Cuts a block with the moves of a job up to the time `until`, s. A move lowers each cell to the lowest height that
+ * the cutter had above the cell. The profile of the cutter is convex. Therefore a formula with the slope of the move
+ * gives the point at which the cutter is lowest above a cell. */
 export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, cell: number, progress: (part: number) => void = () => {}, until = Infinity): Material {
   const nx = Math.max(1, Math.round((block.high[0] - block.low[0]) / cell));
   const ny = Math.max(1, Math.round((block.high[1] - block.low[1]) / cell));
@@ -108,7 +106,8 @@ export function cut(path: Path, cutters: Record<number, Cutter>, block: Block, c
     const last = Math.min(ny - 1, Math.floor((Math.max(ay, by) + radius - block.low[1]) / dy - 0.5));
     for (let j = first; j <= last; j++) {
       const y = block.low[1] + (j + 0.5) * dy;
-      // `begin` and `end`: the part of the move, in mm from its start, in which the cutter reaches this row of cells.
+      // `begin` and `end`: the part of the move in which the cutter reaches this row of cells, in mm from the start of
+      // the move.
       let [begin, end] = [0, length];
       if (Math.abs(uy) > 1e-9) {
         const [one, other] = [(y - radius - ay) / uy, (y + radius - ay) / uy];

@@ -6,14 +6,14 @@ interface Extended extends Event { waitUntil(done: Promise<unknown>): void }
 interface Fetched extends Event { request: Request; respondWith(answer: Promise<Response>): void }
 const worker = globalThis as unknown as { skipWaiting(): Promise<void>; clients: { claim(): Promise<void> }; addEventListener(kind: string, call: (event: Event) => void): void };
 
-/** Identifies the contents of the site. */
+/** A hash of the site's files: each version of the page has another one. */
 declare const VERSION: string;
 declare const FILES: string[];
 const PREFIX = "oxmill-";
 const kept = `${PREFIX}${VERSION}`;
 
 worker.addEventListener("install", event => {
-  // Load from the server, bypassing the browser's cache of an earlier version.
+  // Load the files from the server. The browser's cache may have them from an earlier version.
   const all = FILES.map(file => new Request(file, { cache: "reload" }));
   (event as Extended).waitUntil(caches.open(kept).then(cache => cache.addAll(all)).then(() => worker.skipWaiting()));
 });

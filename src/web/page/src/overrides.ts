@@ -1,4 +1,5 @@
-// Overrides of feed, rapids and spindle.
+// The panel for the overrides of feed, rapids and spindle: its buttons, the values that the machine reports, and the
+// effect on the time of the job.
 import { $, allow, clock, el, onclick, press, say } from "./dom";
 import type { Machine } from "./machine";
 import type { REALTIME } from "./sender";

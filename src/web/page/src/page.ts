@@ -8,7 +8,7 @@ export const NO_JOB: Job = { name: "", bytes: new Uint8Array(0), text: "", lines
 
 export type Workspace = "first" | "check" | "run" | "settings";
 
-/** Values of settings, as used by the forecast. */
+/** The settings with which the forecast is made. `number`: the number of a setting, such as 110 for `$110`. */
 export interface Values {
   value(number: number): number;
   /** The values that differ from those of a new controller. */
@@ -27,14 +27,13 @@ export interface Timeline {
   showBlock(material?: Material, withPath?: boolean): void;
 }
 
-/** The page, as a panel sees it. */
 export interface Page {
   readonly description: Description;
   readonly job: Job;
   readonly checked?: Checked;
   readonly settings: Values;
   readonly player: Timeline;
-  /** Returns the order for a check. */
+  /** Returns the order for a check of the job with the present settings. `more` replaces or adds parts of it. */
   order(more?: Order): Order;
   /** Opens a job and checks it. */
   open(name: string, bytes: Uint8Array): void;
@@ -43,7 +42,6 @@ export interface Page {
 
 /** A panel that shows results of a job. */
 export interface JobPanel {
-  /** Shows the results of a job that has been checked. */
   show?(path: Path, summary: Summary): void;
   /** Clears the results, because the job or the settings have changed. */
   clear(): void;

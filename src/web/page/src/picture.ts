@@ -5,22 +5,22 @@ import { type Path, ROW } from "./engine";
 import type { Material } from "./material";
 import { BLOCK_FRAGMENT, BLOCK_VERTEX, FRAGMENT, VERTEX } from "./shaders";
 
-/** Floats of a row on the graphics processor: position, start and end time, shade. */
+/** Number of floats that the graphics processor gets for each row: position, start and end time, shade. */
 const STRIDE = 6;
-/** Paths up to this number of rows are always drawn as thick lines. Longer ones are a strip of thin lines while the view
- * moves. */
+/** Paths up to this number of rows are always drawn as thick lines. Longer paths are drawn as a strip of thin lines
+ * while the view moves. */
 const QUICK = 20_000;
 /** Maximum number of rows drawn while the view moves. */
 const MOVING = 60_000;
-/** The same, where thick lines are slow. */
+/** Like `MOVING`, for paths whose thick lines take longer than `SLOW`. */
 const MOVING_SLOWLY = 10_000;
 /** Thick lines are not drawn if they would take longer than this, ms. */
 const SLOW = 250;
-/** Number of rows that are drawn for measuring the time. */
+/** Number of rows that are drawn to measure the time of one row. */
 const TRIED = 4_000;
-/** Time after the last move until a view counts as at rest, ms. */
+/** After this time without a move, a view counts as at rest, ms. */
 const REST = 200;
-/** The same, where thick lines are slow. */
+/** Like `REST`, for paths whose thick lines take longer than `SLOW`, ms. */
 const REST_SLOWLY = 700;
 /** Directions of the arrow keys, right and up. */
 const ARROWS: Record<string, readonly [number, number]> = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
@@ -51,7 +51,7 @@ export class Picture {
   unit = 1;
   /** The grid in work coordinates, mm: start and end along X and Y, and its step. */
   lattice = { from: [0, 0], to: [0, 0], step: 10 };
-  /** With a block: whether the whole path is drawn, or only rapids through material. */
+  /** If a block is shown: `true` draws the whole path, `false` only the rapids through material. */
   withPath = false;
   private readonly gl: WebGL2RenderingContext;
   private readonly lineProgram: WebGLProgram;
@@ -69,14 +69,15 @@ export class Picture {
   private zero: Vector = [0, 0, 0];
   private low: Vector = [0, 0, 0];
   private high: Vector = [1, 1, 1];
-  /** The limits, while they are shown. */
+  /** The limits of the machine's travel; `undefined` while they are hidden. */
   private travel?: Box;
   private asked = false;
-  /** Time for a row of thick lines, ms, after it was measured. */
+  /** Time to draw one row as a thick line, ms; `undefined` until it is measured. */
   private perRow?: number;
   private lastMove = -Infinity;
   private later?: ReturnType<typeof setTimeout>;
-  /** Whether the view was fitted to its canvas: a hidden canvas has no size to fit. */
+  /** `true` after the view was fitted to its canvas. A hidden canvas has no size, so the view cannot be fitted to
+   * it. */
   private fits = false;
 
   constructor(private readonly canvas: HTMLCanvasElement) {
@@ -154,7 +155,7 @@ export class Picture {
     thinned.count = kept.length;
   }
 
-  /** Shows the rest of a block, or removes it. */
+  /** Shows what a job leaves of its block. Without `material`, removes the block. */
   block(material?: Material): void {
     const gl = this.gl;
     const first = material && !this.material;
@@ -162,7 +163,7 @@ export class Picture {
     if (material) {
       gl.bindTexture(gl.TEXTURE_2D, this.heights);
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32F, material.nx, material.ny, 0, gl.RED, gl.FLOAT, material.heights);
-      // Float textures are not interpolated.
+      // Without an extension, WebGL does not interpolate float textures.
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
     }
@@ -221,7 +222,7 @@ export class Picture {
     return (this.perRow ?? 0) * this.path.count > SLOW;
   }
 
-  /** Time after the last move until the view is at rest, ms. */
+  /** The time until a view counts as at rest, ms. */
   private get rest(): number {
     return this.thickIsSlow ? REST_SLOWLY : REST;
   }
@@ -240,7 +241,8 @@ export class Picture {
     });
   }
 
-  /** Returns a position on the canvas, in CSS pixels. */
+  /** Returns where a point in machine coordinates (mm) appears on the canvas, in CSS pixels; `undefined` behind the
+   * camera. */
   place(at: number[]): [number, number] | undefined {
     const seen = this.camera.project(at);
     return seen && [seen[0] * this.canvas.clientWidth, seen[1] * this.canvas.clientHeight];
@@ -261,11 +263,9 @@ export class Picture {
     return program;
   }
 
-  /**
-   * Makes a buffer for rows, and two vertex arrays that read it: `thick` draws each pair of neighbouring rows as a
-   * quad, `thin` draws all rows as a line strip. `rows`: by how many rows the quads advance, 1 in a path and 2 for
-   * separate lines.
-   */
+  /** Makes a buffer for rows, and two vertex arrays that read the buffer. `thick` draws a quad between each two
+   * neighbouring rows, `thin` draws all rows as a line strip. `rows`: the distance from quad to quad in rows, 1 for a
+   * path and 2 for separate lines. */
   private lines(rows: number): Lines {
     const gl = this.gl;
     const buffer = gl.createBuffer();
@@ -293,7 +293,7 @@ export class Picture {
     lines.count = data.length / STRIDE;
   }
 
-  /** Returns the lines of the grid on the plane of work zero under the path, and of the axes at work zero. */
+  /** Returns the lines of the grid and of the axes. The grid lies under the path, at the height of work zero. */
   private gridLines(): Float32Array {
     const { low, high, zero } = this;
     const step = this.unit * 10 ** Math.floor(Math.log10((Math.hypot(high[0] - low[0], high[1] - low[1]) || 10) / this.unit / 3));
@@ -332,7 +332,7 @@ export class Picture {
     gl.uniform1i(uniforms.strip, 0);
     gl.uniform1f(uniforms.width, 0.7 * ratio);
     gl.uniform4f(uniforms.ink, ...rgb("--grid"), 1);
-    // With a block, the grid would seem to float inside it.
+    // Draw no grid with a block: the grid would seem to float inside the block.
     if (!this.material) this.separate(this.grid);
     gl.uniform4f(uniforms.ink, ...rgb("--accent"), 0.8);
     this.separate(this.box);
@@ -400,7 +400,7 @@ export class Picture {
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, path.count - 1);
   }
 
-  /** Measures some rows drawn as thick lines. Returns the time per row, ms. */
+  /** Draws some rows as thick lines to measure the time. Returns the time per row, ms. */
   private tryThick(): number {
     const { gl, path } = this;
     const wait = (): number => {
@@ -413,7 +413,7 @@ export class Picture {
     return (wait() - waited - (waited - begun)) / TRIED;
   }
 
-  /** Draws lines that are pairs of rows. */
+  /** Draws separate lines: each pair of rows has the two ends of a line. */
   private separate(lines: Lines): void {
     const gl = this.gl;
     gl.bindVertexArray(lines.thick);
@@ -497,7 +497,7 @@ export class Picture {
   }
 }
 
-/** Returns the two rows of a straight line. */
+/** Returns a straight line as two rows. Times and shade are 0. */
 function segment(from: Vector, to: Vector): number[] {
   const row = (at: Vector) => [...at, 0, 0, 0];
   return [...row(from), ...row(to)];

@@ -1,4 +1,5 @@
-// One clock for the picture, the chart and the lines: the machine's while it runs a job, otherwise the scrubber's.
+// Shows one time of the job in the picture, the chart and the list of lines. While the machine runs the job, the
+// machine sets this time. Otherwise the user sets it.
 import { Chart } from "./chart";
 import { $, icon, minutes, say } from "./dom";
 import { type Path, ROW, type Summary, workZero } from "./engine";
@@ -29,7 +30,7 @@ export class Player implements Timeline {
   private machinePlace?: number[];
   /** Position and state of the machine when its mark in the picture was last drawn. */
   private seen = "";
-  /** State of the job when its line was last marked in the list. */
+  /** Line, last sent line and follow mode, as they were when the list was last marked. */
   private marked = "";
   private live = false;
   private material?: Material;
@@ -120,7 +121,7 @@ export class Player implements Timeline {
     this.program.mark(line);
   }
 
-  /** Shows a time of the job in picture, chart and clock. */
+  /** Shows a time of the job, s, in picture, chart and clock. */
   private showTime(seconds: number): void {
     if (!this.path) return;
     const end = endOf(this.path);
@@ -136,14 +137,15 @@ export class Player implements Timeline {
     }
   }
 
-  /** Handles a change of the machine: marks where the machine is and, while it runs the open job, shows the time and
-   * line that it has reached. */
+  /** Marks the machine's position in the picture after each change of the machine. While the machine runs the open
+   * job, also shows the time and the line that it has reached. */
   private followMachine(): void {
     const { machine, path } = this;
     const { running, status, sender } = machine;
     const place = status?.machine;
     const own = this.summary ? workZero(this.summary) : [0, 0, 0];
-    // The work zero of the picture is that of the job; the machine's may differ. So convert through work coordinates.
+    // The machine's work zero may differ from that of the job. So add the machine's work coordinates to the job's work
+    // zero.
     this.machinePlace = place && status ? [0, 1, 2].map(axis => status.work[axis] + own[axis]) : undefined;
     const live = running !== undefined && path !== undefined && running.job === this.page.job;
     if (live !== this.live) {
@@ -156,7 +158,7 @@ export class Player implements Timeline {
       this.marked = "";
       if (live) this.showTime(running?.follower.time ?? 0);
       if (!live && path) {
-        // A completed job is shown at its end, even if the last report came earlier.
+        // Show a completed job at its end: the last report may be older.
         this.showTime(machine.finished ? endOf(path) : this.time);
         this.program.mark(this.line);
       }
@@ -170,7 +172,7 @@ export class Player implements Timeline {
       this.marked = marked;
     }
     say("dock-note", live ? "Follows the machine." : "Click a line to see its place.");
-    // Draw the marks again only if the mark of the machine has changed.
+    // Draw the marks again only if the machine has moved or its state has changed.
     const seen = `${this.machinePlace} ${machine.phase} ${machine.isUnsure}`;
     if (seen !== this.seen) this.mark();
     this.seen = seen;
@@ -211,7 +213,7 @@ export class Player implements Timeline {
     return keys;
   }
 
-  /** Whether the tool is marked: not at the end of the job, where the whole path is visible anyway. */
+  /** `true` if the tool is marked in the picture. At the end of a job it is not: the whole path is visible there. */
   private get toolIsShown(): boolean {
     return this.path !== undefined && !this.live && this.path.lines.length > 1 && this.time < endOf(this.path);
   }
@@ -220,7 +222,7 @@ export class Player implements Timeline {
     return ["idle", "run", "jog", "home"].includes(this.machine.phase) && !this.machine.isUnsure;
   }
 
-  /** Shows the rest of a block, with rapids through it in red; without a block, shows only the path. */
+  /** Shows what is left of a block, with the rapids through it in red. Without a block, shows only the path. */
   showBlock(material?: Material, withPath = false): void {
     if (!material && !this.material) return;
     const sameJob = material && this.material && material.crashes === this.material.crashes;
@@ -294,7 +296,7 @@ export class Player implements Timeline {
     this.mark();
   }
 
-  /** Starts or stops playing, on a key. */
+  /** Starts or stops playing (key P). Does nothing while the machine runs the job. */
   togglePlay(): void {
     if (!this.live) this.play();
   }

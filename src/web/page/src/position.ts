@@ -29,12 +29,12 @@ export class PositionPanel {
     void this.machine.line(`G10 L20 P${this.machine.system} ${axes.map(axis => `${axis}0`).join(" ")}`);
   }
 
-  /** Makes `text` the work coordinate of an axis at the present position. */
+  /** Sets the work zero of an axis such that `text`, as typed, becomes the work coordinate of the present position. */
   private async name(axis: string, text: string): Promise<void> {
     const value = axis < "X" ? Number(text.replace(",", ".")) : units.parse(text);
     this.update();
     if (value === undefined || !Number.isFinite(value)) return;
-    // The machine reads the number of the line in its present unit (G20 or G21).
+    // The machine reads numbers in its active unit, G20 or G21.
     const unit = axis >= "X" && this.machine.modes.includes("G20") ? 25.4 : 1;
     await this.machine.line(`G10 L20 P${this.machine.system} ${axis}${Number((value / unit).toFixed(5))}`);
   }

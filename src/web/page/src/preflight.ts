@@ -10,7 +10,7 @@ import { isRapid, lineOf } from "./track";
 export type Grade = "yes" | "look" | "ask" | "wait" | "no";
 export interface Finding { grade: Grade; text: string; more?: string; line?: number }
 
-/** The job is tried with the machine's own settings when nothing has changed for this time, ms. */
+/** Delay of a trial after the last change, ms. A trial checks the job with the machine's own settings. */
 const QUIET = 250;
 
 export class Preflight {
@@ -85,14 +85,14 @@ export class Preflight {
     if (!status) return [];
     const none = [0, 1, 2].filter(axis => Math.abs(status.machine[axis] - status.work[axis]) < 1e-6);
     if (none.length === 0) return [{ grade: "yes", text: "Work zero set in X, Y and Z" }];
-    // Without homing, machine zero is where the machine was switched on, and using that place as work zero is often
-    // intended.
+    // Without homing, machine zero is where the machine was switched on. Users often take that place as work zero.
     const homed = machine.homed === true;
     const axes = none.map(axis => "XYZ"[axis]).join(", ");
     return [{ grade: homed ? "ask" : "look", text: `Work zero is not set in ${axes}`, more: homed ? "It is where the machine was homed: at its end of travel." : "It is where the machine was switched on." }];
   }
 
-  /** Findings of the trial with the settings of the real machine, not with those of the forecast. */
+  /** Returns the findings of the trial, which used the settings of the real machine. The forecast may use other
+   * settings. */
   private fits(): Finding[] {
     const { trial, wanted, page } = this;
     const own = page.checked?.summary;
@@ -113,10 +113,11 @@ export class Preflight {
 
 const sentence = (text: string): string => text.charAt(0).toUpperCase() + text.slice(1);
 
-/** Per path: the first row that cuts with the spindle on, and whether any row cuts. */
+/** For each path that was examined: the first row that cuts with the spindle on, and `true` if any row cuts. */
 const looked = new WeakMap<Path, { first?: number; feeds: boolean }>();
 
-/** Checks whether the spindle or the laser is on where the job cuts. */
+/** Returns findings on whether the spindle or the laser is on when the job cuts. `laser`: `true` in laser mode
+ * (`$32`). */
 export function spindleFindings(path: Path, laser: boolean): Finding[] {
   let found = looked.get(path);
   if (!found) {

@@ -2,7 +2,8 @@
 
 export interface Preset { id: string; name: string; values: Record<string, number>; source: string }
 
-/** Makes settings from resolution, maximum rate, acceleration and travel of X, Y and Z. */
+/** Makes settings from values for X, Y and Z: resolution (steps/mm), maximum rate (mm/min), acceleration (mm/s²) and
+ * travel (mm). `more`: other settings. */
 function machine(steps: number[], rate: number[], acceleration: number[], travel: number[], more: Record<string, number> = {}): Record<string, number> {
   const each = (first: number, values: number[]) => values.map((value, axis) => [String(first + axis), value]);
   return { ...Object.fromEntries([...each(100, steps), ...each(110, rate), ...each(120, acceleration), ...each(130, travel)]), ...more };

@@ -5,7 +5,8 @@ import type { Machine } from "./machine";
 
 /** Distance that the tool retracts after a contact, mm. */
 const BACK = 2;
-/** Distance that the tool moves down beside a corner plate, mm. It starts 2 * BACK above the plate. */
+/** Distance that the tool moves down beside a corner plate, mm. Before this move, the tool is 2 * BACK above the
+ * plate. */
 const BESIDE = 8;
 
 type Kind = "z" | "edge" | "corner" | "hole";
@@ -15,7 +16,7 @@ const KINDS: Record<Kind, [name: string, text: string]> = {
   corner: ["Corner", "Finds the top and two sides with a corner plate, and sets X, Y and Z. Put the cutter over the plate, near its corner."],
   hole: ["Hole", "Finds the middle of a hole, and sets X and Y there. Put the cutter into the hole."],
 };
-/** Probing directions to an edge: the axis, and the direction of the tool. */
+/** Directions in which the tool can move to find an edge. */
 const EDGES = ["X+", "X-", "Y+", "Y-"] as const;
 const CORNERS: Record<string, [number, number]> = { "front left": [1, 1], "front right": [-1, 1], "back left": [1, -1], "back right": [-1, -1] };
 
@@ -33,7 +34,7 @@ export class ProbePanel {
   private closed = false;
   /** Whether the probe circuit was seen open after it was seen closed. */
   private opened = false;
-  /** `stopCalls` of the machine when the cycle began. */
+  /** `stopCalls` of the machine when the cycle began. If the two differ, Stop was pressed or the connection ended. */
   private stops = 0;
 
   constructor(private readonly machine: Machine) {
@@ -95,8 +96,8 @@ export class ProbePanel {
     allow(this.go, machine.whyNotAtRest ?? turning ?? (touching ? "The probe is in contact already." : undefined));
   }
 
-  /** Sends a line of the cycle and returns the output before its answer. Throws after a Stop or a rejected line, so
-   * that no further line is sent. */
+  /** Sends a line of the cycle. Returns the output before the answer. Throws after a Stop or a rejected line, which
+   * ends the cycle. */
   private async send(line: string): Promise<string[]> {
     const { machine } = this;
     const stopped = () => machine.stopCalls !== this.stops;
@@ -107,8 +108,8 @@ export class ProbePanel {
     return said;
   }
 
-  /** Moves until the probe touches. Returns the contact position in machine coordinates, or `undefined` without
-   * contact. */
+  /** Moves an axis until the probe touches, at most `most` mm. `way`: 1 or -1; `feed` in mm/min. Returns the contact
+   * position in machine coordinates, mm; `undefined` without contact. */
   private async touch(axis: number, way: number, most: number, feed: number): Promise<number | undefined> {
     const said = await this.send(`G38.3 ${"XYZ"[axis]}${Number((way * most).toFixed(3))} F${feed}`);
     const found = /\[PRB:([^\]]*):([01])\]/.exec(said.join(" "));
@@ -128,7 +129,7 @@ export class ProbePanel {
     await this.send(`G0 ${Object.entries(by).map(([axis, mm]) => `${"XYZ"[Number(axis)]}${Number(mm.toFixed(3))}`).join(" ")}`);
   }
 
-  /** Moves an axis by `mm` through a space that should be free; a contact ends the cycle. */
+  /** Moves an axis by `mm` where nothing should be in the way. A contact ends the cycle. */
   private async guarded(axis: number, mm: number, feed: number): Promise<void> {
     if ((await this.touch(axis, Math.sign(mm), Math.abs(mm), feed)) !== undefined) throw new Ended("The tool has touched something on its way: the work zero is as it was.");
   }
@@ -141,14 +142,14 @@ export class ProbePanel {
     return status.machine;
   }
 
-  /** Sets work zero to machine positions, by axis. */
+  /** Sets work zero. `places`: the machine position that becomes 0, mm, for each axis number. */
   private async setZero(places: Record<number, number>): Promise<void> {
     const here = await this.here();
     const words = Object.entries(places).map(([axis, place]) => `${"XYZ"[Number(axis)]}${Number((here[Number(axis)] - place).toFixed(4))}`);
     await this.send(`G10 L20 P0 ${words.join(" ")}`);
   }
 
-  /** Runs a probing cycle and restores units and modes afterwards, even if it fails. */
+  /** Runs a probing cycle. Restores the units and modes afterwards, even if the cycle fails. */
   private async probe(): Promise<void> {
     const { machine } = this;
     this.dialog.close();
@@ -194,7 +195,8 @@ export class ProbePanel {
         const places: Record<number, number> = { 2: (await this.find(2, -1, depth, feed)) - plate };
         const start = await this.here();
         for (const axis of [0, 1]) {
-          // Go around the corner, down beside the plate, towards the plate until contact, and back up to the start.
+          // Start above the plate. Go outward past its side, down beside it, and back until contact. Then return to
+          // the start.
           await this.move({ 2: BACK });
           await this.move({ [axis]: -ways[axis] * depth });
           await this.guarded(2, -BESIDE, feed * 2);

@@ -17,7 +17,8 @@ export class Program {
   /** Why editing is disabled, if it is. */
   locked?: string;
   private line = 0;
-  /** Number of the last line that was sent to the machine, which still executes `line`; 0 without a machine. */
+  /** Number of the last line that was sent to the machine; 0 without a machine. The machine still executes `line`, and
+   * has received the lines up to `sent`. */
   private sent = 0;
   private editing = 0;
   private readonly list = $("lines");
@@ -58,8 +59,8 @@ export class Program {
     this.list.scrollTop = 0;
   }
 
-  /** Marks a line. `sent`: number of the last line sent to the machine, if the machine is at `line`; 0 without a
-   * machine. `follow`: whether to scroll to the line. */
+  /** Marks a line. `sent`: number of the last line that was sent, while the machine runs the job; otherwise 0.
+   * `follow`: `true` scrolls to the line. */
   mark(line: number, sent = 0, follow = true): void {
     [this.line, this.sent] = [line, sent];
     if (follow) this.scrollTo(line || 1);
@@ -91,7 +92,7 @@ export class Program {
     if (at < scrollTop || at + LINE > scrollTop + clientHeight) this.list.scrollTop = at - clientHeight / 2 + LINE / 2;
   }
 
-  /** Returns the scale of the list, which is compressed if all lines would be taller than a browser draws. */
+  /** Returns the scale of the list. It is below 1 if the list at full height would be taller than browsers draw. */
   private scale(): number {
     return Math.min(1, TALLEST / Math.max(1, this.page.job.lines.length * LINE));
   }
@@ -116,7 +117,8 @@ export class Program {
       line.dataset.line = String(number);
       return line;
     });
-    // Visible elements stay in the document: an element that is removed between press and release receives no click.
+    // Keep visible elements in the document: a browser reports no click if the pressed element is removed before the
+    // release.
     for (const line of drawn.values()) if (!shown.includes(line)) line.remove();
     for (const [index, line] of shown.entries()) if (all.children[index] !== line) all.insertBefore(line, all.children[index] ?? null);
     if (shown.some(line => line.id === `line-${this.line}`)) this.list.setAttribute("aria-activedescendant", `line-${this.line}`);

@@ -9,13 +9,13 @@ const ICONS: Record<Grade, string> = { yes: "check", look: "warn", ask: "warn", 
 const LIFT = 10;
 
 export interface Continuing {
-  /** Opens the rest of a job from a line on. */
+  /** Opens the panel that continues a job at a line. */
   from(line: number): void;
 }
 
 export class RunCard {
   private readonly preflight: Preflight;
-  /** Key of the findings that the user has confirmed. */
+  /** Key of the findings that the user has confirmed. Other findings need another confirmation. */
   private agreed = "";
   private shown = "";
 
@@ -35,7 +35,8 @@ export class RunCard {
     this.update();
   }
 
-  /** Returns why the job cannot start, if it cannot. `asked`: the user can confirm the reason and start the job. */
+  /** Returns why the job cannot start; empty if it can. `asked`: `true` if the user may start the job in spite of the
+   * reason. */
   private get hindered(): { why?: string; asked?: boolean } {
     const { machine } = this;
     if (machine.whyNotAtRest !== undefined) return { why: machine.whyNotAtRest };
@@ -119,7 +120,7 @@ export class RunCard {
     $("hold-row").hidden = !going && !["run", "hold", "door", "jog", "stopping"].includes(phase) && machine.isConnected;
   }
 
-  /** Call when the user confirms the questions. */
+  /** Call when the user starts the job in spite of the findings that need confirmation. */
   private agree(): void {
     this.agreed = keyOf(this.preflight.findings().filter(({ grade }) => grade === "ask"));
     this.update();
@@ -202,7 +203,7 @@ export class RunCard {
       el("p", { className: "note", textContent: `${stopped.job.name}: ${why} ${minutes(stopped.seconds)} of the job are done.` }), actions];
   }
 
-  /** Returns the steps after an alarm. Only one step at a time is active. */
+  /** Returns the steps that the user has to take after an alarm, as a list. Only the first open step has buttons. */
   private steps(trouble: Trouble): Node[] {
     const { machine } = this;
     const { phase, stopped } = machine;
@@ -232,7 +233,7 @@ export class RunCard {
   }
 }
 
-/** Returns what the user has to do in a pause. T0 is no tool: the spindle stays empty. */
+/** Returns what the user has to do in a pause. T0 means no tool: the spindle stays empty. */
 function duty(pause: string): string {
   if (pause.startsWith("First tool measured")) return "First tool measured. Work zero set with it? Yes: Resume. No: Stop, set zero, start again.";
   return `${pause}: ${pause.endsWith(" T0") ? "take it out" : "put it in"}, then press Resume.`;

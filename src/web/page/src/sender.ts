@@ -1,5 +1,5 @@
-// A sender for Grbl's protocol over any link. It counts characters, so that the controller's receive buffer never
-// overflows; realtime commands overtake all lines.
+// Sends lines by Grbl's protocol over any link. Counts characters, so that the controller's receive buffer never
+// overflows. Realtime commands go out at once, before waiting lines.
 
 export interface Link {
   write(bytes: Uint8Array): void;
@@ -32,7 +32,7 @@ export const REALTIME = {
 const LONGEST_RESET = 2000;
 /** Maximum time until a controller sends its welcome after power-up, ms. */
 const LONGEST_START = 60_000;
-/** After an unexpected welcome, no line is written for this time, ms. */
+/** Pause after an unexpected welcome message, ms. No line is written during the pause. */
 const SETTLING = 300;
 /** Number of linear axes: X, Y and Z. */
 const LINEAR = 3;
@@ -51,10 +51,11 @@ export class Sender {
   onmessage: (text: string) => void = () => {};
   onprogress: () => void = () => {};
   onrefused: (line: number, answer: string) => void = () => {};
-  /** Called when a job ends before its last line, with the number of the last line that was sent or, if the machine was
-   * reset, of the last line that was answered. */
+  /** Called when a job ends before its last line. `line`: the last line that was sent. If the machine was reset,
+   * `line` is the last line that was answered. */
   onstopped: (line: number, why: string) => void = () => {};
-  /** Called when the machine restarts without a reset by this sender: by a reset button, a supply dip or another host. */
+  /** Called when the machine restarts without a reset by this sender: after a reset button, a supply dip or a reset by
+   * another host. */
   ongreeting: () => void = () => {};
   /** Lines of the job. */
   lines: string[] = [];
@@ -67,7 +68,7 @@ export class Sender {
   /** Whether the machine supports tape marks (`%`), which Grbl's dialect does not have. */
   hasTapeMarks = false;
   private next = 0;
-  /** Indices of the first and the last line with words. */
+  /** Indices of the first and the last line with words: not empty, no tape mark, and not beginning with a comment. */
   private firstWords = 0;
   private lastWords = 0;
   private stopped = false;
@@ -83,7 +84,7 @@ export class Sender {
     if (link.greets) this.expectGreeting(LONGEST_START);
   }
 
-  /** Whether lines of a job are still to be sent or answered. */
+  /** `true` while lines of a job are still to be sent or answered. */
   get busy(): boolean {
     return this.done < this.lines.length;
   }
@@ -108,18 +109,18 @@ export class Sender {
     });
   }
 
-  /** Sends a line between those of the job and returns its answer. */
+  /** Like `ask`, but returns only the answer. */
   async command(text: string): Promise<string> {
     return (await this.ask(text)).answer;
   }
 
-  /** Whether nothing except queries waits to be sent or answered. */
+  /** `true` if the sender has no work. Only queries may still be waiting or unanswered. */
   get free(): boolean {
     return !this.busy && this.flight.every(({ command }) => command?.quiet) && this.commands.every(({ quiet }) => quiet);
   }
 
-  /** Starts a job. Throws, and sends nothing of the job, if earlier lines are unanswered or a line cannot be sent
-   * unchanged. */
+  /** Starts a job. Throws if earlier lines are unanswered, or if a line cannot be sent unchanged. Then nothing of the
+   * job is sent. */
   stream(text: string): void {
     if (!this.free) throw new Error("the lines before it are not answered yet");
     const lines = text.replace(/^\uFEFF/, "").split(/\r\n|\r|\n/);
@@ -135,7 +136,7 @@ export class Sender {
     this.pump();
   }
 
-  /** Resets the controller, which discards everything that was sent. */
+  /** Resets the controller. The controller then discards everything that was sent before. */
   reset(): void {
     this.realtime(REALTIME.reset);
     this.forget();
@@ -152,7 +153,8 @@ export class Sender {
     this.onstopped(this.next, why);
   }
 
-  /** Call when the controller has discarded all lines. */
+  /** Removes all lines and commands, after the controller has discarded them. Unanswered commands get the answer
+   * `reset`. */
   private forget(): void {
     const commands = [...this.flight.splice(0).map(sent => sent.command), ...this.commands.splice(0)];
     for (const command of commands) command?.answered({ answer: "reset", said: [] });
@@ -160,8 +162,8 @@ export class Sender {
     [this.next, this.done, this.stopped] = [0, 0, false];
   }
 
-  /** Keeps lines back until the controller's welcome, because answers before it belong to discarded lines; at most
-   * `longest` ms. */
+  /** Writes no line until the controller's welcome message, but waits at most `longest` ms. Answers that arrive before
+   * the welcome belong to discarded lines. */
   private expectGreeting(longest: number): void {
     this.resetting = true;
     this.pause(longest);
@@ -213,7 +215,8 @@ export class Sender {
     }
   }
 
-  /** Whether a tape mark at this index begins the next program of the file, so that the machine must get it. */
+  /** Returns `true` if the tape mark at this index separates two programs of the file. The machine must get this
+   * mark. */
   private isBetweenPrograms(index: number): boolean {
     return this.hasTapeMarks && this.firstWords < index && index < this.lastWords;
   }
@@ -256,7 +259,7 @@ export class Sender {
     }
   }
 
-  /** Ends the job after a rejected line, because the following lines assume that this line was executed. */
+  /** Ends the job after a rejected line. The lines after it rely on the effect of the rejected line. */
   private refuse(line: number, answer: string): void {
     this.onrefused(line, answer);
     if (!this.busy || this.stopped) return;
@@ -285,10 +288,8 @@ function beginsChecks(text: string): boolean {
 /** A `%` followed only by comments. */
 const TAPE_MARK = /^\s*%\s*(\([^()]*(\)\s*|$))*(;.*)?$/;
 
-/**
- * Returns the reason if a line must not be sent: it has a character that cannot be sent unchanged, or it switches on
- * checked lines.
- */
+/** Returns the reason why a line must not be sent: it has a character that cannot be sent unchanged, or it switches on
+ * checked lines. */
 function unsendable(text: string): string | undefined {
   const found = foreign(text);
   if (found === undefined) return beginsChecks(text) ? UNCHECKED : undefined;
@@ -297,11 +298,9 @@ function unsendable(text: string): string | undefined {
   return `${shown}(U+${code}) has no place outside comments`;
 }
 
-/**
- * Returns the first character outside comments that cannot be sent, or would be a realtime command. Some machines match
- * nested parentheses in comments, while others end the comment at the first `)`. Only text that is a comment for both
- * kinds of machines counts as a comment.
- */
+/** Returns the first character outside comments that cannot be sent or would be a realtime command. Machines differ:
+ * some end a comment at the first `)`, others match nested parentheses. Only text that is a comment for both counts as
+ * one. */
 function foreign(text: string): string | undefined {
   let [first, pairs] = [false, 0];
   for (const character of text) {
@@ -314,7 +313,8 @@ function foreign(text: string): string | undefined {
   return undefined;
 }
 
-/** Returns the bytes of a line as sent: no byte of it is a realtime command. */
+/** Returns the bytes to send for a line. Non-ASCII characters, and those that would be realtime commands, become
+ * spaces. */
 function plain(text: string): Uint8Array<ArrayBuffer> {
   return new TextEncoder().encode(text.replace(/[^\x20-\x7e]|[!?~]/g, " ").trimEnd() + "\n") as Uint8Array<ArrayBuffer>;
 }

@@ -7,8 +7,8 @@ import { type Preset, PRESETS } from "./presets";
 const STORED = "oxmill settings";
 const STORED_PRESET = "oxmill machine";
 
-/** Parses the output of `$$` into numbers and values. In the dialect of grblHAL (`$900=3`), `$10` and `$22` are listed
- * as grblHAL's masks: only the bits that are the settings' own values are kept. */
+/** Parses the output of `$$` into numbers and values. In grblHAL's dialect (`$900=3`), the values of `$10` and `$22`
+ * have more bits than Oxmill's settings. The additional bits are dropped. */
 export function parseSettings(text: string): Record<string, number> {
   const values: Record<string, number> =
     Object.fromEntries([...text.matchAll(/^\s*\$(\d+)=(-?[\d.]+)(?=[\s(;]|$)/gm)].map(match => [match[1], Number(match[2])]));
@@ -34,7 +34,7 @@ export class Settings implements Values {
     this.changed = this.known(Object(kept ?? this.preset.values));
   }
 
-  /** Whether the user has chosen a machine here before. */
+  /** `true` if this browser has settings from an earlier visit. */
   get isKept(): boolean {
     return stored(STORED) !== null;
   }
@@ -94,8 +94,8 @@ export class Settings implements Values {
     return this.table.get(number)?.default;
   }
 
-  /** Returns `values` without default values, and without settings that this firmware does not have: another version of
-   * the page may have stored those. */
+  /** Returns `values` without default values and without settings that this firmware does not have. Another version of
+   * the page may have stored such settings. */
   private known(values: Record<string, number>): Record<string, number> {
     const entries = Object.entries(values).filter(([number, value]) => Number.isFinite(value) && this.default(Number(number)) !== undefined);
     return Object.fromEntries(entries.filter(([number, value]) => value !== this.default(Number(number))));

@@ -13,11 +13,11 @@ import { differences, written } from "./transfer";
 
 type Filter = "all" | "changed" | "differs";
 interface Row { title: string; settings: Setting[]; perAxis: boolean; element: HTMLTableRowElement; text: string }
-/** Groups that affect the time come first; the others follow in the firmware's order. */
+/** Groups that come first, because they affect the time. The others follow in the firmware's order. */
 const FIRST_GROUPS = ["Axes", "Motion", "Homing", "Limits"];
-/** Number of the setting for the number of axes. */
+/** Number of the setting `$930`: how many axes the machine has. */
 const AXES = 930;
-/** Number of the setting for the dialect; its value 0 is Grbl's. */
+/** Number of the setting `$900`: the dialect. The value 0 means Grbl. */
 const DIALECT = 900;
 
 export class SettingsPanel {
@@ -62,7 +62,7 @@ export class SettingsPanel {
     const byGroup = new Map<string, Map<string, Setting[]>>();
     for (const setting of this.description.settings) {
       const group = byGroup.get(setting.group) ?? byGroup.set(setting.group, new Map()).get(setting.group) as Map<string, Setting[]>;
-      // Each homing cycle has its own row, because its setting belongs to no single axis.
+      // A homing cycle belongs to no single axis. So each of these settings has its own row.
       const key = setting.axis && setting.kind !== "axes" ? setting.title : setting.name;
       group.set(key, [...(group.get(key) ?? []), setting]);
     }
@@ -283,7 +283,7 @@ export class SettingsPanel {
   private update(): void {
     const { machine } = this;
     const why = machine.isConnected ? machine.whyNotAtRest : "Connect a machine first.";
-    // The buttons stay enabled in motion. The machine then refuses the request, and the page shows a note.
+    // Leave the buttons enabled in motion. The machine then refuses the request, and the page shows a note.
     allow($("read"), machine.isConnected ? undefined : why);
     allow($("compare"), machine.isConnected ? undefined : why);
     $("differs").hidden = !machine.isConnected;
@@ -320,7 +320,7 @@ export class SettingsPanel {
     return dialog;
   }
 
-  /** Shows the settings of the forecast that differ from the machine's, for writing them to the machine. */
+  /** Shows the settings that differ between forecast and machine, and offers to write them to the machine. */
   private async toMachine(): Promise<void> {
     const { machine, settings } = this;
     if (!(await machine.readSettings())) return this.note("The machine does not tell its settings now: nothing is written.");

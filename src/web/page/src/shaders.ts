@@ -1,8 +1,8 @@
 // The shaders that draw the rows of a path, and those that draw a block. Each vertex shader and its fragment shader
 // declare `highp`: a uniform that both use must have the same precision in both, or the program does not link.
 
-/** Shades for kinds of rows. Values below 0 are not on the scale. The scale has 6 colours, from 0 to 1: a line has the
- * second of them, an arc the fifth. */
+/** Shades of rows that are not coloured by a value. Shades below 0 have colours of their own. A line has the second of
+ * the six colours of the scale, an arc the fifth. */
 export const SHADE = { rapid: -1, plunge: -2, crash: -3, line: 0.2, arc: 0.8 } as const;
 
 export const VERTEX = `#version 300 es
@@ -50,8 +50,8 @@ void main() {
   color = vec4(c * alpha, alpha);
 }`;
 
-/** Draws a height map as a block: one quad between four neighbouring cells, and around the map a wall down to the
- * bottom. */
+/** Draws a height map as a block. Four neighbouring cells are the corners of a quad. Around the map, a wall reaches
+ * down to the bottom. */
 export const BLOCK_VERTEX = `#version 300 es
 precision highp float; precision highp int; precision highp sampler2D;
 uniform mat4 view; uniform sampler2D heights; uniform ivec2 size; uniform int stride; uniform vec4 frame; uniform float bottom;

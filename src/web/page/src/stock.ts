@@ -7,7 +7,8 @@ import { type Block, blockOf, type Cutter, cutterOf, type Material, type Shape }
 import type { JobPanel, Page } from "./page";
 import { endOf } from "./track";
 
-/** The block at a selected time of the job is computed when that time has stayed selected for this long, ms. */
+/** Delay before the block is computed for a time that the user has selected, ms. Selecting another time starts the
+ * delay again. */
 const QUIET = 120;
 /** Maximum number of rapids through material in the list. */
 const SHOWN = 200;
@@ -25,10 +26,10 @@ export class MaterialPanel implements JobPanel {
   /** Whether the job turns the axis A. If so, the block is not checked: its model has only X, Y and Z. */
   private turns = false;
   private running?: AbortController;
-  /** Aborts the computation of the block at a time before the end of the job. */
+  /** Aborts the computation of the block at an earlier time than the end of the job. */
   private following?: AbortController;
   private timer?: ReturnType<typeof setTimeout>;
-  /** Whether the user has typed in the block, which then stays when the cutter changes. */
+  /** `true` after the user has typed a size of the block. A change of the cutter then does not change the block. */
   private typed = false;
 
   constructor(private readonly page: Page) {
@@ -58,7 +59,7 @@ export class MaterialPanel implements JobPanel {
     const tools = [...new Set(path.tools.subarray(1))];
     const written = cuttersOf(lines);
     const known = Object.values(written);
-    // A job without tool changes uses one cutter. If the comments describe exactly one cutter, the job uses this one.
+    // A job without tool changes has one cutter. If the comments describe exactly one cutter, take that one.
     if (tools.every(tool => tool === 0) && known.length === 1) [written[0]] = known;
     this.cutters = {};
     for (const tool of tools) this.cutters[tool] = this.chosen[tool] ?? written[tool] ?? { ...NEW };
@@ -84,7 +85,7 @@ export class MaterialPanel implements JobPanel {
     $("no-block").title = "There is no block yet.";
   }
 
-  /** Shows the block at a time of the job, after that time has stayed selected for a while. */
+  /** Shows the block at a time of the job, s, after a delay of `QUIET`. */
   at(seconds: number): void {
     const { material, path } = this;
     this.following?.abort(new Error("another time is shown"));
@@ -95,7 +96,7 @@ export class MaterialPanel implements JobPanel {
       const { signal } = (this.following = new AbortController());
       try {
         const part = await firmware.cutBlock(path, this.cutters, material.block, seconds, signal, () => {});
-        // The rapids through material that are shown are always those of the whole job.
+        // Always show the crashes of the whole job, not only those up to this time.
         if (this.material === material) this.page.player.showBlock({ ...part, crashes: material.crashes }, $<HTMLInputElement>("with-path").checked);
       } catch (error) {
         if (!signal.aborted) throw error;
@@ -171,7 +172,7 @@ export class MaterialPanel implements JobPanel {
     } catch (error) {
       if (!running.signal.aborted) this.note((error as Error).message, "bad");
     }
-    // If a newer run has replaced this one, the progress bar belongs to the newer run.
+    // A newer run may have replaced this one. The progress bar then belongs to the newer run.
     if (this.running === running) progress.hidden = true;
   }
 

@@ -1,7 +1,8 @@
 // Stop: brakes immediately, and resets the machine when it is at rest, so that its position stays valid.
 import { REALTIME, type Sender, type Status } from "./sender";
 
-/** If the machine still moves this long after the braking time of the slowest axis, it is reset in motion, ms. */
+/** Time for braking beyond the braking time of the slowest axis, ms. A machine that still moves after this time is
+ * reset in motion. */
 const MARGIN = 500;
 /** Interval between status requests while the machine brakes, ms. */
 const ASK = 50;
@@ -10,7 +11,8 @@ export class Stopping {
   private timer?: ReturnType<typeof setTimeout>;
   private asking?: ReturnType<typeof setInterval>;
 
-  /** `done` receives whether the machine was at rest when it was reset. */
+  /** `longest`: braking time of the slowest axis, s. `done` is called after the reset, with `true` if the machine was
+   * at rest. */
   constructor(private readonly sender: Sender, longest: number, private readonly done: (atRest: boolean) => void) {
     sender.realtime(REALTIME.hold);
     this.timer = setTimeout(() => this.reset(false), longest * 1000 + MARGIN);

@@ -12,7 +12,8 @@ export const toolsOf = (stored: string[]): Tool[] =>
     return found ? [{ number: Number(found[1]), offset: found[2].split(",").map(Number) }] : [];
   });
 
-/** Returns lines that set these offsets and tools on another machine. */
+/** Returns lines that set the same offsets and tools on another machine. `stored`: output of `$#`; `unit`: mm per unit
+ * of its lengths. */
 export function storedLines(stored: string[], unit: number): string[] {
   const words = (values: string) => values.split(",").slice(0, 4).map((value, axis) => `${"XYZA"[axis]}${Number((Number(value) * (axis < 3 ? unit : 1)).toFixed(4))}`).join(" ");
   const systems = stored.flatMap(line => {
@@ -51,7 +52,7 @@ export class ToolTable {
     });
   }
 
-  /** Millimetres per unit of a length in a line: with G20, the machine expects inches. */
+  /** Millimetres per unit in which the machine reads lengths: 25.4 with G20, otherwise 1. */
   private get unit(): number {
     return this.machine.modes.includes("G20") ? 25.4 : 1;
   }

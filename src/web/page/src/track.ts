@@ -24,8 +24,8 @@ export function rowAt(path: Path, seconds: number): number {
   return low;
 }
 
-/** Returns the time at which the moves of a line start. For a line without moves, returns that of the next move, or the
- * end of the job. */
+/** Returns the time at which the moves of a line start, s. For a line without moves, returns the start of the next
+ * move. If no move follows, returns the end of the job. */
 export function beginOfLine(path: Path, line: number): number {
   const row = rowOfLine(path, line);
   return row === undefined ? endOf(path) : path.rows[row * ROW + 4];
@@ -43,7 +43,8 @@ export function placeAt(path: Path, seconds: number): number[] {
   });
 }
 
-/** Returns the first row of a line, or of the next line that has rows; `undefined` after the last one. */
+/** Returns the first row of a line. If the line has no rows, takes the next line that has some; `undefined` if no line
+ * has. */
 function rowOfLine(path: Path, line: number): number | undefined {
   let [best, found]: [number, number | undefined] = [Infinity, undefined];
   for (let row = 1; row < path.lines.length; row++) {
@@ -59,14 +60,14 @@ function rowOfLine(path: Path, line: number): number | undefined {
 const length = (path: Path, row: number) =>
   Math.hypot(...[0, 1, 2].map(axis => path.rows[row * ROW + axis] - path.rows[(row - 1) * ROW + axis]));
 
-/** Whether a row leads straight down at feed, or nearly so: at least 98 % of its length are in Z. */
+/** Returns `true` for a plunge: a feed move down, with at least 98 % of its length in Z. */
 export function isPlunge(path: Path, row: number): boolean {
   if (row === 0 || isRapid(path, row)) return false;
   const down = path.rows[(row - 1) * ROW + 2] - path.rows[row * ROW + 2];
   return down > 1e-4 && down > 0.98 * length(path, row);
 }
 
-/** Returns the acceleration between the previous row and this one, mm/s². */
+/** Returns the change of speed from the previous row to this one, as an acceleration without sign, mm/s². */
 function acceleration(path: Path, row: number): number {
   if (row < 2) return 0;
   const middle = (of: number) => (path.rows[of * ROW + 4] + path.rows[of * ROW + 5]) / 2;
@@ -74,15 +75,15 @@ function acceleration(path: Path, row: number): number {
   return time > 0 ? Math.abs(path.rows[row * ROW + 3] - path.rows[(row - 1) * ROW + 3]) / time : 0;
 }
 
-/** Returns the value that the fraction `part` of the positive values does not exceed, so that a single outlier does not
+/** Returns the upper end of a scale: 99.5 % of the positive values are not above it. A few much larger values must not
  * set the scale. */
 function top(values: number[], part = 0.995): number {
   const sorted = values.filter(value => value > 0).sort((a, b) => a - b);
   return sorted[Math.min(sorted.length - 1, Math.floor(sorted.length * part))] || 1;
 }
 
-/** Returns the shade of each row (0 to 1 on the scale, or one of `SHADE`), and the legend. `zero`: height of work zero;
- * `inch`: whether the legend is in inches. */
+/** Returns the shade of each row (0 to 1 on the scale, or one of `SHADE`), and the legend. `zero`: height of work
+ * zero, mm; `inch`: `true` for a legend in inches. */
 export function shades(path: Path, coloring: Coloring, zero = 0, inch = false): { shades: Float32Array; legend: Legend } {
   const count = path.lines.length;
   const made = new Float32Array(count);

@@ -13,7 +13,7 @@ export function differences(table: Setting[], there: Record<string, number>, her
   return all.filter(one => Math.abs(one.there - one.here) > 0.5 * 10 ** -DECIMALS + 1e-9);
 }
 
-/** Writes settings and returns a summary. A setting may depend on another one (soft limits on homing), so rejected
+/** Writes settings and returns a summary. A setting may depend on another one: soft limits need homing. So rejected
  * settings are tried once more after the others. */
 export async function written(lines: string[], write: (line: string) => Promise<string>): Promise<string> {
   let left = lines;
@@ -21,8 +21,8 @@ export async function written(lines: string[], write: (line: string) => Promise<
     const refused: string[] = [];
     for (const line of left) {
       const answer = await write(line);
-      // Any other answer comes from this page's sender: the machine was reset, or the line could not be sent. Stop
-      // writing.
+      // An answer that is neither `ok` nor an error comes from this page's sender: the machine was reset, or the line
+      // could not be sent. Stop writing.
       if (answer !== "ok" && !answer.startsWith("error:")) return `The machine has stopped it: ${answer}. Look at the differences again.`;
       if (answer !== "ok") refused.push(line);
     }

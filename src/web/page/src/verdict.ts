@@ -61,8 +61,8 @@ export function clearVerdict(): void {
   for (const id of ["by-tool-part", "problems", "said", "time-card", "size-card"]) $(id).hidden = true;
 }
 
-/** Returns the parts of the forecast: name, seconds and colour. The feed time is divided into lines, arcs and plunges
- * according to the path. */
+/** Returns the parts of the forecast that are not 0: name, seconds and colour. The path tells how the feed time
+ * divides into lines, arcs and plunges. */
 export function kinds(summary: Summary, path: Path): (readonly [string, number, string])[] {
   let [lines, arcs, plunges] = [0, 0, 0];
   for (let row = 1; row < path.lines.length; row++) {
@@ -72,7 +72,7 @@ export function kinds(summary: Summary, path: Path): (readonly [string, number, 
     else if (isArc(path, row)) arcs += took;
     else lines += took;
   }
-  // The times of the path are rounded, so scale them to the firmware's total feed time.
+  // The times in the path are rounded. Scale them, so that their sum is the firmware's feed time.
   const whole = lines + arcs + plunges || 1;
   const [line, arc, plunge] = [lines, arcs, plunges].map(part => (part / whole) * summary.feed_s);
   const other = summary.standing_s - summary.dwell_s - summary.spin_up_s;
@@ -137,12 +137,11 @@ function facts(summary: Summary): void {
   $("facts").replaceChildren(...rows.flatMap(([name, value]) => [el("dt", { textContent: name }), el("dd", { textContent: value })]));
 }
 
-/** Returns the text of a line; if exactly one word can be the faulty one, it is underlined. */
+/** Returns the text of a line. If exactly one word can be the faulty one, underlines this word. */
 function marked(source: string, error?: LineError): HTMLElement {
   const code = el("code");
   const unknown = error && /^(the command is unknown|the word is known)/.test(error.text) ? /\b[GM]\d+(\.\d+)?\b/gi : undefined;
   const words = unknown ? [...source.matchAll(unknown)] : [];
-  // With several words, any of them may be the faulty one.
   const [word] = words;
   if (words.length !== 1 || word.index === undefined) code.textContent = source || "(empty)";
   else code.append(source.slice(0, word.index), el("mark", { textContent: word[0] }), source.slice(word.index + word[0].length));

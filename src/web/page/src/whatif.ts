@@ -4,7 +4,8 @@ import type { Summary } from "./engine";
 import * as firmware from "./firmware";
 import type { JobPanel, Page } from "./page";
 
-/** A parameter to vary: the settings that receive a value, and the multiples of the present values that are tried. */
+/** A parameter that can be varied. `numbers`: its settings; `parts`: the multiples of the present values that are
+ * tried; `least`: the value to multiply if the present value is 0. */
 interface Parameter { name: string; unit: string; numbers: number[]; parts: number[]; least: number }
 const PARTS = [0.25, 0.5, 1, 2, 4, 8];
 const PARAMETERS: Parameter[] = [
@@ -19,14 +20,14 @@ const PARAMETERS: Parameter[] = [
 /** A higher value gains little if it saves less than this fraction of the time. */
 const LITTLE = 0.04;
 
-/** Returns a multiple of the present value of an axis, rounded unless it is the present value itself. If there is no
- * present value, returns a multiple of `least`. */
+/** Returns `part` times the present value `today`, rounded to three digits. If `today` is 0, returns a multiple of
+ * `least`. With `part` 1, returns `today` unrounded. */
 function partOf(today: number, part: number, least: number): number {
   if (part === 1 && today > 0) return today;
   return Number(((today > 0 ? today : least) * part).toPrecision(3));
 }
 
-/** Returns why the forecast time is not that of the complete job; `undefined` if it is. */
+/** Returns the reason why a forecast does not cover the whole job; `undefined` if it does. */
 function whyNot({ errors, alarm, complete, messages }: Summary): string | undefined {
   if (errors.length === 0 && !alarm && complete) return undefined;
   const locked = messages.find(message => message.startsWith("[MSG:Motion is locked"));

@@ -17,11 +17,12 @@ export type Task =
 const worker = globalThis as unknown as { postMessage(message: unknown, transfer?: Transferable[]): void; onmessage: unknown };
 /** Interval at which the machine is advanced to the page's clock, ms. */
 const PERIOD = 4;
-/** Machine time between two batches of bytes, ms. */
+/** Time that the machine runs with each batch of received bytes, ms of machine time. */
 const SLICE = 2;
-/** A running check sends the path so far after this time, ms, and again each time its run time has doubled. */
+/** A check sends the path so far after this time, ms. Then it sends the path each time that its run time has
+ * doubled. */
 const SKETCH = 500;
-/** Maximum time of the page's clock that the machine catches up after the worker was suspended, ms. */
+/** Maximum time between two ticks that the machine makes up for, ms. The system can suspend a worker for longer. */
 const MOST = 100;
 
 let module: WebAssembly.Module;
@@ -40,7 +41,7 @@ function tick(): void {
   for (let left = passed * speed; left > 0 && machine; left -= SLICE) {
     const bytes = pending.shift() ?? new Uint8Array(0);
     said += machine.turn(bytes, Math.round(Math.min(left, SLICE) * 1000));
-    // If the simulation is slow, stop here, so that a host can react to the output in time.
+    // If the simulation is slow, send the output now, so that a host can react in time.
     if (said && speed > 1 && performance.now() - now > PERIOD * 4) break;
   }
   if (said) worker.postMessage({ is: "said", text: said });

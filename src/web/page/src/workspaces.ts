@@ -4,7 +4,7 @@ import type { Workspace } from "./page";
 import { choose, tabs } from "./tabs";
 
 type Part = "control" | "job" | "picture" | "more";
-/** Cards that are below the picture on screens of medium width. */
+/** Cards that are in tabs below the picture on screens of medium width: card, its usual column, and its tab panel. */
 const CARDS = [["card-over", "run-left", "pane-over"], ["card-spindle", "run-left", "pane-spindle"], ["card-setup", "run-right", "pane-setup"]] as const;
 const BELOW = ["tab-over", "tab-spindle", "tab-setup"];
 
@@ -55,7 +55,7 @@ export class Workspaces {
     this.onchange();
   }
 
-  /** Gives the role of the main landmark to the part of Run that a telephone shows. */
+  /** Marks the visible part of Run as the main part of the page, for screen readers on a telephone. */
   private landmarks(): void {
     const { part } = $("app").dataset;
     for (const [id, shows] of [["run-left", "job"], ["run-right", "control"]]) {

@@ -6,10 +6,8 @@ import { example, page as file } from "./program.mjs";
 const SIZES = [[1440, 900], [1024, 768], [390, 844]];
 const BAD = "G21 G90\nG1 X10 F600\nG999\nG1 Y10\n";
 
-/**
- * Connects a simulated machine that follows the test's instructions and records what it receives. Its settings are
- * those of a small mill. `now` of each of its `commands` is the time at which the command arrived.
- */
+/** Connects a simulated machine that follows the test's instructions. The machine records the lines and the realtime
+ * commands that it receives; `now` is the time at which a command arrived. Its settings are those of a small mill. */
 const attach = (page, more = {}) => page.evaluate(more => {
   const settings = { 13: 0, 20: 0, 21: 0, 22: 1, 30: 10000, 32: 0, 110: 3000, 111: 3000, 112: 600, 120: 300, 121: 300, 122: 100, 130: 300, 131: 180, 132: 45, 922: 1, ...more.settings };
   const fake = (globalThis.fake = {
@@ -59,7 +57,7 @@ async function running(page) {
   await page.waitForFunction(() => oxmill.app.machine.phase === "run");
 }
 
-/** States of the page, each reached like by a user. */
+/** Functions that bring the page into each of its states, as a user would. */
 const STATES = {
   first: page => page.evaluate(() => oxmill.app.go("first")),
   check: page => tab(page, "whatif"),
@@ -203,7 +201,7 @@ export async function clock_picture_chart_and_lines_follow_the_machine(browser) 
     return { end: summary.forecast_s, zero: summary.position_mm.map((at, axis) => at - summary.work_position_mm[axis]), at: [0.03, 0.05, 0.08].map(part => ({ seconds: part * summary.forecast_s, place: oxmill.placeAt(path, part * summary.forecast_s) })) };
   });
   for (const { seconds, place } of job.at) {
-    // Change both values together: a report between the two changes would give another position on the path.
+    // Change both values at once: a report in between would give another position on the path.
     await page.evaluate(([place, zero]) => ([fake.at, fake.offset] = [place.map((v, axis) => v - zero[axis]), [0, 0, 0]]), [place, job.zero]);
     await page.waitForFunction(place => {
       const at = oxmill.placeAt(oxmill.app.checked.path, oxmill.app.player.time);
@@ -268,7 +266,7 @@ export async function zero_is_set_in_the_system_that_is_in_force(browser) {
   await page.press("#work-0", "Enter");
   await page.waitForFunction(() => fake.lines.filter(line => line.startsWith("G10")).length === 4);
   assert.deepEqual(await lines(page), ["G10 L20 P1 X0 Y0", "G10 L20 P1 X0 Y0 Z0", "G10 L20 P1 Z0", "G10 L20 P1 X12.5"]);
-  // The tool can be sent to Z0 only above X0 Y0; on its way to X0 Y0, Z is lifted first.
+  // The tool can be sent to Z0 only above X0 Y0. On the way to X0 Y0, Z is lifted first.
   assert(await page.locator("#go-z").isDisabled());
   await page.click("#go-xy");
   await page.waitForFunction(() => fake.lines.filter(line => line.startsWith("$J")).length === 2);
@@ -287,7 +285,7 @@ export async function stop_brakes_first_and_resets_at_rest(browser) {
     document.getElementById("stop").dispatchEvent(new PointerEvent("pointerdown", { button: 0, bubbles: true }));
     return began;
   });
-  // Do all of this in one evaluation, so that the page handles no timer in between.
+  // Do all of this in one evaluation: the page must handle no timer in between.
   const braking = await page.evaluate(() => {
     fake.commands.length = 0;
     const began = performance.now();
@@ -307,8 +305,8 @@ export async function stop_brakes_first_and_resets_at_rest(browser) {
   assert.deepEqual(await commands(page), [0x21, 0x18]);
   await page.waitForFunction(() => oxmill.app.machine.phase === "idle");
   assert.match(await page.textContent("#jobcard-body"), /^Stopped at line \d+/);
-  // A machine that never comes to rest is reset anyway, after the time to brake from 3000 mm/min at 300 mm/s2 and half
-  // a second.
+  // A machine that does not come to rest is reset all the same: after the time to brake from 3000 mm/min at 300 mm/s2,
+  // plus half a second.
   await page.evaluate(() => {
     fake.oncommand = undefined;
     fake.state = "Run";
@@ -412,8 +410,7 @@ export async function words_are_those_that_people_use(browser) {
     await reach(page);
     for (const word of (await page.locator("body").innerText()).match(/\b(link|rest|take away|desk|starved?)\b/gi) ?? []) found.add(word.toLowerCase());
   }
-  // Two of these words are allowed: "desk", the simulator's board that is chosen in Settings, and "rest", as in the
-  // rest of a job.
+  // Two of these words are allowed: "desk" is a board of the simulator, and "rest" means the rest of a job.
   assert.deepEqual([...found].filter(word => !["desk", "rest"].includes(word)), []);
 }
 
@@ -478,7 +475,7 @@ export async function the_scrubber_is_wide_enough_and_the_console_is_seen(browse
 export async function the_legend_names_what_is_drawn(browser) {
   const { page } = await open(browser, file);
   await openJob(page, "kinds.nc", "G21 G91\nG0 X5\nG1 Z-1 F600\nG1 X5\nG2 X5 Y5 J5\n");
-  // The legend follows the picture, which is drawn a moment later.
+  // The legend is drawn with the picture, a moment after the check.
   const shows = marks => page.waitForFunction(marks => [...document.querySelectorAll("#legend-marks li")].map(mark => mark.innerText).join() === marks, marks.join());
   await shows(["rapid", "work zero"]);
   await page.uncheck("#show-rapids");
@@ -493,7 +490,6 @@ export async function the_legend_names_what_is_drawn(browser) {
   assert.equal(await page.textContent("#legend-caption"), "Spindle or laser power, S");
 }
 
-/** The colours of a laser job show its power. */
 export async function the_power_of_a_laser_has_a_colour(browser) {
   const { page } = await open(browser, file);
   await openJob(page, "laser.nc", "G21 G91 F600\nM4 S1000\nG1 X5\nS500\nG1 Y5\nM5\nG1 X-5\n");
@@ -563,7 +559,8 @@ export async function a_job_that_turns_gets_no_verdict_on_its_material(browser) 
   assert.deepEqual(faults, []);
 }
 
-/** Reasons why the machine would stop the job are shown before the start; questions can be confirmed, failures cannot. */
+/** A job that would fail cannot be started. If there are only questions, such as about a missing homing, the user can
+ * confirm them. */
 export async function nothing_starts_that_would_fail(browser) {
   const { page, faults } = await open(browser, file);
   await openJob(page, "tool.nc", "G21 G90 G10 L1 P5 Z1\nG43 H5\nG0 X1\n");
@@ -628,8 +625,8 @@ export async function cutters_are_read_from_comments(browser) {
   assert.deepEqual([await page.inputValue("#shape"), await page.inputValue("#diameter")], ["flat", "3.175"]);
   await page.selectOption("#cutter-tool", "4");
   assert.deepEqual([await page.inputValue("#shape"), await page.inputValue("#diameter"), await page.inputValue("#angle")], ["v", "6", "60"]);
-  // A job without tool changes uses the only cutter described. A cutter chosen by the user stays while the job is
-  // edited, but not for another job.
+  // A job without tool changes uses the only cutter that its comments describe. A cutter that the user has chosen
+  // stays while this job is edited. Another job does not get it.
   const shown = async () => [await page.inputValue("#shape"), await page.inputValue("#diameter")];
   await openJob(page, "one.nc", "(T1 D=6. CR=0. - ZMIN=-6. - flat end mill)\nG21 G91 F600\nT1\nG1 Z-1\nG1 X5\n");
   assert.deepEqual(await shown(), ["flat", "6"]);
@@ -641,8 +638,8 @@ export async function cutters_are_read_from_comments(browser) {
   assert.deepEqual(await shown(), ["flat", "3"]);
 }
 
-/** Gives the fake machine a workpiece. `touches`: an expression in x, y and z that is true at the machine positions, in
- * mm, at which the tool touches the workpiece. */
+/** Gives the fake machine a workpiece. `touches`: an expression in x, y and z (machine position, mm) that is true
+ * while the tool touches the workpiece. */
 const withWork = (page, touches) => page.evaluate(touches => {
   const inside = new Function("x", "y", "z", `return ${touches};`);
   fake.online = line => {
@@ -685,7 +682,7 @@ export async function edges_corners_and_holes_are_found(browser) {
     await page.waitForFunction(() => fake.lines.includes("G21 G90 G94"), null, { timeout: PATIENCE });
     const { at, lines, crashed } = await page.evaluate(() => ({ at: fake.at, lines: fake.lines, crashed: fake.crashed }));
     const set = lines.find(line => line.startsWith("G10"));
-    // Work zero in machine coordinates, as set by the line.
+    // Work zero in machine coordinates, as the G10 line sets it.
     const zero = Object.fromEntries([...(set ?? "").matchAll(/([XYZ])(-?[\d.]+)/g)].map(([, axis, value]) => [axis, at["XYZ".indexOf(axis)] - Number(value)]));
     return { zero, crashed, note: await page.textContent("#machine-note") };
   };
@@ -693,8 +690,8 @@ export async function edges_corners_and_holes_are_found(browser) {
     assert.deepEqual(Object.keys(zero).toSorted(), Object.keys(wanted).toSorted());
     for (const [axis, place] of Object.entries(wanted)) assert(Math.abs(zero[axis] - place) < 0.03, `${axis}: ${zero[axis]} instead of ${place}`);
   };
-  // The hole is 20 mm by 12 mm around -50, -40. The cutter of 3 mm touches the wall of the hole when its own middle is
-  // 1.5 mm from the wall.
+  // The hole is 20 mm by 12 mm, with its middle at -50, -40. The cutter has a radius of 1.5 mm, so its middle can move
+  // by 8.5 mm to each side in X, and by 4.5 mm in Y.
   const hole = await probed("hole", { "probe-depth": "15" }, "Math.abs(x + 50) >= 8.5 || Math.abs(y + 40) >= 4.5", [-47, -38, -10]);
   near(hole, { X: -50, Y: -40 });
   // The left side of a workpiece at X -30, with a cutter of 3 mm.
@@ -713,7 +710,6 @@ export async function edges_corners_and_holes_are_found(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** After Stop, a probing cycle sends no further move. */
 export async function a_probing_cycle_that_is_stopped_moves_no_more(browser) {
   const { page, faults } = await withMachine(browser);
   for (const at of ["G38.3", "G0", "G4"]) {
@@ -749,7 +745,8 @@ export async function a_probing_cycle_that_is_stopped_moves_no_more(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Macros, tools, spindle and coolant send the right lines, and wrong lines are rejected beforehand. */
+/** Macros, tools, spindle and coolant send the right lines. A macro with a wrong line is rejected before it is
+ * saved. */
 export async function macros_tools_spindle_and_outline_send_their_lines(browser) {
   const { page, faults } = await withMachine(browser);
   const sent = async act => {
@@ -806,8 +803,8 @@ export async function on_a_telephone_a_job_that_starts_is_shown(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** After the answer to a line, Start is disabled until the page has received all effects of the line; then Start stays
- * enabled. */
+/** A line may change what the page knows of the machine. So Start is disabled from the answer until the page has
+ * received modes and offsets again. Then Start stays enabled. */
 export async function start_waits_for_what_a_line_has_changed(browser) {
   const { page, faults } = await withMachine(browser);
   await openJob(page, "pocket_mm.nc", example("pocket_mm.nc"));
@@ -835,7 +832,8 @@ export async function start_waits_for_what_a_line_has_changed(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** If the machine falls silent, the jog must end, because the buttons are disabled and do not report their release. */
+/** If the machine falls silent, its buttons are disabled and do not report their release. The jog must end
+ * nevertheless. */
 export async function a_held_jog_ends_when_its_button_is_switched_off(browser) {
   const { page, faults } = await withMachine(browser);
   const jogs = async () => (await lines(page)).filter(line => line.startsWith("$J")).length;
@@ -856,7 +854,7 @@ export async function a_held_jog_ends_when_its_button_is_switched_off(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Keys that move or zero the machine ask first. No key acts on the machine while a field has the focus. */
+/** Keys that move or zero the machine ask first. Keys that are typed into a field do not act on the machine. */
 export async function keys_drive_the_machine(browser) {
   const { page, faults } = await withMachine(browser);
   await openJob(page, "pocket_mm.nc", example("pocket_mm.nc"));
@@ -884,7 +882,7 @@ export async function keys_drive_the_machine(browser) {
   // Enter on the button starts the job; Space holds and resumes it; Esc stops it.
   await page.waitForFunction(() => !document.getElementById("start").disabled, null, { timeout: PATIENCE });
   await page.focus("#start");
-  // Let the machine run only when it receives the first line, because Start is disabled while it runs.
+  // Let the machine run from the first line on, and not earlier: Start is disabled while it runs.
   await page.evaluate(() => (fake.online = line => (line.startsWith("$") || (fake.state = "Run"), "ok")));
   await page.keyboard.press("Enter");
   await page.waitForFunction(() => oxmill.app.machine.phase === "run" && oxmill.app.machine.running);

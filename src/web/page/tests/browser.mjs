@@ -4,8 +4,8 @@ import { chromium } from "playwright-core";
 import { pathToFileURL } from "node:url";
 
 const PROGRAMS = { executablePath: process.env.OXMILL_CHROMIUM ?? "/usr/bin/chromium" };
-// Enable WebGL without a graphics processor. Compose the rest of the page without WebGL, which takes a third less time.
-// Switch off network requests of the browser itself.
+// Enable WebGL without a graphics processor. Compose the rest of the page without WebGL, which saves a third of the
+// time. Switch off network requests of the browser itself.
 const ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-compositing", "--disable-background-networking",
   "--disable-component-update", "--disable-sync", "--no-first-run", "--disable-quic"];
 
@@ -66,15 +66,16 @@ export async function openJob(page, name, text) {
   return checked(page, name);
 }
 
-/** Returns the time of the scrubber, and the start time of a line according to the rows of the path, s. */
+/** Returns two times in s: `shown` is displayed by the page; `begins` is the start of a line by the rows of the
+ * path. */
 export const timeOf = (page, line) => page.evaluate(line => {
   const { lines, rows } = oxmill.app.checked.path;
   const row = lines.findIndex((of, row) => row > 0 && of % 2 ** 30 === line);
   return { shown: oxmill.app.player.time, begins: rows[row * 6 + 4] };
 }, line);
 
-/** Asserts that the page is at the start of a line other than the first: by its scrubber, and by its list, in which the
- * line `chosen` is selected. */
+/** Asserts that the page shows the start time of `line`, and that line `chosen` is selected in the list. `line` must
+ * start later than 0 s. */
 export async function isAt(page, line, chosen = line) {
   const { shown, begins } = await timeOf(page, line);
   assert(begins > 0 && Math.abs(shown - begins) < 1e-6, `line ${line} begins at ${begins} s; ${shown} s is shown`);

@@ -92,7 +92,7 @@ export async function refused_lines_are_listed_with_what_helps(browser) {
       for (const part of [`line ${error.line}`, `error:${error.code}`, error.text, error.advice]) assert(shown[index].toLowerCase().includes(part.toLowerCase()), `${name}: ${shown[index]}`);
     }
   }
-  // The page accepts these files as text, but the firmware's check rejects them.
+  // The page accepts these files as text. The firmware's check rejects them.
   for (const [name, bytes, what] of [["control.nc", [0x47, 0x30, 1, 2, 3, 10], "a binary file"], ["blank.nc", [0xef, 0xbb, 0xbf, 32, 13, 10], "empty"]]) {
     await page.setInputFiles("#file", { name, mimeType: "text/plain", buffer: Buffer.from(bytes) });
     await page.waitForFunction(what => document.getElementById("verdict").textContent.includes(`Not checkedthe job is not read: it is ${what}`), what);
@@ -102,8 +102,8 @@ export async function refused_lines_are_listed_with_what_helps(browser) {
   assert.match(await page.locator("#errors button").last().innerText(), /^Alarm 5: [^]*\nline 2\nG38\.2 Z-1\n/);
   assert(await page.locator("#to-run").isDisabled());
   assert.equal(await page.textContent("#to-run-why"), "Off: the job ends in alarm 5.");
-  // All errors of the report are listed, folded, with the number of errors that the report leaves out. The list begins
-  // with a remark that most lines are rejected.
+  // The list begins with a remark that most lines are rejected. All errors but the first five are folded. Unfolded,
+  // the list ends with the number of errors that the report leaves out.
   await openJob(page, "many.nc", "bad\n".repeat(1005));
   assert.match(await page.locator("#errors button").first().innerText(), /^This does not look like G-code/);
   assert.equal(await page.locator("#errors .more button").innerText(), "and 1,000 more");
@@ -130,7 +130,7 @@ export async function soft_limits_act_on_a_homed_machine(browser) {
       await page.fill(`[aria-label="Work zero ${"XYZ"[axis]}, machine mm"]`, String(value));
       await page.keyboard.press("Tab");
     }
-    // A check that started when only some of the three values were typed may have ended meanwhile, so check again.
+    // A check may have started before all three values were typed, and ended meanwhile. So check again.
     await page.evaluate(() => void oxmill.app.check());
     const found = await checked(page);
     same(found, run("limits.nc", text, { settings: own, work_zero: place }));
@@ -172,7 +172,7 @@ export async function a_million_lines_are_checked_within_bounds(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** A job that is checked again while its picture is hidden fits the picture when it becomes visible. */
+/** If a job is checked while the picture is hidden, the view fits the job as soon as the picture becomes visible. */
 export async function the_picture_fits_when_it_comes_into_sight(browser) {
   const { page, faults } = await open(browser, file);
   await openJob(page, "square.nc", "G21 G91 F6000\nG1 X50\nG1 Y50\nG1 X-50\nG1 Y-50\n");
@@ -211,7 +211,7 @@ export async function the_picture_is_where_the_machine_was(browser) {
   await isAt(page, 29);
   await page.evaluate(() => oxmill.app.player.seek(oxmill.app.player.time + 0.001));
   assert.equal(await page.evaluate(() => oxmill.app.player.line), 29);
-  // The drawn path has pixels in the colours of the scale, and fewer of them at an earlier time of the job.
+  // Pixels of the path have colours of the scale. At an earlier time of the job, fewer pixels have them.
   const colored = () => colorsOn(page, "view");
   await page.evaluate(() => oxmill.app.player.seek(Infinity));
   const whole = await colored();
@@ -237,12 +237,12 @@ export async function the_picture_is_where_the_machine_was(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** The edges of the travel are drawn if the limits are shown. Without the limits, the view is as it was before. */
+/** With "limits" checked, the edges of the travel are drawn. Without it, the view is as before. */
 export async function the_limits_are_drawn_where_the_travel_ends(browser) {
   const { page, faults } = await open(browser, file);
   await settings(page, { ...MILL, 20: 1, 22: 1, 130: 60, 131: 50, 132: 40 });
   await openJob(page, "small.nc", "G21 G91\nG1 X-20 Y-20 Z-20 F600\n");
-  // Wait until the view is stable: the picture is redrawn when its element gets its size.
+  // Wait until the view no longer changes: the picture is drawn again when its element gets its size.
   const view = () => page.evaluate(async () => {
     const now = () => JSON.stringify(oxmill.app.player.picture.camera);
     let before;
@@ -259,14 +259,14 @@ export async function the_limits_are_drawn_where_the_travel_ends(browser) {
   for (const place of [[-60, -50, -20], [0, -25, -40], [-30, 0, -40]]) edges.push(await inkAt(page, place));
   assert(edges.every(ink => ink > 60), `${edges}`);
   assert(await colorsOn(page, "view") > colors + 500);
-  // The box is wider than the path: the view shows all of it.
+  // The box of the limits is wider than the path: the view shows all of it.
   const corner = await page.evaluate(() => oxmill.app.player.picture.place([-60, -50, -40]));
   const size = await page.locator("#view").boundingBox();
   assert(corner[0] > 0 && corner[0] < size.width && corner[1] > 0 && corner[1] < size.height, `${corner}`);
   await page.uncheck("#limits");
   assert.equal(await view(), without);
   assert.equal(await colorsOn(page, "view"), colors);
-  // With machine zero where homing ends, X reaches from 0 to its travel without the pull-off.
+  // With $932=1, machine zero is where homing ends. X then reaches from 0 to its travel minus the pull-off ($27).
   await settings(page, { ...MILL, 20: 1, 22: 1, 23: 1, 27: 2, 130: 60, 131: 50, 132: 40, 932: 1 });
   await openJob(page, "small.nc", "G21 G91\nG1 X20 Y-20 Z-20 F600\n");
   await page.check("#limits");
@@ -275,7 +275,7 @@ export async function the_limits_are_drawn_where_the_travel_ends(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** If the board cannot keep up with a setting, the job is rejected, and the page shows the message of `oxmill run`. */
+/** If a setting needs a higher step rate than the board's, the job is rejected with the message of `oxmill run`. */
 export async function a_setting_out_of_reach_is_named(browser) {
   const { page, faults } = await open(browser, file);
   await settings(page, { ...MILL, 110: 1e6 });
@@ -287,14 +287,15 @@ export async function a_setting_out_of_reach_is_named(browser) {
   assert(expected.messages.some(message => message.includes(why)), `${expected.messages}`);
   assert((await page.locator("#messages").innerText()).includes(why));
   assert.match(await page.locator("#errors button").first().innerText(), /error:9[^]*line 2/);
-  // The message is above the list of rejected lines, so it is visible however long the list is.
+  // The message stands above the rejected lines. So a long list does not hide it.
   assert(await page.evaluate(() => document.getElementById("messages").compareDocumentPosition(document.getElementById("errors")) & Node.DOCUMENT_POSITION_FOLLOWING));
   await settings(page, MILL);
   assert.equal(await page.textContent("#messages"), "");
   assert.deepEqual(faults, []);
 }
 
-/** Returns how much a pixel near a position of the first view differs from the background, 0 to 255. */
+/** Returns the greatest difference in colour from the background, 0 to 255, of the pixels near a position in the first
+ * view. */
 const inkAt = (page, place) => page.evaluate(async place => {
   const canvas = document.getElementById("view");
   await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
@@ -349,8 +350,8 @@ export async function two_views_show_one_time(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** The parameters in the order of the page's list, with the multiples of the present values that are tried. For the
- * jerk, whose present value is 0, the values are absolute. */
+/** The settings of each parameter in the list of the page, in its order, and the multiples of the present values that
+ * are tried. The jerk is 0 at present: its values are absolute. */
 const PARTS = [0.25, 0.5, 1, 2, 4, 8];
 const VARIED = [
   { numbers: [120, 121], parts: PARTS }, { numbers: [122], parts: PARTS }, { numbers: [110, 111], parts: PARTS }, { numbers: [112], parts: PARTS },
@@ -358,7 +359,7 @@ const VARIED = [
   { numbers: [220, 221], parts: [0, 2500, 5000, 10_000, 20_000, 40_000], absolute: true },
 ];
 
-/** The message at the end of a program is not shown as the reason. */
+/** If a job has no forecast time, the table shows the reason. The message at the end of a program is not a reason. */
 export async function a_job_without_a_time_has_a_reason_instead(browser) {
   const { page, faults } = await open(browser, file);
   const shown = async (text, settings = {}) => {
@@ -366,7 +367,7 @@ export async function a_job_without_a_time_has_a_reason_instead(browser) {
       oxmill.app.checked = undefined;
       oxmill.app.settings.replace(settings);
     }, settings);
-    // After this, no further check can abort the forecast.
+    // Wait for this check: it could abort the forecast.
     await checked(page);
     await openJob(page, "without.nc", text);
     await page.click("#vary");
@@ -380,8 +381,8 @@ export async function a_job_without_a_time_has_a_reason_instead(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Varies each parameter. The present values differ from axis to axis, and have so many digits that any rounding would
- * change them. */
+/** Varies each parameter. X and Y have different present values. Most values have more than three digits, so that
+ * rounding would change them. */
 export async function forecasts_are_those_of_single_runs(browser) {
   const { page, faults } = await open(browser, file);
   const text = "G21 G91 F1200\nG0 X9 Z2\nG1 X12 Y3\nG2 X8 Y8 J8\nG1 X-3 Z-4\nG1 Y7\nG0 X-20 Z2\n";
@@ -452,8 +453,7 @@ export async function time_is_shown_by_kind_and_by_tool(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** In each colouring (kind, tool, line), the pieces of the drawn path have the shade of the program line that they
- * belong to. */
+/** In each colouring (kind, tool, line), every row of the path has the shade of its program line. */
 export async function arcs_plunges_rapids_and_tools_are_told_apart(browser) {
   const { page, faults } = await open(browser, file);
   await openJob(page, "kinds.nc", "G21 G91\nG0 X5\nG1 Z-1 F600\nG1 X5\nG2 X5 Y5 J5\nT3 M6\nG1 Y5\n");
@@ -478,7 +478,8 @@ export async function arcs_plunges_rapids_and_tools_are_told_apart(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Coloured by acceleration, a straight move has the machine's acceleration at its ends, and 0 between them. */
+/** With colours for the acceleration, the ends of a straight move have the machine's acceleration, and its middle has
+ * 0. */
 export async function acceleration_has_the_colours_of_its_value(browser) {
   const { page, faults } = await open(browser, file);
   await settings(page, MILL);

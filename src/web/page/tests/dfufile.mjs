@@ -1,6 +1,5 @@
 // .dfu files for the tests.
 
-/** Start of flash. */
 export const FLASH = 0x0800_0000;
 
 /** Returns the CRC-32 of DFU, which lacks the final inversion. */
@@ -10,7 +9,7 @@ export function checksum(bytes) {
   return crc >>> 0;
 }
 
-/** Makes a .dfu file: elements of address and bytes. */
+/** Makes a .dfu file. `elements`: pairs of an address and the bytes at this address. */
 export function dfu(elements, name = "Oxmill for blackpill_f411") {
   const word = value => [value & 255, (value >>> 8) & 255, (value >>> 16) & 255, value >>> 24];
   const body = elements.flatMap(([address, bytes]) => [...word(address), ...word(bytes.length), ...bytes]);

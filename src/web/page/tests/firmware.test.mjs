@@ -1,4 +1,4 @@
-// Loading firmware into a board: the page with a boot loader that is modelled here after ST's UM0391 and AN3156.
+// Tests the loading of firmware into a board. The boot loader is a model in this file, after ST's UM0391 and AN3156.
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
 import { readFileSync, writeFileSync } from "node:fs";
@@ -14,11 +14,12 @@ const F411 = "@Internal Flash  /0x08000000/04*016Kg,01*064Kg,03*128Kg";
 const F401 = "@Internal Flash  /0x08000000/04*016Kg,01*064Kg,01*128Kg";
 
 const noise = (length, seed) => Uint8Array.from({ length }, (_, at) => (at * 31 + seed * 17 + (at >> 8)) & 255);
-/** An image: the program from sector 3 on, with a length that is no multiple of a word, and the first sector. */
+/** The two parts of an image. `PROGRAM` starts at sector 3, and its length is not a multiple of 4 bytes. `VECTORS` is
+ * for sector 0. */
 const PROGRAM = noise(150_001, 3), VECTORS = noise(9_000, 5);
 const IMAGE = dfu([[FLASH + 0xc000, PROGRAM], [FLASH, VECTORS]]);
 
-/** Installs a modelled boot loader in the page. Runs in the page. */
+/** Installs a model of a boot loader in the page. This function runs in the page. */
 function bootLoader({ layout, failAt, breakAt, unnamed, lostAt, failsErase }) {
   const [IDLE, SYNC, BUSY, DOWNLOAD_IDLE, MANIFEST, UPLOAD_IDLE, ERROR] = [2, 3, 4, 5, 7, 9, 10];
   const flash = globalThis.flash ?? new Uint8Array(512 * 1024).fill(0x5a);
@@ -113,7 +114,7 @@ function bootLoader({ layout, failAt, breakAt, unnamed, lostAt, failsErase }) {
     } } });
 }
 
-/** Chooses a file in the open dialog. Returns the note of the page about it. */
+/** Chooses a file in the open dialog. Returns what the dialog then says about the file. */
 async function choose(page, bytes, name = "blackpill_f411.dfu") {
   await page.setInputFiles("#firmware-file", { name, mimeType: "application/octet-stream", buffer: bytes });
   await page.waitForFunction(() => document.getElementById("firmware-note").textContent !== "");
@@ -130,8 +131,8 @@ async function dialog(browser, model) {
 
 const GO = "text=Choose the boot loader and load…";
 
-/** Loads the chosen file. Returns the page's last note, the records of the model, and the first 8 bytes of its
- * flash. */
+/** Loads the chosen file. Returns the last note of the page (`said`), what the model has recorded, and the first 8
+ * bytes of its flash (`begin`). */
 async function loaded(page) {
   await page.click(GO);
   await page.waitForFunction(() => document.querySelector("#firmware-note.finding") !== null && !/ %$/.test(document.getElementById("firmware-note").textContent));
@@ -167,7 +168,7 @@ export async function an_interrupted_load_leaves_no_program_that_starts(browser)
   const first = await loaded(page);
   assert.match(first.said, /cannot write at 0x0801d800 \(status 3\).* The board has no program now and starts nothing: load it again\./);
   assert.deepEqual([first.started, first.begin], [false, Array(8).fill(0xff)]);
-  // The boot loader reports the error until a request clears it; the next attempt must send that request.
+  // The boot loader reports its error until a request clears it. The next attempt must send this request.
   await page.evaluate(bootLoader, { layout: F411 });
   const second = await loaded(page);
   assert.match(second.said, /is loaded/);
@@ -224,7 +225,7 @@ export async function files_that_are_no_firmware_for_the_chip_are_refused(browse
     assert.match(await choose(page, bytes), wanted);
     assert(await page.locator(GO).isDisabled());
   }
-  // An F401 has 256 KiB.
+  // An F401 has 256 KiB of flash. This image reaches beyond.
   await choose(page, dfu([[FLASH + 0x3_f000, noise(8_192, 1)], [FLASH, VECTORS]]));
   const { said, erased, begin } = await loaded(page);
   assert.match(said, /does not fit into the chip: it has no flash at 0x08040000.* Nothing was changed\.$/);
@@ -290,7 +291,7 @@ export async function a_site_offers_the_images_that_it_carries(browser) {
   }
 }
 
-/** Some servers answer every request with their own page. */
+/** Some servers answer every request with their own page, and others with a list of another form. */
 export async function a_list_of_images_that_is_none_is_left_alone(browser) {
   for (const list of ["<!doctype html>", "{}", '[{"board":"../x","title":"X"},{"board":1},null]']) {
     const { url, stop } = await site(list);
@@ -317,7 +318,7 @@ export async function the_single_file_offers_no_images(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** A pin table of one's own is checked, and written into the image, as by `oxmill board write`. */
+/** The page checks a pin table and writes it into an image. The bytes are the same as from `oxmill board write`. */
 export async function pins_are_changed_without_a_compiler(browser) {
   const { page, faults } = await dialog(browser, { layout: F411 });
   const OWN = "^Oxmill for blackpill_f411, \\d+ KiB\\.$";
@@ -346,7 +347,7 @@ export async function pins_are_changed_without_a_compiler(browser) {
   await refused(MINE.replace('mist = "B9"', 'mist = "B5"').replace('probe = "B15"', 'probe = "C20"'), "^The pin table has faults:\\nline \\d+: .*B5.*\\nline \\d+: .*C20");
   await refused(MINE.replace('image = "blackpill_f411"', 'image = "blackpill_f401"').replace('chip = "STM32F411CE"', 'chip = "STM32F401CC"'), "^the table is for another image");
   await refused(" ".repeat(70_000), "^mine\\.toml is too large to be a pin table\\.$");
-  // A table that keeps the name of the board would be taken for the board's own.
+  // A changed table with the name of the board would be taken for the board's own table.
   await choosePins(page, MINE.replace("my_mill", "blackpill_f411"));
   await says(page, "^Oxmill for blackpill_f411, \\d+ KiB\\. blackpill_f411 is the name of another pin table: give yours a name of its own\\.$");
   await page.click("text=Use the board's own pins");

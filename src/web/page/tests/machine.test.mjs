@@ -10,10 +10,10 @@ import { example, MILL, page as file, root, run, serve } from "./program.mjs";
 const state = (page, wanted) => page.waitForFunction(wanted => new RegExp(wanted).test(oxmill.app.machine.status?.state ?? ""), wanted, { timeout: PATIENCE });
 const place = page => page.evaluate(() => oxmill.app.machine.status.machine);
 const near = (a, b) => assert(a.every((v, i) => Math.abs(v - b[i]) < 0.011), `${a} and ${b}`);
-/** Waits until the job has been answered and the machine has then reported that it is idle, so that another job can
- * start. */
+/** Waits until all lines are answered and the machine has reported that it is idle. Then another job can start. */
 const jobDone = page => page.waitForFunction(() => oxmill.app.machine.finished && oxmill.app.machine.isAtRest, null, { timeout: PATIENCE });
-/** Enables the host timeout of the machine. Waits before the click until the findings above the button are complete. */
+/** Enables the host timeout of the machine. The button moves until the findings above it are complete, so wait for
+ * them. */
 const watch = async page => {
   await page.waitForFunction(() => oxmill.app.machine.isAtRest && !document.querySelector(".checks .wait"), null, { timeout: PATIENCE });
   await page.click("#watch");
@@ -59,7 +59,7 @@ export async function a_machine_in_the_page_does_the_job(browser) {
   await state(page, "^Run");
   await jobDone(page);
   near(await place(page), found.position_mm);
-  // The clock shows the end of the job, which may be later than the last report in motion.
+  // The clock shows the end of the job. The last report in motion may be earlier.
   const clocks = await page.evaluate(() => ["clock", "clock-end"].map(id => document.getElementById(id).textContent));
   assert.equal(`of ${clocks[0]}`, clocks[1]);
   assert.equal(await page.locator("#console .wrong").count(), 0);
@@ -109,8 +109,8 @@ export async function hold_resume_overrides_and_reset_act(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** The page does not support checked lines, so it never sends the command that switches them on, neither from the
- * console nor from a job. It also never sends characters that would change on their way. */
+/** The page does not support checked lines. So it does not send `$LC=ON`, neither from the console nor from a job. It
+ * also sends no character that would be changed on its way. */
 export async function lines_that_the_page_cannot_send_are_refused_before_the_job(browser) {
   const { page, faults } = await powered(browser);
   const wrong = () => page.locator("#console .wrong").allInnerTexts();
@@ -179,8 +179,8 @@ export async function a_jog_ends_however_the_button_is_left(browser) {
     const left = (await place(page))[1];
     await state(page, "^Idle");
     const to = await place(page);
-    // `left` is up to one report interval old. So the axis may move on by the distance of that interval, plus that of
-    // the jogs sent ahead.
+    // `left` is up to one report interval old. After it, the axis may move for this interval, and then by the jogs
+    // that were sent ahead.
     assert(left - to[1] < 10, `${left} to ${to[1]}`);
     await page.waitForTimeout(300);
     near(await place(page), to);
@@ -292,8 +292,8 @@ export async function homing_and_probing_find_switch_and_plate(browser) {
 /** Simulates a serial port in the browser, connected to a TCP port. */
 async function fakeSerial(page, port) {
   const socket = net.connect(port, "127.0.0.1");
-  // `lengths`: bytes of each line in the board's receive buffer, that is, sent and not yet answered. Realtime commands
-  // use no space.
+  // `lengths`: the bytes of each line that was sent and is not answered yet. These lines fill the board's receive
+  // buffer. Realtime commands need no space in it.
   const wire = (socket.wire = { lengths: [], most: 0, realtime: [], said: "" });
   socket.on("data", data => {
     const lines = (wire.said + data).split("\n");
@@ -309,8 +309,8 @@ async function fakeSerial(page, port) {
   await page.exposeFunction("__listen", () => {
     // A reopened port receives only bytes that arrive after it was reopened.
     socket.off("data", wire.hear ?? (() => {}));
-    // Bytes that arrive during a transfer to the page are sent with the next transfer: on a busy computer each transfer
-    // takes time.
+    // A transfer to the page takes time on a busy computer. Bytes that arrive meanwhile are sent with the next
+    // transfer.
     const heard = [];
     let telling = false;
     wire.hear = async data => {
@@ -332,7 +332,7 @@ async function fakeSerial(page, port) {
           globalThis.__said = bytes => to.enqueue(new Uint8Array(bytes));
           globalThis.__unplug = (why = "NetworkError") => to.error(new DOMException("The device has been lost.", why));
         } });
-        // A write does not wait for the other side, as at a port with its own buffer.
+        // A write does not wait for the other side: a serial port has a buffer of its own.
         this.writable = new WritableStream({ write: bytes => void __write([...bytes]) });
         await __listen();
       },
@@ -370,8 +370,8 @@ export async function a_board_at_a_serial_port_does_the_job(browser) {
     await jobDone(page);
     near(await place(page), run("pocket_mm.nc", text, order).position_mm);
     assert(wire.most <= 255, `${wire.most} bytes were under way`);
-    // A line that is rejected during a job is named, and ends the job in a hold. The board of the forecast has the
-    // outputs of M62; this board does not.
+    // A rejected line during a job is named, and the job ends in a hold. The firmware rejects M62 here, because this
+    // board has no such output. The board of the forecast has one.
     await openJob(page, "bad.nc", `G21 G91\nG1 X2 F600\nM62 P0\n${"G1 X2\n".repeat(200)}`);
     await start(page);
     await page.waitForFunction(() => [...document.querySelectorAll("#console .wrong")].some(line => line.textContent === "line 3: error:133"));
@@ -410,7 +410,7 @@ export async function firmware_for_another_board_is_named(browser) {
       await says("^Oxmill for blackpill_f411, \\d+ KiB\\.$");
       assert.equal(await page.inputValue("#firmware-board"), "blackpill_f411");
       assert.equal(await page.textContent("#firmware-connected"), "The board that is connected: blackpill_f411.");
-      // Other pins for the connected board are no warning, the image of another board is one.
+      // Other pins in the image of the connected board cause no warning. The image of another board does.
       const mine = readFileSync(join(root, "boards/tables/blackpill_f411.toml"), "utf8").replace('"blackpill_f411"', '"my_mill"');
       await page.setInputFiles("#firmware-pins", { name: "mine.toml", mimeType: "text/plain", buffer: Buffer.from(mine) });
       await says("With the pins of my_mill\\.$");
@@ -450,8 +450,8 @@ export async function a_board_obeys_with_full_buffers_and_may_be_unplugged(brows
     await openJob(page, "long.nc", `G21 G91\n${"G1 X0.5 F60\nG1 X-0.5\n".repeat(400)}`);
     await start(page);
     await state(page, "^Run");
-    // The queue of blocks is full long before the job ends; then the line buffer fills. The bytes in flight never
-    // exceed its size.
+    // The queue of blocks is full long before the job ends. Then the line buffer fills. The unanswered bytes never
+    // exceed the size of this buffer.
     for (let waited = 0; wire.most <= 200 && waited < PATIENCE; waited += 10) await page.waitForTimeout(10);
     assert(wire.most <= 255 && wire.most > 200, `${wire.most} bytes were under way`);
     await page.click("[data-realtime=hold]");
@@ -502,7 +502,7 @@ export async function buttons_send_their_realtime_commands(browser) {
     await page.mouse.down();
     await state(page, "^Jog");
     await page.mouse.up();
-    // The machine can be idle for a moment if the next move of a jog is late, so wait for the jog cancel.
+    // The machine can be idle for a moment between two short jogs. So wait for the jog cancel.
     for (let waited = 0; !wire.realtime.includes(0x85) && waited < PATIENCE; waited += 5) await page.waitForTimeout(5);
     assert(wire.realtime.includes(0x85), "a jog cancel");
     await state(page, "^Idle");
@@ -560,8 +560,8 @@ export async function a_page_that_goes_leaves_the_machine_in_a_hold(browser) {
     await openJob(page, "long.nc", "G21 G91\nG1 X50 F60\n");
     await start(page);
     await state(page, "^Run");
-    // Send the events that a page gets when it is closed. Whether its last byte is then still sent depends on the
-    // browser.
+    // Send the events that a page gets when it is closed. In a real closing, it depends on the browser whether the
+    // last byte is still sent.
     assert(await page.evaluate(() => !dispatchEvent(new Event("beforeunload", { cancelable: true }))), "the user is asked");
     await page.evaluate(() => dispatchEvent(new Event("pagehide")));
     await state(page, "^Hold");
@@ -588,7 +588,7 @@ export async function a_tab_that_crashes_leaves_a_board_that_watches_in_a_hold(b
     await crash(page);
     let said = "";
     socket.on("data", data => (said += data));
-    // Wait before each `?`: every byte restarts the host timeout, which must expire before the machine holds.
+    // Wait before each `?`: every byte restarts the host timeout, and the machine holds only after this timeout.
     for (let tries = 0; !/<Hold:0/.test(said) && tries < 30; tries++) {
       await new Promise(resolve => setTimeout(resolve, 2500));
       socket.write("?");
@@ -634,11 +634,13 @@ export async function settings_go_to_the_machine_when_they_have_been_looked_at(b
     await page.click("#keep");
     assert(await page.locator("#differences").isHidden());
     assert.match(await there(), /^\$0=10(\.0+)?$/m);
-    // A machine in Grbl's dialect does not report its dialect by a message, only by its settings.
+    // A machine in Grbl's dialect has no message that tells its dialect. Its settings show it: it lists only those of
+    // Grbl.
     await page.evaluate(() => oxmill.app.machine.line("$900=0"));
     await page.click("#read");
     await page.waitForFunction(() => oxmill.app.settings.value(900) === 0 && oxmill.app.settings.value(120) === 321.5);
-    // In Grbl's dialect, soft limits are rejected (error:10) until homing is on, which has the higher setting number.
+    // In Grbl's dialect, soft limits ($20) are rejected with error:10 while homing ($22) is off. Settings are written
+    // in the order of their numbers, so $20 fails at first.
     for (const value of [0, 1]) {
       await page.evaluate(value => oxmill.app.settings.replace({ ...oxmill.app.settings.values(), 20: value, 22: value }), value);
       await page.click("#compare");
@@ -650,7 +652,7 @@ export async function settings_go_to_the_machine_when_they_have_been_looked_at(b
   });
 }
 
-/** Returns the status of an attempt to open a WebSocket, made like by a browser. */
+/** Tries to open a WebSocket with the headers of a browser. Returns the status of the answer. */
 const upgrade = (port, headers) => new Promise((resolve, reject) => {
   const socket = net.connect(port, "127.0.0.1");
   const all = { Host: `127.0.0.1:${port}`, Origin: `http://127.0.0.1:${port}`, Connection: "Upgrade", Upgrade: "websocket",

@@ -12,7 +12,8 @@ const RAPID = 2 ** 31;
 const FLAT = { shape: "flat", diameter: 6, angle: 60 };
 const BALL = { shape: "ball", diameter: 6, angle: 60 };
 const V = { shape: "v", diameter: 6, angle: 60 };
-/** Returns a path through positions; a position with a fourth number, 1, is reached by a rapid. Lines count from 1. */
+/** Returns a path through positions [x, y, z], mm. A fourth number 1 makes the move to a position a rapid. Each move
+ * takes 1 s, and the move to position i has line number i. */
 function through(places, tool = 0) {
   const rows = Float32Array.from(places.flatMap(([x, y, z], i) => [x, y, z, 1, i, i + 1]));
   return { rows, lines: Uint32Array.from(places, (place, i) => i + (place[3] ? RAPID : 0)), tools: new Uint32Array(places.length).fill(tool), speeds: new Uint32Array(places.length) };
@@ -36,9 +37,9 @@ export async function a_flat_cutter_leaves_a_slot_of_its_width() {
   close(at(slot, 22.95, 2.95), 0);
   const area = 20 * 6 + Math.PI * 9;
   close(slot.removed, area, area * 0.005);
-  // A cut through the block goes no deeper than its bottom.
+  // A cut that is deeper than the block stops at the bottom of the block.
   close(at(made([[0, 0, -9], [20, 0, -9]], FLAT), 10, 0), -5);
-  // Up a slope of one half, the trailing edge of the cutter is the lower one.
+  // Up a slope of one half, the leading edge of the cutter determines the height: it passes a cell first, and lowest.
   close(at(made([[0, 0, -5], [10, 0, 0]], FLAT), 6.05, 0.05), -5 + (6.05 - Math.sqrt(9 - 0.05 ** 2)) / 2);
 }
 
@@ -66,7 +67,7 @@ export async function a_v_leaves_a_groove() {
 
 export async function rapids_through_material_are_found() {
   const lines = places => made(places, FLAT).crashes.map(crash => crash.line);
-  // These rapids do not crash: above the block, along a slot and straight up out of it, and beside the block.
+  // These rapids do not crash: above the block, along a slot and then straight up, and beside the block.
   assert.deepEqual(lines([[0, 0, 5], [10, 0, 5, 1], [10, 0, 0, 1]]), []);
   assert.deepEqual(lines([[0, 0, 1], [0, 0, -1], [20, 3.3, -1], [0, 0, -1, 1], [0, 0, 5, 1]]), []);
   assert.deepEqual(lines([[50, 0, 1], [50, 0, -1, 1], [50, 5, -1, 1]]), []);
@@ -120,8 +121,8 @@ export async function the_page_lists_rapids_through_material(browser) {
   await page.fill("#diameter", "6");
   await page.keyboard.press("Tab");
   assert.equal(await page.inputValue("#block-low-0"), "-3");
-  // In the block that the page proposes for the job, the rapid cuts the corners that the round end of the slot has
-  // left.
+  // The page proposes a block for the job. The slot has round ends, and the rapid cuts the corners that remain in this
+  // block.
   const found = await cutNow(page);
   assert.deepEqual(found.crashes.map(crash => crash.line), [5]);
   await page.fill("#block-high-1", "20");
@@ -132,7 +133,7 @@ export async function the_page_lists_rapids_through_material(browser) {
   const item = page.locator("#crashes button");
   assert.match(await item.innerText(), /^line 5: rapid 2\.00 mm deep[^]*G0 Y10/);
   assert.match(await page.textContent("#material-note"), /^1 rapid through material/);
-  // The item can be reached by keys and leads to the line; the picture shows it in red.
+  // The item has the focus by keys and leads to its line. The picture shows this line in red.
   await item.focus();
   await page.keyboard.press("Enter");
   assert.equal(await page.evaluate(() => oxmill.app.player.line), 5);

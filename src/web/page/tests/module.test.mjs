@@ -1,4 +1,4 @@
-// The module alone, as other programs use it.
+// Tests the WebAssembly module without the page, as other programs use it.
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
 import { existsSync, readFileSync, writeFileSync } from "node:fs";
@@ -95,12 +95,12 @@ export async function refusals_and_panics_have_a_text() {
     assert.equal(x.oxmill_check_begin(), 1);
     assert.match(output(), new RegExp(why));
   }
-  // The text of a panic is kept after other calls, and if the panic is in the first call of an instance.
+  // A panic leaves its text, both after other calls and in the first call of an instance.
   for (const one of [x, (await instance()).x]) {
     assert.throws(() => one.oxmill_fail(), WebAssembly.RuntimeError);
     const text = () => new TextDecoder().decode(new Uint8Array(one.memory.buffer, one.oxmill_panic(), one.oxmill_panic_len()));
     assert.match(text(), /oxmill_fail was called/);
-    // The instance has ended: any further call reports that instead of answering.
+    // The instance has ended: each further call traps instead of answering.
     assert.throws(() => one.oxmill_describe(), WebAssembly.RuntimeError);
     assert.match(text(), /already.*borrowed/);
   }

@@ -1,4 +1,4 @@
-// The `oxmill` program of this host, for comparison: the page must give the same results.
+// Runs the `oxmill` program of this host, for comparison: the page must give the same results.
 import assert from "node:assert/strict";
 import { execFileSync, spawn, spawnSync } from "node:child_process";
 import { mkdtempSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
@@ -44,7 +44,8 @@ export function resumed(name, text, more) {
   return execFileSync(oxmill, ["resume", write(name, text), ...more], { encoding: "utf8", stdio: ["ignore", "pipe", "ignore"] });
 }
 
-/** Returns the machine position at a time after the first step, mm, from the trace of all steps. */
+/** Runs a job with a trace of all steps. Returns a function that gives the machine position, mm, at a time in s after
+ * the first step. */
 export function traced(name, text, order, steps_per_mm) {
   const csv = join(folder, "trace.csv");
   execFileSync(oxmill, ["run", write(name, text), "--trace", csv, ...options(order)], { stdio: "ignore" });

@@ -6,14 +6,14 @@ import { open, openJob, tab } from "./browser.mjs";
 import { example, MILL, page as file, root } from "./program.mjs";
 
 export const FOLDER = join(root, "docs/pictures");
-/** Records what each picture was taken of. */
+/** This file records the checksum and the page's text of each picture, and a checksum of the sources of the look. */
 export const TAKEN = join(FOLDER, "taken.json");
 /** Sources that determine the look. The texts of the page are compared separately. */
 const LOOK = ["index.html", "style.css", "camera.ts", "chart.ts", "overlay.ts", "picture.ts", "shaders.ts"];
 /** Elements that differ from run to run. */
 const RESTLESS = ".dro, #console, #pill { visibility: hidden }";
 
-/** Each scene with its preparation (`set`) and the actions until the picture is taken (`go`). */
+/** The scenes. `set` prepares the page; `go` does what remains to be done until the picture is taken. */
 export const SCENES = {
   "page.png": {
     options: { viewport: { width: 1440, height: 900 } },
@@ -24,7 +24,7 @@ export const SCENES = {
       await page.click("#vary");
       await page.waitForFunction(() => document.getElementById("whatif-note").textContent.includes("whole jobs"));
       await page.evaluate(() => oxmill.app.player.seek(oxmill.app.player.time * 0.62));
-      // The legend names the mark of the time once the picture has been drawn.
+      // The legend names the mark for the time only after the picture has been drawn.
       await page.waitForFunction(() => document.getElementById("legend-marks").textContent.includes("time"));
     },
     async go() {},

@@ -7,7 +7,7 @@ const entry = fileURLToPath(new URL("../src/sender.ts", import.meta.url));
 const bundled = (await build({ entryPoints: [entry], bundle: true, write: false, format: "esm" })).outputFiles[0].text;
 const { Sender } = await import(`data:text/javascript;base64,${Buffer.from(bundled).toString("base64")}`);
 
-/** Returns a sender with a link that records what is written; realtime commands separately. */
+/** Returns a sender with a link that records what is written: lines in `lines`, realtime commands in `realtime`. */
 function connected() {
   const link = { lines: [], realtime: [], onsaid: () => {}, onlost: () => {}, close: () => {},
     write: bytes => bytes.length === 1 && bytes[0] !== 0x0a ? link.realtime.push(bytes[0]) : link.lines.push(Buffer.from(bytes).toString("latin1").trimEnd()) };
@@ -54,7 +54,8 @@ export async function a_second_job_is_refused_until_the_first_is_answered() {
   assert.deepEqual(link.lines, ["G91", "G0 X1", "G0 X2"]);
 }
 
-/** Returns a sender after two answers of a job of 40 lines. As many lines are in flight as fit into 128 bytes. */
+/** Returns a sender in the middle of a job of 40 lines, after two answers. The lines in flight fill a buffer of 128
+ * bytes. */
 function inMidJob() {
   const all = connected();
   all.sender.stream("G1 X1 F100\n".repeat(40));
@@ -94,7 +95,7 @@ export async function a_reset_that_the_page_did_not_order_ends_the_job() {
   sender.ongreeting = () => greetings++;
   say("\r\nGrbl 1.1h ['$' for help]");
   assert.deepEqual([sender.lines, sender.free, stopped, greetings], [[], true, ["2 the machine was reset"], 1]);
-  // An answer to an old line that was still on its way must not count for a later line.
+  // An answer to an old line may still arrive. It must not count for a later line.
   const unlocked = sender.command("$X");
   say("ok");
   assert.equal(link.lines.length, 13);
@@ -102,7 +103,7 @@ export async function a_reset_that_the_page_did_not_order_ends_the_job() {
   assert.deepEqual(link.lines.slice(13), ["$X"]);
   say("ok");
   assert.equal(await unlocked, "ok");
-  // A reset by the sender itself ends the job, too, and the next line waits only for the welcome.
+  // A reset by the sender itself also ends the job. The next line then waits for the welcome message, and no longer.
   sender.stream("G4 P1\n");
   sender.reset();
   const after = sender.command("$X");

@@ -1,4 +1,4 @@
-// The page from a web server, as a site; and in Firefox, if that is installed.
+// Tests the page from a web server: as a single file, as a site that can be installed, and in Firefox if that exists.
 import assert from "node:assert/strict";
 import { existsSync, readdirSync, readFileSync } from "node:fs";
 import { createServer } from "node:http";
@@ -113,8 +113,8 @@ export async function the_site_can_be_installed_and_opens_without_a_network(brow
   }
 }
 
-/** Starts Firefox by WebDriver BiDi, as built by Debian and Mozilla. Without Firefox, the test is skipped, and the run
- * says so. */
+/** Starts Firefox (the build of Debian or of Mozilla) through WebDriver BiDi. If no Firefox is installed, prints a
+ * message and returns `undefined`. The caller then skips its test. */
 async function firefox() {
   if (FIREFOX) return puppeteer.launch({ browser: "firefox", executablePath: FIREFOX, protocolTimeout: PATIENCE, defaultViewport: null, args: ["--width=1440", "--height=1000"] });
   console.log("skipped: no Firefox is installed (Debian: firefox-esr)");
@@ -158,7 +158,7 @@ export async function firefox_says_the_same() {
   }
 }
 
-/** The newcomer's walk of the Chromium test, in Firefox. */
+/** Repeats `a_newcomer_comes_from_a_job_to_its_end` in Firefox. */
 export async function firefox_goes_from_a_job_to_its_end() {
   const browser = await firefox();
   if (!browser) return;

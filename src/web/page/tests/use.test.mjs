@@ -9,7 +9,8 @@ import { walk } from "./walk.mjs";
 
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 
-/** Fills each panel with something that a job, a run or a fault can put there. */
+/** Functions that fill each panel with the results of a job, a run or a fault. The audit then sees more than empty
+ * panels. */
 const FILLED = {
   settings: async page => {
     await page.fill('[aria-label^="$0 "]', "256");
@@ -50,7 +51,7 @@ const FILLED = {
 
 export async function axe_finds_nothing(browser) {
   for (const [colorScheme, width] of [["light", 1440], ["dark", 1440], ["light", 1024], ["light", 390], ["dark", 390]]) {
-    // Reduce motion: otherwise the colour of a button that has just been enabled would still be changing.
+    // Reduce motion: without this, a button that was just enabled would still be changing its colour.
     const { page } = await open(browser, file, { colorScheme, reducedMotion: "reduce", viewport: { width, height: 900 } });
     await page.evaluate(axe);
     const audit = async where => {
@@ -172,7 +173,7 @@ export async function the_same_file_again_is_checked_again(browser) {
   await openJob(page, "a.nc", "G21\nG0 X1\n");
   const found = await openJob(page, "a.nc", "G21\nG0 X2\n");
   assert.equal(found.position_mm[0], 2);
-  // The field must be empty, because a browser reports a chosen file only if it differs from the present one.
+  // A browser reports a chosen file only if the choice changes. So the field must be empty again.
   assert.equal(await page.inputValue("#file"), "");
   assert.deepEqual(faults, []);
 }
@@ -186,7 +187,7 @@ export async function a_job_is_played_at_a_thousand_times_its_speed(browser) {
   const between = page.evaluate(() => new Promise(done => {
     let first;
     let before;
-    // This callback runs before the player's, so the player's time is that of the previous frame.
+    // This callback runs before the player's callback. So the player's time is still that of the previous frame.
     const look = now => {
       const at = [before / 1000, oxmill.app.player.time];
       before = now;
@@ -208,7 +209,7 @@ export async function a_job_is_played_at_a_thousand_times_its_speed(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** If a file cannot be read, such as a folder, no part of the previous job is shown or run instead. */
+/** After a file that cannot be read, such as a folder, the page must neither show nor run the previous job. */
 export async function a_file_that_cannot_be_read_is_named(browser) {
   const { page, faults } = await open(browser, file);
   await page.evaluate(() => {
@@ -223,7 +224,6 @@ export async function a_file_that_cannot_be_read_is_named(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** Drops a file, with the events of a browser. */
 export async function a_dropped_file_is_checked(browser) {
   const { page, faults } = await open(browser, file);
   const drop = (kind, more) => page.evaluate(([kind, more]) => {
@@ -255,7 +255,7 @@ export async function refused_lines_are_reached_by_keys(browser) {
   await page.keyboard.press("Tab");
   assert.match(await focused(), /error:[^]*line 5/);
   await page.keyboard.press("Enter");
-  // The rejected line moves nothing: the time is that at which the next line begins.
+  // The rejected line moves nothing. So the page shows the time at which the next line begins.
   const { shown, begins } = await timeOf(page, 6);
   assert(begins > 0 && Math.abs(shown - begins) < 1e-6, `${shown} ${begins}`);
   assert.match(await page.locator("#lines [aria-selected=true]").innerText(), /^\s*5\s/);
@@ -279,7 +279,8 @@ export async function a_line_that_is_clicked_is_shown(browser) {
   assert.deepEqual(faults, []);
 }
 
-/** A line that moves nothing is shown at the time of the next move, or at the end of the job if no move follows. */
+/** A line that moves nothing is shown at the start of the next move. If no move follows, it is shown at the end of the
+ * job. */
 export async function the_last_lines_are_at_the_end(browser) {
   const { page, faults } = await open(browser, file);
   const { forecast_s } = await openJob(page, "end.nc", "G21 G91\nG1 X9 F600\nM5\nG1 X-9\nM9\nG999\nM30\n");
@@ -406,7 +407,7 @@ export async function settings_of_a_machine_are_pasted(browser) {
   const { page, faults } = await open(browser, file);
   await tab(page, "settings");
   await page.click("#open-import");
-  // A typing mistake must not replace the present settings by those of a new controller.
+  // A typing mistake must not replace the present settings by default values.
   await page.evaluate(() => oxmill.app.settings.set(121, 77));
   for (const slip of ["", "110=5\nok\n", "$120=1,5\n$121=1e2\n"]) {
     await page.fill("#paste", slip);
@@ -422,8 +423,8 @@ export async function settings_of_a_machine_are_pasted(browser) {
   await checked(page);
   assert.deepEqual(await page.evaluate(() => oxmill.app.settings.values()), { 100: 80, 120: 123.5 });
   assert.equal(await page.locator("#settings-note").innerText(), "2 settings are taken over. Not understood: $122=x, $99999=1");
-  // Reloading restores the settings, except those that this firmware does not have: another version of the page may
-  // have stored them.
+  // A reload restores the settings. Settings that this firmware does not have are dropped: another version of the page
+  // may have stored them.
   const reloaded = async (kept, wanted) => {
     await page.evaluate(kept => localStorage.setItem("oxmill settings", kept), kept);
     await page.reload();
@@ -431,7 +432,7 @@ export async function settings_of_a_machine_are_pasted(browser) {
     assert.deepEqual(await page.evaluate(() => oxmill.app.settings.values()), wanted, kept);
   };
   for (const kept of ["7", '{"99999":1,"100":"x"}', '{"100":250}']) await reloaded(kept, {});
-  // Invalid stored data counts as nothing stored: the chosen machine is used, here a new board.
+  // Invalid stored data are ignored. The settings are then those of the chosen machine, here a new board.
   for (const kept of ["null", "{"]) await reloaded(kept, {});
   await reloaded('{"100":80,"120":123.5}', { 100: 80, 120: 123.5 });
   await tab(page, "settings");
@@ -456,10 +457,8 @@ export async function settings_of_a_machine_are_pasted(browser) {
   assert.deepEqual(faults, []);
 }
 
-/**
- * Returns the number of bytes that the browser uses for the page after garbage collection: script objects and the
- * module. Takes the minimum of three measurements, because work in the background can hold memory for a moment.
- */
+/** Returns the bytes that the browser uses for the page after garbage collection: script objects and the module.
+ * Returns the minimum of three measurements, because background work can hold memory for a moment. */
 const memory = async (page, devtools) => {
   let least = Infinity;
   for (let time = 0; time < 3; time++) {

@@ -1,9 +1,10 @@
-// A newcomer's way through the page, from the choice of a machine to a job that is stopped and continued. Uses only
-// features that Playwright and Puppeteer share, so that it is identical in Chromium and Firefox.
+// A newcomer's way through the page, from the choice of a machine to a job that is stopped and continued. It runs in
+// Chromium and in Firefox. So it uses only functions that Playwright and Puppeteer share.
 import assert from "node:assert/strict";
 import { PATIENCE } from "./browser.mjs";
 
-/** Waits until a condition holds by polling: Firefox's own waiting needs `eval`, which the page's policy forbids. */
+/** Waits until a condition holds. Polls, because Firefox's own waiting needs `eval`, which the page's policy
+ * forbids. */
 export async function until(page, condition, argument) {
   const end = Date.now() + PATIENCE;
   while (!await page.evaluate(condition, argument)) {
@@ -18,7 +19,7 @@ export async function walk(page) {
   const phase = wanted => until(page, wanted => oxmill.app.machine.phase === wanted, wanted);
   const work = () => page.evaluate(() => oxmill.app.machine.status.work);
   const rest = () => until(page, () => oxmill.app.machine.isAtRest);
-  // Find and press the button in one evaluation, because its card can be rebuilt in between.
+  // Find and press the button in one evaluation: its card can be rebuilt between two.
   const press = text => until(page, text => {
     const button = [...document.querySelectorAll("#jobcard-body button, #start-why button")].find(one => one.innerText.startsWith(text) && !one.disabled);
     button?.click();
@@ -61,7 +62,7 @@ export async function walk(page) {
   assert.match(await say("jobcard-title"), /Hold/i);
   await page.click('[data-realtime="resume"]');
   await phase("run");
-  // To save time, the simulated machine runs twenty times as fast, and a hundred times for the rest of the job.
+  // The simulated machine runs at 20 times real time, to save time; later, in the rest of the job, at 100 times.
   const times = value => page.evaluate(value => {
     const select = document.getElementById("times");
     select.value = value;
