@@ -1,9 +1,12 @@
 //! `cargo xtask count`: the cost of each unit of work on a Cortex-M4F, in instructions and estimated cycles.
 //!
-//! QEMU executes the program `count` of `tests/on_target` and logs the address of every instruction. The addresses give
-//! the instruction counts; the instructions at these addresses give the cycles (`thumb.rs` explains the estimate).
-//! Nothing is timed, so the figures are the same on every machine. A row that costs more than its limit fails. Limits
-//! are the costs reached plus about 2%, because the compiler arranges the same code differently after other changes.
+//! QEMU executes the program `count` of `tests/on_target` and logs the address of each executed instruction. The number
+//! of addresses is the instruction count. The cycles are estimated from the instructions at these addresses (see
+//! `thumb.rs`). Nothing is timed, so the figures are the same on every machine.
+//!
+//! Each unit of work is a row of the printed table and has a limit. The command fails if a row exceeds its limit. A
+//! limit is the cost when it was set plus about 2%, because the compiler arranges the same code differently after other
+//! changes.
 
 use crate::elf::{self, Function};
 use crate::paths::cargo_for_boards;
@@ -19,22 +22,22 @@ type Cost = (u64, u64);
 /// How the costs of a row's calls are reduced to one figure.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Figure {
-    /// Mean of all calls.
     Mean,
-    /// Maximum of all calls, separately for instructions and for cycles.
+    /// The highest instruction count of a call, and the highest cycle count of a call.
     Worst,
-    /// Cost of one unit, such as a block: the mean of this row less that of the named row, divided by the number of
-    /// units by which the calls of the two rows differ.
+    /// Cost of one unit, such as one block. A call of this row handles N more units than a call of the named row. So
+    /// the cost is (mean of this row - mean of the named row) / N.
     Per(u64, &'static str),
-    /// Not printed, because it is only the base of another row.
+    /// Not printed. A row with [`Figure::Per`] subtracts the mean of this row.
     Base,
 }
 
-/// The costs of all calls of each row; and, for one row that the caller has chosen, the cost of each instruction, by
-/// its address.
+/// First: the costs of the calls of each row, by the row's key. Second: for one row that the caller chose, the total
+/// cost of each instruction, by the instruction's address.
 type Traced = (HashMap<String, Vec<Cost>>, HashMap<u32, Cost>);
 
-/// A row of the table: a unit of work, figures to compare with, and its limit.
+/// A row of the table: a unit of work. `grbl` and `grbl_hal`: costs in other controllers, as text, for comparison.
+/// `target`: the cost that was aimed at; it is printed, but a higher cost is no failure.
 struct Row {
     key: &'static str,
     title: &'static str,
@@ -42,7 +45,7 @@ struct Row {
     grbl: &'static str,
     grbl_hal: &'static str,
     target: Option<Cost>,
-    /// Maximum allowed cost.
+    /// Maximum cost. The command fails if the instructions or the cycles exceed it.
     limit: Cost,
 }
 
@@ -103,9 +106,10 @@ const ROWS: [Row; 23] = [
 /// benchmark program does not, so its figures for these rows hold only for the fast profile.
 const OF_THE_STEP_TASK: [&str; 5] = ["batch_3", "batch_1", "segment", "single", "stop"];
 
-/// Builds the program, runs it and checks the figures. With the profile of the small boards the figures are printed
-/// without a check, and without the rows of the step task, which the firmware compiles in the same way in both
-/// profiles.
+/// `cargo xtask count`: prints the table and checks the limits.
+///
+/// If `profile` is the one built for size, the limits are not checked. The rows of the step task are then left out,
+/// because the firmware compiles the step task for speed in both profiles.
 pub fn count(profile: &str) -> Result<(), Failure> {
     let (calls, _) = traced(profile, "")?;
     let (table, faults) = table(&calls, profile != boards::FAST)?;
@@ -113,8 +117,9 @@ pub fn count(profile: &str) -> Result<(), Failure> {
     if faults.is_empty() || profile != boards::FAST { Ok(()) } else { Err(faults.join("\n")) }
 }
 
-/// Prints where the instructions and cycles of a row are spent: by function, as the mean per call. Writes the addresses
-/// to `target/count.addresses`, for tools that know which source lines were inlined there.
+/// `cargo xtask count profile ROW`: prints the instructions and cycles that each function takes in a call of a row, as
+/// the mean of all calls. Also writes the cost of each instruction address to `target/count.addresses`, for tools that
+/// know which source lines were inlined there.
 pub fn profile(row: &str) -> Result<(), Failure> {
     let (calls, spent) = traced(boards::FAST, row)?;
     let calls = calls.get(row).ok_or_else(|| format!("there is no row {row}"))?.len() as u64;
@@ -140,7 +145,8 @@ pub fn profile(row: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Builds the program, runs it, and returns the costs of all calls, and of each instruction of one row.
+/// Builds the program, runs it, and returns its costs. `row`: the row for which the cost of each instruction is
+/// returned; empty for none.
 fn traced(profile: &str, row: &str) -> Result<Traced, Failure> {
     qemu::require()?;
     let mut build = cargo_for_boards("build", profile)?;
@@ -165,7 +171,9 @@ fn address(line: &str) -> Option<u32> {
     u32::from_str_radix(inside.split('/').nth(1)?, 16).ok()
 }
 
-/// Returns the costs of all calls of each row, and of each instruction of the row `profiled`.
+/// Reads QEMU's log and returns the costs. The instructions from the call of a function `unit_*` to its return are one
+/// call. The call belongs to the row whose function `row_*` was called last. `profiled`: the row for which the cost of
+/// each instruction is returned.
 fn measure(bytes: &[u8], log: impl Read, profiled: &str) -> Result<Traced, Failure> {
     let mut spent: HashMap<u32, Cost> = HashMap::new();
     let elf = elf::parse(bytes)?;
@@ -174,7 +182,7 @@ fn measure(bytes: &[u8], log: impl Read, profiled: &str) -> Result<Traced, Failu
         names.filter_map(|(at, name)| Some((at, name.strip_prefix(prefix)?.to_owned()))).collect()
     };
     let (rows, units) = (named("row_"), named("unit_"));
-    // By address: the two half words there, and the instruction that they encode.
+    // Decoded instructions by address. Each has the two half words at the address.
     let mut known: HashMap<u32, ((u16, u16), Instruction)> = HashMap::new();
     let mut calls: HashMap<String, Vec<Cost>> = HashMap::new();
     let (mut row, mut open): (Option<&String>, Option<(u32, Meter)>) = (None, None);
@@ -246,7 +254,8 @@ fn measure(bytes: &[u8], log: impl Read, profiled: &str) -> Result<Traced, Failu
     Ok((calls, spent))
 }
 
-/// Returns the table in the format of the book, and the figures that exceed their limits.
+/// Returns the table in Markdown, as in `docs/cost.md`, and a message for each row that exceeds its limit. `is_small`:
+/// `true` if the program was built for size.
 fn table(calls: &HashMap<String, Vec<Cost>>, is_small: bool) -> Result<(String, Vec<String>), Failure> {
     let of =
         |key: &str| calls.get(key).filter(|all| !all.is_empty()).ok_or_else(|| format!("row {key} was not counted"));

@@ -1,12 +1,13 @@
-//! DfuSe files (`.dfu`, ST's UM0391): the input of the USB boot loader in an STM32's ROM. A file contains the address
-//! of each stretch of flash, so one command of a flashing tool writes all stretches, in the order of the file.
+//! DfuSe files (`.dfu`, ST's UM0391). A tool such as dfu-util sends them to the USB boot loader in an STM32's ROM,
+//! which writes them to flash. A file contains several stretches (contiguous ranges) of flash with their addresses. So
+//! one command of the tool writes all stretches, in the order of the file.
 
 use crate::Failure;
 use crate::flashable::Stretch;
 
-/// Size of the prefix of a file, bytes; the target follows.
+/// Size of the header of a file, bytes. The header of the target follows; the only target here is the flash.
 const PREFIX: usize = 11;
-/// Size of the prefix of a target, bytes; its elements follow.
+/// Size of the header of the target, bytes. The elements follow: address, size and bytes of each stretch.
 const TARGET_PREFIX: usize = 274;
 /// Size of a target's name field, bytes.
 const NAME: usize = 255;
@@ -91,8 +92,8 @@ fn element(bytes: &[u8]) -> Option<(Stretch, &[u8])> {
     Some((Stretch { address, bytes: bytes.to_vec() }, rest))
 }
 
-/// Checks that a `.dfu` file has exactly these stretches of flash, that there are two of them, and that the one with
-/// the vector table, at `vectors`, is last.
+/// Checks a `.dfu` file. Its elements must be exactly `stretches`, and there must be two. The element with the vector
+/// table, which starts at the address `vectors`, must be last.
 pub fn check(file: &[u8], stretches: &[Stretch], vectors: u32) -> Result<(), Failure> {
     let elements = parse(file)?;
     let mut sorted = elements.clone();

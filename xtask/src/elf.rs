@@ -5,7 +5,6 @@ use object::read::elf::{ElfFile32, ElfSection32, ProgramHeader, SectionHeader};
 use object::{LittleEndian, Object, ObjectSection, ObjectSegment, ObjectSymbol, SymbolKind};
 use std::ops::Range;
 
-/// A 32-bit little-endian ELF file.
 pub type Elf<'a> = ElfFile32<'a, LittleEndian>;
 
 /// A function that the symbol table names.
@@ -19,12 +18,13 @@ pub struct Function<'a> {
     pub size: u32,
 }
 
-/// Reads the headers of a file.
+/// Reads the headers of an ELF file. Fails if `bytes` are not a 32-bit ELF file.
 pub fn parse(bytes: &[u8]) -> Result<Elf<'_>, Failure> {
     Elf::parse(bytes).map_err(|error| format!("this is no 32-bit ELF file: {error}"))
 }
 
-/// Returns what a flashing tool writes: addresses and bytes. `None` if the file is truncated.
+/// Returns what a flashing tool writes: the bytes of each segment, with the address at which they are stored in flash.
+/// `None` if the file is truncated.
 pub fn segments<'a>(elf: &Elf<'a>) -> Option<Vec<(u32, &'a [u8])>> {
     let all = elf.segments().map(|segment| {
         let stored = segment.elf_program_header().p_paddr(LittleEndian);

@@ -19,12 +19,10 @@ const ROW: usize = 16;
 /// Value of erased flash, used for gaps within a stretch.
 const ERASED: u8 = 0xFF;
 
-/// A contiguous stretch of flash.
+/// A contiguous range of flash: its first address, and the bytes from there on.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Stretch {
-    /// Start address.
     pub address: u32,
-    /// The bytes from this address on.
     pub bytes: Vec<u8>,
 }
 
@@ -75,7 +73,7 @@ pub fn hex(stretches: &[Stretch]) -> String {
                 upper = Some(address >> 16);
                 row(0, 4, &((address >> 16) as u16).to_be_bytes());
             }
-            // A row must not cross a boundary of 64 KiB.
+            // A row has only the low 16 bits of its address, so it must not cross a boundary of 64 KiB.
             let length = rest.len().min(ROW).min(0x1_0000 - (address & 0xFFFF) as usize);
             row(address as u16, 0, &rest[..length]);
             rest = &rest[length..];

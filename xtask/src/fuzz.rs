@@ -10,8 +10,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Mutex;
 
-/// Compiler flags that libFuzzer needs: a pass that counts edges (branches taken in the code), and a call at each edge,
-/// by which a target counts its work.
+/// Compiler flags for the fuzz targets. A compiler pass adds a counter to each edge (a way from one piece of code to
+/// the next), and libFuzzer reads these counters. The pass also adds a call to each edge: `tests/fuzz/work.c` counts
+/// these calls, so that a target can limit its work.
 const COVERAGE: &str = "-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
     -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
     -Cllvm-args=-sanitizer-coverage-trace-pc -Clink-arg=-Wl,--wrap=__sanitizer_cov_trace_pc -Ccodegen-units=1";
@@ -22,8 +23,9 @@ const COMPARISONS: &str = " -Cllvm-args=-sanitizer-coverage-trace-compares";
 const LEAST_EDGES: u64 = 100;
 /// Maximum input length, bytes, in a search that is limited by time.
 const LONGEST: u64 = 2048;
-/// For each target: its share of all executions in per mille (a faster target has a larger share), and its maximum
-/// input length in bytes in a search that is limited by the number of executions. Short inputs allow many executions.
+/// For a search that is limited by the number of executions. For each target: its share of all executions, in per
+/// mille, and its maximum input length, bytes. A faster target has a larger share. Inputs are short, so that each
+/// execution takes little time.
 const SHARES: [(&str, u64, u64); 9] = [
     ("hosts", 320, 96),
     ("lines", 240, 128),
@@ -39,17 +41,18 @@ const SHARES: [(&str, u64, u64); 9] = [
 /// Limit of a search: a time or a number of executions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Amount {
-    /// This many seconds for all targets together, with [`COMPARISONS`] recorded.
+    /// Number of seconds for all targets together, with [`COMPARISONS`] recorded.
     Seconds(u64),
-    /// This many executions for all targets together, without [`COMPARISONS`].
+    /// Number of executions for all targets together, without [`COMPARISONS`].
     Executions(u64),
-    /// This many executions for all targets together, without [`COMPARISONS`], and the seed of their random numbers.
-    /// Each search starts only from the corpora in `tests/fuzz`, so the run is the same on every machine.
+    /// Number of executions, as in `Executions`, and the seed of the random numbers. Each search starts only from the
+    /// corpora in `tests/fuzz`, so the run is the same on every machine.
     Repeated(u64, u64),
 }
 
 impl Amount {
-    /// Returns libFuzzer's options for the part of the time or executions that `target` gets.
+    /// Returns libFuzzer's options for the part of the time or executions that `target` gets. `workers`: number of
+    /// targets that run at the same time.
     fn options(self, target: &str, targets: &[&str], workers: u64) -> Vec<String> {
         match self {
             Amount::Seconds(seconds) => {
@@ -70,7 +73,8 @@ impl Amount {
     }
 }
 
-/// Parses the amount and the targets; no targets means all.
+/// Parses the arguments. Returns the amount, 300 s if none is given, and the names of the targets, empty for all
+/// targets.
 fn wanted<'a>(arguments: &'a [&'a str]) -> Result<(Amount, &'a [&'a str]), Failure> {
     let time = |count: &str, seconds: u64| number(count).map(|count| Amount::Seconds(count.saturating_mul(seconds)));
     Ok(match arguments {
@@ -121,9 +125,9 @@ pub fn fuzz(arguments: &[&str]) -> Result<(), Failure> {
     report(rows.into_inner().expect("no thread panics"))
 }
 
-/// Runs the inputs of the tree in full length, because a search truncates long ones. In this build a target also fails
-/// if one call does more work than is allowed. Then runs the inputs that earlier searches have found: if one still
-/// fails, its fault has not been corrected; an input that passes is deleted.
+/// First runs the inputs in `tests/fuzz`, in full length, because a search truncates long inputs. In this build, a
+/// target also fails if one call does more work than is allowed. Then runs the inputs that earlier searches left in
+/// `target/fuzz/found`. If such an input still fails, its fault has not been corrected; if it passes, it is deleted.
 fn replay(program: &Path, target: &str) -> Result<(), Failure> {
     let mut inputs = files(&seeds(target)?)?;
     inputs.extend(files(&finds(target)?)?);
@@ -152,12 +156,13 @@ fn number(text: &str) -> Result<u64, Failure> {
     text.parse().map_err(|_| format!("`{text}` is not a whole number"))
 }
 
-/// What the search on one target has executed, reached and found.
+/// The result of the search on one target.
 struct Row {
     executions: u64,
     /// Number of edges reached, from `cov:` in libFuzzer's output.
     edges: u64,
-    /// Number of features reached, from `ft:` in libFuzzer's output; libFuzzer keeps inputs that reach new ones.
+    /// Number of features reached, from `ft:` in libFuzzer's output. A feature is, for example, an edge with the
+    /// magnitude of its count. libFuzzer keeps an input that reaches a new feature.
     features: u64,
     found: Vec<PathBuf>,
     /// Lines of the target's output that report a panic or an error of libFuzzer.
@@ -194,7 +199,7 @@ fn folder(name: &str, target: &str) -> Result<PathBuf, Failure> {
     Ok(path)
 }
 
-/// Returns the folder after deleting the files of earlier runs.
+/// Returns the folder `target/fuzz/NAME/TARGET`, after deleting the files of earlier runs in it.
 fn emptied(name: &str, target: &str) -> Result<PathBuf, Failure> {
     let folder = folder(name, target)?;
     for path in files(&folder)? {
@@ -241,8 +246,8 @@ fn build(with_comparisons: bool) -> Result<PathBuf, Failure> {
     Ok(folder.join(host).join("release/fuzz"))
 }
 
-/// Returns the compiler's default target. If cargo gets it as `--target`, it does not apply `RUSTFLAGS`, and with it
-/// the coverage counters, to build scripts.
+/// Returns the compiler's default target, which is passed to cargo as `--target`. With `--target`, cargo does not apply
+/// `RUSTFLAGS` to build scripts. So the build scripts get no coverage counters.
 fn host() -> Result<String, Failure> {
     let output = Command::new("rustc").arg("-vV").output().map_err(|error| format!("rustc: {error}"))?;
     let text = String::from_utf8_lossy(&output.stdout);
@@ -250,14 +255,14 @@ fn host() -> Result<String, Failure> {
     host.map(str::to_string).ok_or_else(|| format!("rustc names no host: {text}"))
 }
 
-/// Unpacks the corpus of the tree into files.
+/// Unpacks the corpus in `tests/fuzz/corpus` into one file per input; returns their folder.
 fn seeds(target: &str) -> Result<PathBuf, Failure> {
     let text = fs::read_to_string(kept(target)).map_err(|error| format!("{}: {error}", kept(target).display()))?;
     unpacked("seeds", target, &text)
 }
 
-/// Unpacks the inputs in `tests/fuzz/finds`: each once showed a fault, which has been corrected. Most targets have
-/// none. `minimise` leaves these files unchanged.
+/// Unpacks the inputs in `tests/fuzz/finds`; returns their folder. Each input once showed a fault, which has been
+/// corrected. Most targets have none. `minimise` leaves the inputs unchanged.
 fn finds(target: &str) -> Result<PathBuf, Failure> {
     let path = root().join("tests/fuzz/finds").join(format!("{target}.txt"));
     let text = if path.exists() { fs::read_to_string(&path) } else { Ok(String::new()) };
@@ -321,8 +326,8 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(entries.filter_map(|entry| Some(entry.ok()?.path())).collect())
 }
 
-/// Replaces each corpus of the tree by a small set of inputs that reaches the same code as all inputs kept so far:
-/// those of the tree and those that earlier searches added to `target/fuzz/corpus`.
+/// Replaces each corpus in `tests/fuzz/corpus` by a small set of inputs. The set reaches the same code as all present
+/// inputs together: the corpus, the finds, and the inputs that earlier searches added to `target/fuzz/corpus`.
 fn minimise() -> Result<(), Failure> {
     let program = build(false)?;
     for target in &all_targets()? {

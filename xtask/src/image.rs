@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 const LEAST_CODE: u64 = 16 * 1024;
 
 /// Maximum size of `.data` (statics that do not start as 0), bytes. A larger `.data` contains some of the controller's
-/// memory. That memory must start as all 0, because the initial values of `.data` also fill flash.
+/// memory. That memory must start as all 0, because the initial values of `.data` take up flash.
 const MOST_DATA: u64 = 2 * 1024;
 /// Number of bytes at the start of a function that are searched for the instructions that reserve its stack.
 const PROLOGUE: u32 = 32;
@@ -24,8 +24,8 @@ fn step_handler(board: &str) -> &'static str {
     if board == QEMU_BOARD { "TIMER0" } else { "TIM5" }
 }
 
-/// Calls through registers that the step interrupt may make: a queue or signal wakes the task `control`, and the waker
-/// sets the interrupt of that task's dispatcher pending.
+/// Calls to addresses in registers that the step interrupt may make. All of them wake the task `control`. A queue or
+/// signal calls the waker of the task, and the waker sets the interrupt of the task's dispatcher pending.
 const STEP_CALLS: [Allowed; 6] = [
     Allowed { function: "step_timer::", targets: &["executor::waker_wake", "executor::waker_drop"] },
     Allowed { function: "channel::Receiver<", targets: &["executor::waker_wake", "executor::waker_drop"] },
@@ -46,7 +46,7 @@ pub struct Image {
     flash: (u32, u32),
     ram: (u32, u32),
     stack: u32,
-    /// Files for flashing tools.
+    /// Files for flashing tools, `.hex` and `.dfu`; empty for QEMU's board.
     pub files: Vec<PathBuf>,
     /// Message of [`sizes::judge`], such as that the image has grown; `None` if there is nothing to report.
     remark: Option<String>,
@@ -75,13 +75,13 @@ impl fmt::Display for Image {
     }
 }
 
-/// Builds the release firmware for a board.
+/// Builds and checks the image of a board. Writes the ELF file, and the files for flashing tools, to `target/boards`.
 pub fn build(board: &str) -> Result<Image, Failure> {
     let profile = crate::boards::profile(board);
     let mut build = cargo_for_boards("build", profile)?;
     let image = crate::boards::image(board);
-    // All boards with the same image share one build. It has the pin table of the first of these boards; the others get
-    // their tables below.
+    // All boards with the same image share one build. The build contains the pin table of the first of these boards.
+    // Below, the table of `board` replaces it in the copy.
     run(build.env_remove(crate::BOARD).args(["--locked", "--package", "oxmill-firmware", "--features", image]))?;
     let built = root().join("target").join(TARGET).join(profile).join("oxmill-firmware");
     // Every board links to the same file name; this copy survives the build for the next board.
@@ -103,7 +103,7 @@ pub fn build(board: &str) -> Result<Image, Failure> {
     Ok(checked)
 }
 
-/// Writes the files for flashing tools and reads them back.
+/// Writes the files for flashing tools, then reads them back and checks their contents.
 fn write(board: &str, bytes: &[u8], folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let chip = Chip::read(board)?;
     let stretches = flashable::stretches(&elf::parse(bytes)?, &chip.settings_sectors())
@@ -158,8 +158,8 @@ fn check(board: &str, bytes: &[u8], path: PathBuf) -> Result<Image, Failure> {
     if let Some((name, frame)) = largest_frame(&elf).filter(|(_, frame)| *frame > stack / 8 * 5) {
         return fail(&format!("has a function that takes {frame} of the {stack} bytes of stack: {name}"));
     }
-    // Only the flash after the last section counts as free. The rest of the vector table's sector does not count,
-    // because the linker fills it only with sections that its script assigns to that sector.
+    // Only the flash after the last section counts as free. The rest of the vector table's sector does not count: the
+    // linker puts only those sections there that its script assigns to this sector.
     let top = in_flash.iter().map(|s| s.end).max().unwrap_or(chip.code);
     let memory = elf.sections().filter_map(|section| elf::memory(&section));
     let in_ram: Vec<Range<u32>> = memory.filter(|s| (chip.ram..chip.ram + chip.ram_size).contains(&s.start)).collect();
@@ -222,13 +222,14 @@ impl Chip {
         self.settings..self.code
     }
 
-    /// Returns whether a tool that loads a segment of `size` bytes to address `stored` writes to the settings sectors.
+    /// Returns `true` if a segment of `size` bytes at the address `stored` overlaps the settings sectors. A tool that
+    /// loads this segment would overwrite settings.
     fn is_in_settings(&self, stored: u32, size: u32) -> bool {
         stored < self.code && stored + size > self.settings
     }
 }
 
-/// Parses a number in the linker's syntax.
+/// Parses a number in the linker's syntax: `0x08010000`, `512K`, `4M` or `1024`.
 fn number(text: &str) -> Option<u32> {
     if let Some(hex) = text.strip_prefix("0x") {
         u32::from_str_radix(hex, 16).ok()

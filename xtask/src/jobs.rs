@@ -1,11 +1,14 @@
 //! Runs jobs on the firmware in QEMU and in the simulator, and compares the motion of the motors.
 //!
-//! * preloaded: the job lies in RAM, so its bytes are never late. The digest over times, step and direction bits must
-//!   equal the simulator's, and the time that the motors were busy must equal its forecast, to the tick.
-//! * streamed: the job is sent over a TCP port, with character counting as a sender does it. The speed at a moment then
-//!   depends on when lines arrive, so only answers and final position must equal the simulator's. In the job in which
-//!   one axis moves at a time, the order of steps must also be the same. In other jobs it can differ if one of the two
-//!   runs is slow enough for a finer smoothing; so the result of this comparison is printed, but not required.
+//! * preloaded: the job lies in RAM, so its bytes are never late. All times, steps and directions must equal the
+//!   simulator's; a digest (hash) of them is compared. The motors must be busy as long as the simulator forecasts, to
+//!   the tick.
+//! * streamed: the job is sent over a TCP port with character counting, as a sender does. The speeds then depend on
+//!   when lines arrive, so only the answers and the final position must be right.
+//!
+//! In the streamed job `axes.nc`, in which only one axis moves at a time, the order of the steps must also be the same.
+//! In other jobs the slower of the two runs can be smoothed more finely, which changes the order. For them the result
+//! of the comparison is only printed.
 
 use crate::qemu::{self, Preload};
 use crate::{Failure, QEMU_BOARD, cargo, image, root};
@@ -29,17 +32,17 @@ const LARGEST_EXAMPLE: u64 = 1024;
 /// streamed run must have the same order as the simulator.
 const ONE_AXIS_AT_A_TIME: &str = "axes";
 
-/// What the step outputs have done in a run: digests of their times and of their order, and net steps.
+/// The steps of a run: a digest (hash) of their times, a digest of their order, and the net steps of X, Y and Z.
 #[derive(Debug, PartialEq, Eq)]
 struct Steps {
     time: String,
     order: String,
     net: [i64; 3],
-    /// Duration in ticks of the step clock. In the simulator's result this is its forecast.
+    /// Time during which the motors were busy, ticks of the step clock. In the simulator's result it is the forecast.
     busy: u64,
 }
 
-/// Returns the jobs of a folder below a size in bytes, sorted.
+/// Returns the `.nc` files in a folder that are smaller than `below` bytes, sorted by path.
 fn job_files(folder: &str, below: u64) -> Vec<PathBuf> {
     let mut files: Vec<PathBuf> = fs::read_dir(root().join(folder))
         .into_iter()
@@ -59,8 +62,8 @@ pub fn compare_all() -> Result<(), Failure> {
     // small ones are run, and only preloaded.
     let made = job_files("tests/jobs", u64::MAX);
     let mut examples = job_files("examples", LARGEST_EXAMPLE);
-    // `drilling.nc` needs the dialect of `$900=2`, but the jobs here run with the default settings. `house.nc` takes ten
-    // minutes at its feeds.
+    // `drilling.nc` needs the dialect of `$900=2`, but the jobs here run with the default settings. `house.nc` takes
+    // ten minutes at its feeds.
     examples.retain(|file| !file.ends_with("drilling.nc") && !file.ends_with("house.nc"));
     let files: Vec<(&PathBuf, bool)> =
         made.iter().map(|f| (f, true)).chain(examples.iter().map(|f| (f, false))).collect();
@@ -127,8 +130,8 @@ fn compare_streamed(elf: &Path, file: &Path, expected: &Steps) -> Result<(), Fai
     }
 }
 
-/// Returns the text of a job for the firmware: lines that start with `%` are removed, as the simulator does with tape
-/// marks, and each character that is not ASCII is replaced by a point.
+/// Returns the text of a job as the firmware gets it. Lines that start with `%` are removed, as the simulator does with
+/// tape marks. Each character that is not ASCII is replaced by a point.
 fn job_text(file: &Path) -> Result<Vec<u8>, Failure> {
     let bytes = fs::read(file).map_err(|error| format!("{}: {error}", file.display()))?;
     let text = String::from_utf8_lossy(&bytes);

@@ -139,8 +139,9 @@ impl Lines {
     }
 }
 
-/// Sends `way` to the test stand, which makes the firmware fail during motion. After the restart, the welcome must have
-/// `message`, motion must be locked, and `$RC` must list all parts of `record`.
+/// Makes the firmware fail during motion, by the byte `way` to the test stand: `P` panic, `F` fault, `C` the control
+/// task hangs, `H` everything hangs. After the restart, the welcome must contain `message`, motion must be locked, and
+/// `$RC` must list all parts of `record`.
 fn failure(lines: &mut Lines, way: &[u8], message: &str, record: &[&str]) -> Result<(), Failure> {
     lines.send(b"G21G91G1X50F600\n")?;
     lines.wait_until_beyond(1.0)?;
@@ -196,7 +197,8 @@ fn recorded_failure(lines: &mut Lines) -> Result<(), Failure> {
     lines.stand.write_all(b"P").map_err(|error| error.to_string())?;
     let welcome = lines.expect("to unlock]\r\n")?;
     ensure(welcome.contains("line 50") && welcome.contains("$REC what came in"), || welcome.clone())?;
-    // The recording must not change if a host has not noticed the failure and continues, or if a host queries and jogs.
+    // The recording must not change in two cases: a host has not noticed the failure and continues its job, or a host
+    // queries and jogs.
     lines.send(b"X5\n$RC\n$X\n")?;
     let unlocked = |text: &str| text.contains("Caution: Unlocked") && text.ends_with("ok\r\n");
     let told = read_until(&mut lines.host, LIMIT, unlocked)?;
@@ -318,7 +320,7 @@ fn ensure(condition: bool, why: impl FnOnce() -> String) -> Result<(), Failure> 
 }
 
 fn flood(lines: &mut Lines) -> Result<(), Failure> {
-    // Ten times the capacity of the line queue.
+    // Some 2,500 bytes: ten times the capacity of the queue for line bytes.
     let mut text = b"G4P1\n".to_vec();
     text.extend(b"(comment)\n".repeat(250));
     lines.send(&text)?;
@@ -378,7 +380,7 @@ fn hold_and_resume(lines: &mut Lines) -> Result<(), Failure> {
     ensure(report.contains("steps=2000,500,0"), || report)
 }
 
-/// Any byte restarts the host timeout, even a byte without a meaning.
+/// Any byte restarts the host timeout (`$922`), even a byte without a meaning, such as 0xFE.
 fn silence(lines: &mut Lines) -> Result<(), Failure> {
     lines.send(b"$922=2\n")?;
     lines.expect("ok\r\n")?;

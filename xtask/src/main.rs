@@ -147,7 +147,7 @@ fn quick(names: &[&str]) -> Result<(), Failure> {
     run(cargo().args(["test", "--quiet", "--lib"]).args(rooms).args(names))
 }
 
-/// Runs all tests that need QEMU.
+/// `cargo test-target`: runs all tests of the firmware on QEMU.
 fn on_qemu() -> Result<(), Failure> {
     suites::on_qemu()?;
     live::all()?;
@@ -187,10 +187,11 @@ fn generate(name: &str) -> Result<(), Failure> {
     }
 }
 
-/// Environment variable with the path of another copy of the tree, to work in that copy.
+/// Environment variable with the path of a copy of the tree, set by `dist --check`. This program then works in the
+/// copy.
 const TREE: &str = "OXMILL_TREE";
 
-/// Returns the folder of the workspace.
+/// Returns the root folder of the workspace, or of the copy that [`TREE`] names.
 fn root() -> PathBuf {
     if let Some(tree) = std::env::var_os(TREE) {
         return tree.into();
@@ -198,16 +199,15 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the workspace").to_owned()
 }
 
-/// Returns a cargo command that runs in the workspace. It always builds into `target`, whatever the environment says,
-/// because this program looks for the results there: if cargo built elsewhere, this program would take the results of
-/// an earlier build for new ones.
+/// Returns a cargo command that runs in the workspace and always builds into `target`, whatever the environment says.
+/// This program looks for the results in `target`. If cargo built elsewhere, this program would take the results of an
+/// earlier build for new ones.
 fn cargo() -> Command {
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     cargo.current_dir(root()).env("CARGO_TARGET_DIR", root().join("target")).env_remove("CARGO_BUILD_TARGET");
     cargo
 }
 
-/// Runs a command to its end; returns an error if it fails.
 fn run(command: &mut Command) -> Result<(), Failure> {
     let name = command.get_program().to_string_lossy().into_owned();
     match command.status() {
@@ -217,7 +217,7 @@ fn run(command: &mut Command) -> Result<(), Failure> {
     }
 }
 
-/// Returns whether a program can be started.
+/// Returns `true` if a program can be started with `--version`, with any exit status.
 fn exists(program: &str) -> bool {
     Command::new(program).arg("--version").output().is_ok()
 }

@@ -1,15 +1,16 @@
-//! Mutation tests: puts named faults, one after the other, into a copy of the tree, and runs the tests there, which
-//! must fail. The tests of motion must detect faults of motion. The conversations with the simulator, which runs the
-//! boards' own code for the host link and the input filter, must detect faults of these two. A fault that no test
-//! detects is a gap in the tests. If the text that a fault replaces is no longer in its file, the fault must be
-//! rewritten. The run takes several minutes, so it is started by hand: `cargo xtask mutants [NAME..]`.
+//! Mutation tests, `cargo xtask mutants [NAME..]`: puts one named fault after the other into a copy of the tree and
+//! runs the tests there, which must fail. A fault that no test detects is a gap in the tests.
+//!
+//! The tests of motion must detect the faults of motion. Conversations with the simulator must detect the faults of the
+//! host link and the input filter, because the simulator runs the boards' own code for both. If the text that a fault
+//! replaces is no longer in its file, the fault must be rewritten. The run takes several minutes, so only `.ci/nightly`
+//! includes it.
 
 use crate::{Failure, root, tree};
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// A replacement of text in a file.
 struct Edit {
     file: &'static str,
     find: &'static str,
@@ -299,7 +300,7 @@ const OUTSIDE: &[Mutant] = &[
 const COPIED: [&str; 9] =
     ["Cargo.toml", "Cargo.lock", "rust-toolchain.toml", "src", "boards", "tests", "xtask", "examples", ".cargo"];
 
-/// `cargo xtask mutants [NAME..]`.
+/// `cargo xtask mutants [NAME..]`: tries the faults with these names, or all. Fails if the tests miss one of them.
 pub fn run(names: &[&str]) -> Result<(), Failure> {
     for name in names {
         if !all().any(|(mutant, _)| mutant.name == *name) {

@@ -10,9 +10,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Extra compiler flags for images built for speed: schedule instructions for the processor of all boards, and limit
-/// the cost (by LLVM's measure) of functions that are inlined without `#[inline]`. LLVM's default limit is about twice
-/// as high; with it, images are larger and hardly any path is faster (docs/cost.md, "Small parts").
+/// Compiler flags for images built for speed. `target-cpu`: schedules instructions for the processor of all boards.
+/// `inline-threshold`: maximum cost, by LLVM's measure, of a function that is inlined without `#[inline]`. LLVM's
+/// default threshold is about twice as high; with it, images are larger and hardly any path is faster (docs/cost.md,
+/// "Small parts").
 const FOR_SPEED: [&str; 2] = ["-Ctarget-cpu=cortex-m4", "-Cllvm-args=-inline-threshold=120"];
 
 /// Limits inlining in images built for size. The limit is below the compiler's default for such builds.
@@ -52,15 +53,15 @@ fn cargo_with(more: &[&str]) -> Result<Command, Failure> {
 pub struct Compiler {
     /// Version of the compiler, such as `1.95.0`.
     pub version: String,
-    /// Target for which it compiles by default.
+    /// Target of the compiler if none is given, such as `x86_64-unknown-linux-gnu`.
     pub host: String,
-    /// The commit of its sources.
+    /// Git commit of the compiler's sources. The path of the standard library is replaced by `/rustc/COMMIT`.
     commit: String,
     sysroot: PathBuf,
 }
 
 impl Compiler {
-    /// Queries the compiler.
+    /// Runs rustc to read its version, default target, commit and installation folder.
     pub fn found() -> Result<Compiler, Failure> {
         let about = ask(&["--version", "--verbose"])?;
         let value = |name: &str| {
@@ -95,8 +96,8 @@ fn names(
     cargo_home: &Path,
     compiler: &Compiler,
 ) -> Result<impl Iterator<Item = (PathBuf, String)> + use<>, Failure> {
-    // There is one folder per registry, whose name depends on how the registry is accessed. Xtask itself has
-    // dependencies, so the folders of the registries in use exist.
+    // Each registry has its own folder, whose name depends on how cargo accesses the registry. The folders of the
+    // registries in use exist, because xtask itself has dependencies.
     let registries = cargo_home.join("registry/src");
     let entries = fs::read_dir(&registries).map_err(|error| format!("{}: {error}", registries.display()))?;
     let mut sources: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
@@ -104,8 +105,8 @@ fn names(
     let library = (compiler.sysroot.join("lib/rustlib/src/rust"), format!("/rustc/{}", compiler.commit));
     let registries = sources.into_iter().map(|source| (source, "/registry".to_owned()));
     let all = [(workspace.to_owned(), "/oxmill".to_owned()), library].into_iter().chain(registries);
-    // If a folder is reached through a symbolic link, builds contain both of its names, because compilers run in it
-    // under its real name.
+    // A folder that is reached through a symbolic link has two names. Builds can contain both, because compilers run in
+    // the folder under its real name.
     Ok(all.flat_map(|(from, to)| {
         let real = from.canonicalize().ok().filter(|real| *real != from);
         [Some((from, to.clone())), real.map(|real| (real, to))].into_iter().flatten()

@@ -6,15 +6,15 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Returns a command that runs a module of `tests`.
+/// Returns a command that runs a Python module in the folder `tests`, such as `virtual_board.soak`.
 pub fn module(python: &Path, name: &str) -> Command {
     let mut command = Command::new(python);
     command.current_dir(root().join("tests")).env("PYTHONDONTWRITEBYTECODE", "1").args(["-m", name]);
     command
 }
 
-/// Returns a Python with the packages of `tests/PACKAGE/requirements.txt`. Recreates its environment when that file has
-/// changed.
+/// Returns the path of a Python interpreter with the packages of `tests/PACKAGE/requirements.txt`. The interpreter
+/// belongs to the virtual environment `target/tools/NAME`, which is made again when that file has changed.
 pub fn environment(name: &str, package: &str) -> Result<PathBuf, Failure> {
     let folder = root().join("target/tools").join(name);
     let python = folder.join("bin/python");

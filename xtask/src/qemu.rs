@@ -1,4 +1,5 @@
-//! Starts and stops QEMU.
+//! Runs programs in QEMU: with TCP connections to the firmware, with a preloaded job or script, or with a log of all
+//! instructions.
 
 use crate::{Failure, QEMU_BOARD, image};
 use std::io::Read;
@@ -32,8 +33,8 @@ pub fn require() -> Result<(), Failure> {
     }
 }
 
-/// Returns a QEMU command bound to one processor, if possible. With counted instructions QEMU's threads alternate at
-/// every timer, and switching within one processor takes half the time of switching between two.
+/// Returns a QEMU command bound to one processor, if possible. With counted instructions (`-icount`), QEMU switches
+/// between two threads at every timer. Switching takes half the time if both run on the same processor.
 fn on_one_processor() -> Command {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let allowed = status.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:"));
@@ -48,8 +49,9 @@ fn on_one_processor() -> Command {
     }
 }
 
-/// Returns the command line that all runs share. Each instruction takes 8 ns of virtual time, so this time depends only
-/// on the instructions executed.
+/// Returns the command line of all runs except [`trace`]. Each instruction takes 8 ns of virtual time, so virtual time
+/// depends only on the instructions executed. `rest_is_skipped`: while the processor sleeps, virtual time jumps to the
+/// next timer and does not follow real time.
 fn machine(elf: &Path, rest_is_skipped: bool) -> Command {
     let mut qemu = on_one_processor();
     let sleep = if rest_is_skipped { "shift=3,sleep=off" } else { "shift=3,sleep=on" };
@@ -82,7 +84,7 @@ pub fn trace<T>(elf: &Path, read: impl FnOnce(ChildStdout) -> Result<T, Failure>
     if status.success() { Ok(found) } else { Err(format!("{PROGRAM}: {status}")) }
 }
 
-/// Returns two TCP ports that were free a moment ago.
+/// Returns two TCP ports that no program uses now. Another program can still take one before QEMU does.
 fn free_ports() -> Result<(u16, u16), Failure> {
     let listen = || TcpListener::bind("127.0.0.1:0").map_err(|error| format!("no free TCP port: {error}"));
     let (a, b) = (listen()?, listen()?);
@@ -113,9 +115,9 @@ pub fn streamed(elf: &Path) -> Result<Running, Failure> {
     running(machine(elf, true))
 }
 
-/// Like [`streamed`], but the processor never sleeps, so that a host can intervene during a motion: virtual time
-/// advances with the instructions executed, about as fast as real time. Virtual time stands still while QEMU gets no
-/// processor time.
+/// Like [`streamed`], but the processor never sleeps, so that a host can intervene during a motion. Virtual time then
+/// advances only with the instructions executed, about as fast as real time. While the PC gives QEMU no processor time,
+/// virtual time stands still.
 pub fn live(elf: &Path) -> Result<Running, Failure> {
     let mut qemu = machine(elf, true);
     let mark = u32::from_le_bytes(*b"BUSY");
@@ -135,8 +137,8 @@ fn running(mut qemu: Command) -> Result<Running, Failure> {
     Ok((qemu, connect(host)?, connect(stand)?))
 }
 
-/// What QEMU loads into RAM before the firmware starts. Four letters in front of it (`JOB!` or `HOST`) tell the
-/// firmware which of the two it is; boards/qemu_mps2 has the same letters.
+/// What QEMU loads into RAM before the firmware starts. The data begins with four letters, `JOB!` or `HOST`, from which
+/// the firmware recognises its kind. `boards/qemu_mps2` has the same letters.
 #[derive(Clone, Copy)]
 pub enum Preload {
     /// The G-code of a job, which the firmware runs as if a host had sent it.

@@ -2,8 +2,9 @@
 //! division. If the compiler cannot prove that an index is in range, or if code divides a `u64`, only this check shows
 //! it.
 //!
-//! The walk follows every branch and call from the vector's handler. The target of a call through a register cannot be
-//! read from the code; each function that makes such calls must be listed by name, with all possible targets.
+//! The check follows every branch and call from the interrupt handler on. The target of a call through a register
+//! cannot be read from the code. So each function that makes such calls must be listed by name, with all possible
+//! targets.
 
 use crate::Failure;
 use crate::elf::{self, Elf, Function};
@@ -38,7 +39,7 @@ const FORBIDDEN: [(&str, &str); 18] = [
 pub struct Allowed {
     /// Part of the name of the function, demangled.
     pub function: &'static str,
-    /// Parts of the names of all functions that such a call may lead to; the walk follows these, too.
+    /// Parts of the names of all functions that such a call can lead to. The check follows these functions, too.
     pub targets: &'static [&'static str],
 }
 
@@ -152,8 +153,9 @@ pub fn check(elf: &Elf<'_>, handler: &str, allowed: &[Allowed]) -> Result<Vec<St
     }
 }
 
-/// Returns whether a name matches a forbidden part. Names of the compiler's runtime routines are not Rust paths: the
-/// parts for them must not match within a Rust path.
+/// Returns `true` if a function's name matches a part of [`FORBIDDEN`]. Some parts, such as `2d`, are for runtime
+/// routines of the compiler, such as `__aeabi_f2d`. The name of a routine has no `::`, so these parts do not match in a
+/// Rust path.
 fn forbids(part: &str, name: &str) -> bool {
     let routine = !name.contains("::");
     match part {
@@ -181,19 +183,18 @@ mod tests {
         super::check(&elf::parse(file)?, handler, allowed)
     }
 
-    /// A function: its name, and its code as half words. [`call`] makes those of a call.
+    /// A function: its name, and its code as half words.
     type Function = (&'static str, Vec<u16>);
 
     const ORIGIN: u32 = 0x1000;
     /// `bx lr`.
     const RETURN: u16 = 0x4770;
 
-    /// Returns a `bl` from half word `from` of the program to half word `to`.
+    /// Returns the call instruction `bl` at half word `from` of the program. It calls the function at half word `to`.
     fn call(from: usize, to: usize) -> [u16; 2] {
         let offset = (to as i32 - from as i32 - 2) * 2;
         let bits = offset as u32;
-        // In a BL to a target this near, the two J bits of its second half word are set, whatever the sign of the
-        // offset.
+        // For such a near target, the two J bits in the second half word of a BL are 1, for either sign of the offset.
         [0xF000 | (bits >> 31 << 10 | bits >> 12 & 0x3FF) as u16, 0xF800 | (bits >> 1 & 0x7FF) as u16]
     }
 

@@ -1,6 +1,6 @@
-//! Repeats the recorded conversations with Grbl 1.1h on the firmware in QEMU: all groups that change no input pin, each
-//! after a new power-up, with the rules and the list of allowed differences that also apply to the simulator
-//! (`tests/recordings`).
+//! Repeats recorded conversations with Grbl 1.1h on the firmware in QEMU. A group is one recording; each starts after a
+//! new power-up. Groups that change an input pin are left out. The rules of the comparison and the list of allowed
+//! differences are in `tests/recordings`; the tests of the simulator use the same.
 //!
 //! A script inside the machine (`boards/qemu_mps2/script.rs`) plays the host, so the state of the machine when a byte
 //! arrives does not depend on the load of this computer.
@@ -20,9 +20,9 @@ use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
-/// Time without output after which the host that made the recordings assumed that there was no answer, ms.
+/// Silence after which the host that made the recordings assumed that there was no answer, ms.
 const SILENCE: u32 = 300;
-/// Time after an answer during which further output still belongs to it, ms.
+/// Time after an answer during which further output still belongs to the answer, ms.
 const LOOK: u32 = 20;
 /// Interval between two `?` while the script waits for Idle, ms.
 const POLL: u32 = 100;
@@ -50,7 +50,7 @@ pub fn replay_all(only: &[&str]) -> Result<(), Failure> {
         let text = fs::read_to_string(&file).map_err(|error| format!("{}: {error}", file.display()))?;
         let records = read(&text);
         let wanted = only.is_empty() || only.iter().any(|name| group.starts_with(name));
-        // Group 27 needs switches at known positions.
+        // Group 27 (homing) needs switches at known positions.
         if !wanted || records.iter().any(|record| record.kind == "pin") || group.starts_with("27") {
             left_out.push(group);
             continue;
@@ -106,8 +106,8 @@ fn replay(elf: &Path, group: &str, records: &[Record], tally: &mut Tally) -> Res
     Ok(())
 }
 
-/// Adds to the script what the host did for this record when the recording was made: what it sent, and for what it then
-/// waited.
+/// Adds to the script what the host did for this record when the recording was made: the bytes that it sent, and then
+/// its wait. `silent`: `true` if this firmware does not answer here.
 fn add_record(script: &mut Script, record: &Record, silent: bool) -> Result<(), Failure> {
     match record.kind.as_str() {
         "boot" => {}

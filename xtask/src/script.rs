@@ -1,7 +1,7 @@
 //! Script of what a host does, as byte codes: `boards/qemu_mps2/script.rs` executes them inside the machine in QEMU,
 //! and `tests/virtual_board/soak.py` beside a virtual board.
 
-/// A script: the commands for a host, each as a letter and its operands.
+/// A script: commands for a host, each a letter and its operands. Each method except `codes` appends one command.
 #[derive(Default)]
 pub struct Script(Vec<u8>);
 
@@ -29,7 +29,6 @@ impl Script {
         self.code(b'A', count);
     }
 
-    /// Waits for a time in ms.
     pub fn wait(&mut self, ms: u32) {
         self.code(b'W', ms);
     }
@@ -39,14 +38,14 @@ impl Script {
         self.code(b'I', pause_ms);
     }
 
-    /// Ends a record (a section of the script): the test stand reports how many bytes the firmware has sent since it
-    /// started.
+    /// Ends a record (a section of the script). The test stand then reports how many bytes the firmware has sent in
+    /// total.
     pub fn end_record(&mut self) {
         self.0.push(b'R');
     }
 
-    /// Ends a record: the test stand reports the number of bytes sent, the machine time, the motors' steps and the
-    /// stack use.
+    /// Ends a record (a section of the script). The test stand then reports the number of bytes sent, the machine time,
+    /// the motors' steps and the stack use.
     pub fn note(&mut self) {
         self.0.push(b'N');
     }

@@ -1,12 +1,13 @@
-//! Compares each image with the expected flash and RAM sizes in `boards/sizes.txt`, so that growth is noticed at once
-//! and not only when the flash is full. An image that several boards share has one row there.
+//! Compares the flash and RAM sizes of each image with `boards/sizes.txt`, so that growth is noticed early, and not
+//! only when the flash is full. The file has one row per image; several boards can share an image.
 
 use crate::{Failure, root};
 use std::fs;
 
 /// Tolerated growth, percent.
 const TOLERANCE: u64 = 2;
-/// Environment variable: `check` rejects images that have grown, `accept` records the new sizes.
+/// Environment variable: `check` rejects images that have grown, `accept` records the new sizes. Without it, growth
+/// only causes a message.
 const MODE: &str = "OXMILL_SIZES";
 
 /// Compares the flash and RAM bytes of an image with the expected ones, or records them, depending on [`MODE`].

@@ -1,10 +1,10 @@
-//! Long runs of the firmware: a job of any length with holds, door openings, overrides, status reports, stops, resets,
-//! and times in which the host has closed its port, on QEMU or on a virtual board. `tests/soak.rs` does the same with
-//! the simulator.
+//! Long runs of the firmware on QEMU or on a virtual board: a job of any length, interrupted by holds, door openings,
+//! overrides, status reports, stops, resets, and a host that closes its port. `tests/soak.rs` does the same with the
+//! simulator.
 //!
-//! At each rest every line must have been answered once, the motors must have made exactly the steps of the program,
-//! and the reported position must match them. The maximum stack use is printed at the start, in the middle and at the
-//! end; the firmware allocates no other memory.
+//! Whenever the machine rests, three conditions are checked. Every line has been answered once, the motors have made
+//! exactly the steps of the program, and the reported position matches these steps. The maximum stack use is printed at
+//! the start, in the middle and at the end; the firmware allocates no other memory.
 
 use crate::qemu::{self, Preload};
 use crate::script::Script;
@@ -23,8 +23,8 @@ const LINES_PER_SECOND: u64 = 25;
 /// Maximum wall time per second of machine time in QEMU, s.
 const SLOWEST: u64 = 10;
 
-/// A section of the script, which ends when the machine rests or motion is interrupted: the numbers of its holds,
-/// overrides and closed host ports, and the expected state at its end.
+/// A section of the script, which ends when the machine rests or a motion is interrupted. `end`: the expected state at
+/// its end.
 struct Record {
     sent: Sent,
     end: End,
@@ -51,7 +51,7 @@ const LONGEST: u64 = u32::MAX as u64 / 1_000;
 /// motion.
 const LONG_MS: u64 = 600_000;
 
-/// Numbers of lines and of other events that a run has executed.
+/// Numbers of lines and other events in a run.
 #[derive(Default, Debug)]
 struct Counts {
     lines: u64,
@@ -106,8 +106,8 @@ impl Job {
         self.records.push(Record { sent, end });
     }
 
-    /// Adds the waiting lines to the script, with status requests, holds, overrides and jog cancels between some of
-    /// them, and ends the record: at an interruption, or when the machine rests after all lines. Returns the number of
+    /// Adds the waiting lines to the script. Between some lines, adds status requests, holds, overrides and jog
+    /// cancels. Ends the record after an interruption, or when the machine rests after all lines. Returns the number of
     /// lines sent.
     fn chunk(&mut self) -> u64 {
         let mut sent = 0;
@@ -127,7 +127,7 @@ impl Job {
         }
         self.script.answers(sent as u32);
         if self.has_port && self.random.below(4) == 0 {
-            // When the host closes its port, the machine may still move. It then brakes, and resumes on command.
+            // If the machine still moves when the host closes its port, it brakes. It continues when `~` arrives.
             self.script.reopen(self.random.below(100) as u32);
             self.sent.hosts += 1;
             self.resume();
@@ -165,7 +165,8 @@ impl Job {
         self.script.wait(self.random.below(60) as u32);
     }
 
-    /// Interrupts the motion, and continues from where it ended.
+    /// Interrupts the motion by a stop (0x19) or a reset (0x18). The program restarts at the position where the motion
+    /// ended.
     fn interrupt(&mut self) {
         self.script.wait(self.random.below(200) as u32);
         if self.random.below(3) == 0 {

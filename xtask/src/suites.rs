@@ -17,17 +17,15 @@ const SUITES: [&str; 4] = ["controller", "settings", "copies", "queues"];
 /// Suite that needs wires on a board: docs/bench.md.
 const LOOPBACK: &str = "loopback";
 
-/// Returns whether a board has enough RAM for the stack of a suite (tests/on_target/build.rs).
+/// Returns `true` if a board has enough RAM for a suite and its stack (tests/on_target/build.rs).
 fn has_room(board: &str, suite: &str) -> bool {
     !board.contains("f401") || suite != "controller"
 }
 
-/// Returns the suites that fit on a board.
 fn suites(board: &str) -> Vec<&'static str> {
     SUITES.into_iter().filter(|suite| has_room(board, suite)).collect()
 }
 
-/// Prints the suites that do not fit on a board.
 fn tell_left_out(board: &str) {
     for suite in SUITES.iter().filter(|suite| !has_room(board, suite)) {
         println!("suite `{suite}` needs a stack of 88 KiB, for which {board} has no room: it is not run there");
@@ -42,7 +40,7 @@ fn cargo_test(board: &str, suites: &[&str]) -> Result<Command, Failure> {
     Ok(cargo)
 }
 
-/// Runs all suites on QEMU.
+/// Runs all suites on QEMU, except the loop-back suite: QEMU's board has no pins.
 pub fn on_qemu() -> Result<(), Failure> {
     require_qemu_tools()?;
     run(cargo_test(QEMU_BOARD, &SUITES)?.env(RUNNER, QEMU_RUNNER))?;
@@ -95,7 +93,8 @@ pub fn bench(board: &str) -> Result<(), Failure> {
     if status.success() { Ok(()) } else { Err("the loop-back has failed, see above".into()) }
 }
 
-/// Returns the row of the table of measured figures in a line of the log, without the text that the log adds.
+/// Returns the row of the table of measured figures that a log line contains; `None` if it contains none. The log adds
+/// text before and after the row.
 fn row(line: &str) -> Option<&str> {
     let row = line.get(line.find('|')?..=line.rfind('|')?)?;
     (row.matches('|').count() == 6).then_some(row)

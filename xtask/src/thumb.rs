@@ -1,17 +1,19 @@
 //! Decodes Thumb-2 instructions as far as needed here: their length, their branch targets, and their cycles on a
 //! Cortex-M4F. Results of arithmetic are not computed.
 //!
-//! Cycles follow the table of ARM DDI 0439 (3.3.1) for memory without wait states. Where the table leaves a range,
-//! these values are used: a taken branch costs 2 on top of its own cycle; a division 7 (of 2 to 12); a load right after
-//! another memory access costs 1 instead of 2, unless its address is the result of that access; reading a
-//! floating-point result in the next instruction costs 1 more.
+//! Cycles follow the table of ARM DDI 0439 (3.3.1) for memory without wait states. The table leaves some costs open.
+//! These values are used for them:
+//!
+//! * a taken branch: 2 on top of its own cycle
+//! * a division: 7 (of 2 to 12)
+//! * a load right after another memory access: 1 instead of 2, unless its address is the result of that access
+//! * reading a floating-point result in the next instruction: 1 more
 
 /// Effect of an instruction on control flow and memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Integer arithmetic and everything else of one cycle.
     Plain,
-    /// Loads one register.
     Load {
         /// Register that holds the address.
         base: u8,
@@ -20,22 +22,22 @@ pub enum Kind {
     },
     /// Stores one register.
     Store {
-        /// Whether the address is the sum of two registers.
+        /// `true` if the address is the sum of two registers, which costs one more cycle.
         indexed: bool,
     },
     /// Loads or stores this many words.
     Multiple(u32),
-    /// A synchronisation barrier.
+    /// `dsb`, `dmb` or `isb`.
     Barrier,
-    /// Integer division.
+    /// `sdiv` or `udiv`.
     Divide,
-    /// Floating-point arithmetic.
+    /// A floating-point instruction that does not access memory.
     Float(Float),
     /// A branch to a fixed address.
     Branch {
         /// Target address.
         target: u32,
-        /// Whether the instruction itself is unconditional (it may still be in an IT block).
+        /// `true` if the instruction itself is unconditional; an IT before it can still make it conditional.
         always: bool,
     },
     /// A call of a fixed address.
@@ -44,13 +46,13 @@ pub enum Kind {
     CallRegister,
     /// A jump to an address in a register or in memory.
     JumpRegister,
-    /// A jump by a table that follows the instruction.
+    /// A jump by a table that follows the instruction (`tbb`, `tbh`).
     Table,
     /// A return to the caller, after loading this many words from the stack.
     Return(u32),
     /// IT: the next instructions are conditional.
     If,
-    /// An instruction that is not meant to be executed.
+    /// `udf`, which is not meant to be executed.
     Undefined,
 }
 
@@ -59,7 +61,7 @@ pub enum Kind {
 pub struct Float {
     /// Cycles of the instruction, without waiting for its operands.
     pub cycles: u32,
-    /// Numbers of the registers that it reads; `None` if it reads fewer than two.
+    /// Numbers of the registers that it reads, at most two; `None` in the other places.
     pub reads: [Option<u8>; 2],
     /// Number of the register that it writes; `None` if it writes none.
     pub writes: Option<u8>,
@@ -88,8 +90,8 @@ fn field(half: u32, lowest: u32, bits: u32) -> u32 {
     half >> lowest & ((1 << bits) - 1)
 }
 
-/// Returns the number of bytes by which an instruction lowers the stack pointer for a function's variables: SUB (SP
-/// minus immediate), encodings T1 to T3 of the ARMv7-M Architecture Reference Manual, A7.7.176.
+/// Returns the number of bytes by which an instruction lowers the stack pointer; `None` for another instruction.
+/// Source: SUB (SP minus immediate), encodings T1 to T3, ARMv7-M Architecture Reference Manual, A7.7.176.
 pub fn frame(first: u16, second: u16) -> Option<u32> {
     let (one, two) = (u32::from(first), u32::from(second));
     let imm12 = field(one, 10, 1) << 11 | field(two, 12, 3) << 8 | field(two, 0, 8);
@@ -154,7 +156,7 @@ fn wide(address: u32, a: u32, b: u32) -> Kind {
     if a & 0xFE40 == 0xE840 {
         return match (a & 0xFFF0, b >> 4 & 0xF) {
             (0xE8D0, 0 | 1) => Kind::Table,
-            // Exclusive accesses.
+            // Exclusive accesses (`ldrex`, `strex`).
             (0xE850, _) | (0xE8D0, _) => Kind::Load { base: rn, to: rt },
             (0xE840, _) | (0xE8C0, _) => Kind::Store { indexed: false },
             _ => Kind::Multiple(2),
@@ -173,7 +175,7 @@ fn wide(address: u32, a: u32, b: u32) -> Kind {
         return match (rt, a & 0x60 == 0x40, rn) {
             (PC, true, SP) if b & 0xFFF == 0xB04 => Kind::Return(1),
             (PC, true, _) => Kind::JumpRegister,
-            // Prefetch hints.
+            // Prefetch hints (`pld`, `pli`).
             (PC, false, _) => Kind::Plain,
             _ => Kind::Load { base: rn, to: rt },
         };
@@ -193,7 +195,7 @@ fn branch(address: u32, a: u32, b: u32) -> Kind {
     let sign = field(a, 10, 1);
     let (j1, j2) = (field(b, 13, 1), field(b, 11, 1));
     let far = || {
-        // The two J bits are inverted where the sign bit is set (ARMv7-M, A7.7.12).
+        // Where the sign bit is 0, the two J bits are stored inverted: I1 = NOT(J1 XOR S) (ARMv7-M, A7.7.12).
         let (i1, i2) = (!(j1 ^ sign) & 1, !(j2 ^ sign) & 1);
         to(signed(sign << 24 | i1 << 23 | i2 << 22 | field(a, 0, 10) << 12 | field(b, 0, 11) << 1, 25))
     };
@@ -250,15 +252,13 @@ fn coprocessor(a: u32, b: u32) -> Kind {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Meter {
     before: Option<Kind>,
-    /// Number of instructions that have been added.
     pub instructions: u64,
-    /// Estimated cycles of these instructions.
     pub cycles: u64,
 }
 
 impl Meter {
-    /// Adds an executed instruction to the counts. `taken`: it has branched, so the next instruction is not the
-    /// following one in memory.
+    /// Adds an executed instruction to the counts. `taken`: `true` if it has branched, so that the next executed
+    /// instruction is not the following one in memory.
     pub fn add(&mut self, kind: Kind, taken: bool) {
         let mut cycles = match kind {
             Kind::Load { base, .. } => match self.before {

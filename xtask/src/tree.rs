@@ -4,7 +4,8 @@ use crate::Failure;
 use std::fs;
 use std::path::Path;
 
-/// Updates a copy, touching only files that differ, so that the rest is not rebuilt.
+/// Makes `to` a copy of the file or folder `from`. Writes only files that differ, so that cargo does not rebuild the
+/// rest. Deletes files that `from` does not have, and leaves out `node_modules`.
 pub fn copy(from: &Path, to: &Path) -> Result<(), Failure> {
     let failure = |error: std::io::Error| format!("{}: {error}", from.display());
     if from.is_dir() {

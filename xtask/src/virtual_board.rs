@@ -9,8 +9,8 @@ use std::process::{Command, Stdio};
 use std::sync::Mutex;
 use std::thread;
 
-/// Boards whose chips are modelled, each with the cases that a run of all boards includes: a case runs on the board
-/// where it is hardest, and a few on several chips. A board without cases runs only if it is named, as in
+/// Boards whose chips are modelled, each with its cases for a run of all boards. Such a run has each case on the board
+/// where it is hardest, and a few cases on several chips. A board without cases runs only if it is named, as in
 /// `.ci/nightly`. A named board runs all cases.
 const BOARDS: [(&str, &[&str]); 14] = [
     ("blackpill_f411", ON_F411),
@@ -79,8 +79,8 @@ const ON_F411: &[&str] = &[
     "usb unread",
 ];
 
-/// Cases for the board with a UART by DMA, with the highest step rate, and with a core that runs at twice the clock of
-/// the step timer.
+/// Cases for a Nucleo F446RE. Its UART works by DMA, it has the highest step rate, and its core runs at twice the clock
+/// of the step timer.
 const ON_F446: &[&str] = &[
     "boot",
     "tasks",
@@ -158,11 +158,12 @@ const ON_OTHER_PINS: &[&str] =
 const ON_SKR2: &[&str] =
     &["boot", "pulses", "outputs of programs", "inputs of programs", "spindle PWM", "raster", "restart on request"];
 
-/// Boards that also run the loop-back suite with its wires, each with whether a run of all boards includes it.
+/// Boards that can also run the loop-back suite, with its wires. `true`: a run of all boards includes the suite.
 const LOOPBACK: [(&str, bool); 3] = [("blackpill_f411", true), ("nucleo_f446re", true), ("blackpill_f401", false)];
 
-/// Alternative readings of facts that the manuals leave open (`tests/virtual_board/models/readings.py`), each with a
-/// board and the cases that depend on the fact. `.ci/nightly` runs all cases of three boards under each reading.
+/// Facts that the manuals leave open are modelled with a first and a second reading
+/// (`tests/virtual_board/models/readings.py`). Each row has the name of a second reading, a board, and the cases that
+/// depend on the fact. `.ci/nightly` runs all cases of three boards under each second reading.
 const READINGS: [(&str, &str, &[&str]); 6] = [
     ("counted-at-fetch", "blackpill_f411", &["hold", "turns"]),
     ("compare-on-count", "nucleo_f446re", &["probe"]),
@@ -228,8 +229,8 @@ pub fn soak(board: &str, elf: &Path, script: &Path, wall: Option<u64>) -> Result
     Ok((read(&answers)?, read(&report)?))
 }
 
-/// Runs the commands, two at a time, and prints the output of each when it ends. Returns the commands that failed with
-/// their failures, which are printed again at the end of the log.
+/// Runs the commands, two at a time, and prints the output of each when it ends. Returns a message for each command
+/// that failed. The caller prints these messages again, at the end of the log.
 fn two_at_a_time(runs: Vec<(&str, Command)>) -> Vec<String> {
     let waiting = Mutex::new(runs.into_iter());
     let failed = Mutex::new(Vec::new());

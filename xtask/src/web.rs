@@ -29,7 +29,7 @@ pub fn build() -> Result<(), Failure> {
 pub fn test(names: &[&str]) -> Result<(), Failure> {
     build()?;
     run(cargo().args(["build", "--quiet", "--locked", "--release", "--package", "oxmill"]))?;
-    // An image of an earlier state of the tree will do, as long as the form of pin tables is the same.
+    // An existing image may be from an earlier state of the tree, as long as the form of pin tables is the same.
     if !root().join("target/boards").join(format!("{LOADED}.dfu")).exists() {
         image::build(LOADED)?;
     }
@@ -64,8 +64,8 @@ fn module() -> Result<(), Failure> {
     Ok(())
 }
 
-/// Installs the page's npm packages in the versions of `package-lock.json`, unless they have been installed since that
-/// file changed.
+/// Installs the page's npm packages in the versions of `package-lock.json`. Does nothing if that file is not newer than
+/// the last installation.
 fn tools() -> Result<(), Failure> {
     if !exists(NPM) {
         return Err("Node.js with npm is missing: the page is written in TypeScript".into());
@@ -78,7 +78,6 @@ fn tools() -> Result<(), Failure> {
     run(in_page(NPM).args(["ci", "--silent", "--ignore-scripts"]))
 }
 
-/// Returns the folder with the sources of the web page.
 pub fn page() -> PathBuf {
     root().join("src/web/page")
 }

@@ -1,6 +1,6 @@
-//! Runs the firmware on labwired, an independent emulator (`tests/witness`), and prints for each belief (a fact about
-//! the hardware on which the firmware relies) whether it was confirmed. The image is the shipped one built for a
-//! Cortex-M3, because labwired lacks the DSP instructions and some of the floating-point instructions of a Cortex-M4F.
+//! Runs the firmware on labwired, an independent emulator (`tests/witness`). A belief is a fact about the hardware on
+//! which the firmware relies. For each belief, prints if it was confirmed. The firmware is built for a Cortex-M3 here,
+//! because labwired lacks some instructions of a Cortex-M4F (DSP, and part of floating point).
 
 use crate::paths::cargo_for;
 use crate::python::{environment, module};
@@ -10,14 +10,14 @@ use std::path::PathBuf;
 use std::process::Command;
 
 const TARGET: &str = "thumbv7m-none-eabi";
-/// A Nucleo, whose host is on `USART2`, and a Black Pill, whose host is here on `USART1` and not on USB. Each has the
-/// frequency of its oscillator in MHz and a wrong frequency. The frequency is written into the image, because labwired
+/// A Nucleo with its host on `USART2`, and a Black Pill with its host on `USART1` (not on USB). The numbers are the
+/// frequency of the oscillator in MHz, and a wrong frequency. The frequency is written into the image, because labwired
 /// does not model the timer with which the firmware measures it. An image with the wrong frequency is a fault that the
 /// checks must detect.
 const BOARDS: [(&str, u8, u8); 2] = [("nucleo_f411re", 8, 25), ("blackpill_f411", 25, 8)];
 
-/// Checks every belief (fact about the hardware on which the firmware relies) on both boards. With the option
-/// `--faults`, puts faults into the image instead, each of which must be detected.
+/// Checks every belief (a fact about the hardware on which the firmware relies) on both boards. With the option
+/// `--faults`, puts faults into the image; each of them must be detected.
 pub fn witness(options: &[&str]) -> Result<(), Failure> {
     require_target()?;
     let python = environment("witness", "witness")?;
@@ -50,7 +50,7 @@ fn build(board: &str, mhz: u8, wrong_mhz: u8) -> Result<PathBuf, Failure> {
     Ok(folder.join(format!("{board}.elf")))
 }
 
-/// Checks that the target's standard library is installed.
+/// Installs the target's standard library with rustup if it is missing.
 fn require_target() -> Result<(), Failure> {
     let asked =
         Command::new("rustc").current_dir(root()).args(["--print", "target-libdir", "--target", TARGET]).output();

@@ -16,17 +16,16 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// Returns an entry for a file without execute permission.
+    /// Returns an entry for a file that is not executable, whether it is text or not.
     pub fn text(name: &str, bytes: Vec<u8>) -> Entry {
         Entry { name: name.into(), mode: 0o644, bytes }
     }
 
-    /// Returns an entry for an executable file.
     pub fn program(name: &str, bytes: Vec<u8>) -> Entry {
         Entry { name: name.into(), mode: 0o755, bytes }
     }
 
-    /// Returns the path of the file in the archive.
+    /// Returns the file's path in the archive, without the archive's top folder.
     pub fn name(&self) -> &str {
         &self.name
     }

@@ -33,7 +33,7 @@ pub fn make() -> Result<(&'static str, Vec<Entry>), Failure> {
     }
 }
 
-/// Returns the version of mdBook, if it is installed.
+/// Returns the version of the installed mdBook, such as `0.5.4`; `None` if mdBook is not installed.
 fn mdbook() -> Option<String> {
     let told = Command::new("mdbook").arg("--version").output().ok()?.stdout;
     Some(String::from_utf8_lossy(&told).trim().trim_start_matches("mdbook v").to_owned())
@@ -57,9 +57,9 @@ fn prepare(folder: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Returns a page whose links out of `docs/` point to files within the book, and the paths of those files in the
-/// workspace. A link to a Markdown file outside `docs/` is replaced by the file's name, because the links within that
-/// file would be broken in the book.
+/// Changes the links of a page that lead out of `docs/`, so that they lead to copies in the book. Returns the changed
+/// page, and the paths of the files to copy, relative to the workspace. A link to a Markdown file is replaced by the
+/// file's name: the links within that file would be broken in the book.
 fn inward(page: &str) -> (String, Vec<String>) {
     let (mut text, mut files, mut rest) = (String::new(), Vec::new(), page);
     while let Some((before, from)) = rest.split_once("](../") {

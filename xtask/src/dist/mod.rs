@@ -1,4 +1,5 @@
-//! `cargo xtask dist`: all files of a release, in `target/dist`, with checksums and bills of materials.
+//! `cargo xtask dist`: makes all files of a release in `target/dist`, with checksums and bills of materials (lists of
+//! the linked packages).
 
 mod archive;
 mod book;
@@ -16,18 +17,17 @@ use std::process::Command;
 
 pub use reproducible::check;
 
-/// Version of the release, which all its parts have.
+/// Version of the release. All packages of the workspace have the same version as xtask.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
-/// Text files in every archive.
+/// Text files that are packed beside the program.
 const TEXTS: [&str; 4] = ["README.md", "CHANGELOG.md", "LICENSE-APACHE", "LICENSE-MIT"];
-/// File name of the web page.
 const PAGE: &str = "oxmill.html";
-/// List of the images for boards that the site carries. The page's build writes an empty one.
+/// File of the web site that lists the firmware images on the site. The build of the page writes an empty list, which
+/// [`make_page`] replaces.
 const SITE_IMAGES: &str = "firmware.json";
-/// File name of the program on this system.
 const PROGRAM: &str = if cfg!(windows) { "oxmill.exe" } else { "oxmill" };
 
-/// A part of a release.
+/// A part of a release: the files of one board, the program, the web page with its site, or the book.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
     Board(&'static str),
@@ -37,7 +37,7 @@ enum Part {
 }
 
 impl Part {
-    /// Returns the parts of these names; all if there are none.
+    /// Returns the parts with these names; `boards` stands for all boards. Without names, returns all parts.
     fn named(names: &[&str]) -> Result<Vec<Part>, Failure> {
         // Without QEMU's board, which cannot be flashed.
         let boards = || boards::with_hardware().map(Part::Board);
@@ -57,7 +57,6 @@ impl Part {
         Ok(parts)
     }
 
-    /// Makes the files of this part.
     fn make(self, folder: &Path, compiler: &Compiler) -> Result<(), Failure> {
         match self {
             Part::Board(board) => make_board(board, folder, compiler),
@@ -68,7 +67,6 @@ impl Part {
     }
 }
 
-/// Returns the folder for the files of a release.
 fn folder() -> PathBuf {
     root().join("target/dist")
 }
@@ -82,10 +80,10 @@ pub fn tagged(tag: &str) -> Result<(), Failure> {
     }
 }
 
-/// Makes parts of a release; removes all other files from the folder.
+/// `cargo xtask dist`: makes the named parts, or all parts if `names` is empty. Deletes the files of earlier runs.
 pub fn make(names: &[&str]) -> Result<(), Failure> {
     let mut parts = Part::named(names)?;
-    // The site carries the images of the boards.
+    // The page is made last, because its site includes the images of the boards.
     parts.sort_by_key(|part| *part == Part::Page);
     let compiler = Compiler::found()?;
     let folder = folder();
@@ -95,8 +93,8 @@ pub fn make(names: &[&str]) -> Result<(), Failure> {
     fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
     parts.iter().try_for_each(|part| part.make(&folder, &compiler))?;
     let made = files(&folder)?;
-    // The parts of one release are made on computers with different systems, so each has a list under the name of its
-    // system.
+    // Several computers with different systems make the parts of one release. So each writes its own list of checksums,
+    // named after its system.
     write(&folder.join(format!("SHA256SUMS-{}.txt", compiler.host)), sums(&made).as_bytes())?;
     println!("{} files and their checksums in {}", made.len(), folder.display());
     Ok(())

@@ -1,5 +1,5 @@
-//! `cargo xtask dist --check`: makes the same files from a copy of the tree in another path, with another cargo folder;
-//! they must have the same bytes.
+//! `cargo xtask dist --check`: makes the files of a release twice. The second time, cargo runs in a copy of the tree on
+//! another path, with another `CARGO_HOME`. All files must have the same bytes both times.
 
 use super::{Failure, files, folder, make, root};
 use crate::paths::cargo_home;
@@ -11,10 +11,10 @@ use std::process::Command;
 /// Parts of the tree that builds do not use.
 const LEFT_OUT: [&str; 2] = ["target", ".git"];
 
-/// Makes parts of a release twice and compares them.
+/// Makes the named parts of a release twice, or all parts if `names` is empty. Fails if a byte differs.
 pub fn check(names: &[&str]) -> Result<(), Failure> {
     make(names)?;
-    // The copy lies below the tree itself: its path begins with the path of the tree, but has another length.
+    // The copy lies below the tree itself. Its path begins with the path of the tree, but has another length.
     let second = root().join("target/reproducible");
     let (copy, home) = (second.join("on/another/path"), second.join("another-cargo-home"));
     if second.exists() {
@@ -64,7 +64,7 @@ fn link_home(_: &Path, _: &Path) -> Result<(), Failure> {
     Err("`dist --check` needs the symbolic links of Unix".into())
 }
 
-/// Returns the differences between two sets of files.
+/// Returns a message for each file that only one side has, and for each file whose bytes differ.
 fn differences(here: &[(String, Vec<u8>)], there: &[(String, Vec<u8>)]) -> Vec<String> {
     let missing = |these: &[(String, Vec<u8>)], name: &str| !these.iter().any(|(other, _)| other == name);
     let alone = here

@@ -1,8 +1,8 @@
 //! Bills of materials (SBOM) in CycloneDX 1.5 JSON: the crates linked into a file, each with licence and checksum.
 //!
-//! They are made from `cargo tree` (the linked crates for this target and these features, and their dependencies),
-//! `cargo metadata` (properties of the crates) and the lock files. They contain no time and no random number: the same
-//! sources give the same bytes.
+//! The bills are made from `cargo tree` (the linked crates for this target and these features, and their dependencies),
+//! `cargo metadata` (properties of the crates) and the lock files. A bill contains no time and no random number, so the
+//! same sources give the same bytes.
 
 use super::{Failure, VERSION, read, write};
 use crate::paths::Compiler;
@@ -13,45 +13,42 @@ use std::path::Path;
 
 /// What a bill of materials describes: a file or image, and how cargo builds it.
 pub struct Sbom {
-    /// Name of the file or image.
     name: String,
-    /// CycloneDX component type.
+    /// CycloneDX component type: `firmware` or `application`.
     kind: &'static str,
     package: &'static str,
     target: String,
     features: Option<String>,
-    /// Whether npm packages are bundled.
+    /// `true` for the web page, which contains npm packages.
     npm: bool,
 }
 
 impl Sbom {
-    /// Returns what to list for the image of a board.
     pub fn of_board(board: &str) -> Sbom {
         let (package, features) = ("oxmill-firmware", Some(crate::boards::image(board).to_owned()));
         Sbom { name: board.into(), kind: "firmware", package, target: TARGET.into(), features, npm: false }
     }
 
-    /// Returns what to list for the program on a host.
+    /// Returns what to list for the program `oxmill`. `target`: its Rust target, such as `x86_64-unknown-linux-gnu`.
     pub fn of_program(target: &str) -> Sbom {
         let (name, package) = ("oxmill".into(), "oxmill");
         Sbom { name, kind: "application", package, target: target.into(), features: None, npm: false }
     }
 
-    /// Returns what to list for the page and the module in it.
+    /// Returns what to list for the web page: the crates of the WebAssembly module in it, and the npm packages.
     pub fn of_page() -> Sbom {
         let (name, package) = ("oxmill.html".into(), "oxmill-web");
         Sbom { name, kind: "application", package, target: web::MODULE.into(), features: None, npm: true }
     }
 
-    /// Writes the bill to a file.
     pub fn write(&self, compiler: &Compiler, path: &Path) -> Result<(), Failure> {
         let bill = self.bill(&compiler.version)?;
         let json = serde_json::to_string_pretty(&bill).map_err(|error| error.to_string())?;
         write(path, format!("{json}\n").as_bytes())
     }
 
-    /// Returns the output of `cargo tree`: all linked crates, each below the crate that needs it, with its depth in the
-    /// tree before its name.
+    /// Returns the output of `cargo tree`: all linked crates, one per line. A crate follows the crate that needs it,
+    /// and its depth in the tree stands before its name: `2heapless v0.9.1`.
     fn tree(&self) -> Result<String, Failure> {
         let mut arguments = vec!["tree", "--locked", "--package", self.package, "--target", &self.target];
         arguments.extend(["--edges", "normal,no-proc-macro", "--prefix", "depth", "--no-dedupe", "--format", "{p}"]);
@@ -128,7 +125,8 @@ fn word(value: &Value) -> &str {
 /// Name and version of a crate: `heapless@0.9.1`.
 type Name = String;
 
-/// Returns the dependencies of each crate, from lines of `cargo tree`: `2heapless v0.9.1`, two levels below the root.
+/// Returns the dependencies of each crate. `tree`: lines of `cargo tree`. `2heapless v0.9.1` is two levels below the
+/// root, so the last crate of depth 1 before it needs it.
 fn linked(tree: &str) -> Result<BTreeMap<Name, BTreeSet<Name>>, Failure> {
     let mut needs = BTreeMap::<Name, BTreeSet<Name>>::new();
     let mut above: Vec<Name> = Vec::new();
@@ -144,7 +142,8 @@ fn linked(tree: &str) -> Result<BTreeMap<Name, BTreeSet<Name>>, Failure> {
     Ok(needs)
 }
 
-/// Returns depth and name of the crate in a line of `cargo tree`.
+/// Returns depth and name of the crate in a line of `cargo tree`: 2 and `heapless@0.9.1` for `2heapless v0.9.1`. `None`
+/// if the line has another form.
 fn placed(line: &str) -> Option<(usize, Name)> {
     let (depth, package) = line.split_at(line.find(|c: char| !c.is_ascii_digit())?);
     let mut words = package.split(' ');
@@ -202,8 +201,8 @@ impl Crates {
     }
 }
 
-/// Returns the package-url of a package: namespace and name are separated by a slash; all characters except letters,
-/// digits, `.`, `-`, `_` and `~` are percent-encoded.
+/// Returns the package-url of a package, such as `pkg:npm/%40a/b@2.0.0`. A slash separates namespace and name. All
+/// characters except letters, digits, `.`, `-`, `_` and `~` are percent-encoded.
 fn purl(kind: &str, name: &str, version: &str) -> String {
     let encoded = |text: &str| -> String {
         let plain = |byte: u8| byte.is_ascii_alphanumeric() || b".-_~".contains(&byte);
@@ -303,7 +302,7 @@ mod tests {
         assert_eq!(found[0]["purl"], "pkg:npm/%40a/b@2.0.0");
     }
 
-    /// Returns the names of the components of a bill, and of those that `needing` depends on.
+    /// Returns two sets of crate names: the components of a bill, and the dependencies of the crate `needing`.
     fn of_bill(sbom: &Sbom, needing: &str) -> (BTreeSet<String>, BTreeSet<String>) {
         let bill = sbom.bill("1.0.0").unwrap();
         let list = |value: &Value| value.as_array().unwrap().clone();

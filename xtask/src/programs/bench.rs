@@ -37,8 +37,8 @@ pub fn generate(name: &str, out: &mut dyn Write) -> Result<bool> {
     Ok(true)
 }
 
-/// Returns sine and cosine of an angle in turns, with errors below 1e-14. The power series are computed for the
-/// difference to the nearest quarter turn, which is at most an eighth of a turn.
+/// Returns sine and cosine of an angle in turns, with errors below 1e-14. The angle is split into a whole number of
+/// quarter turns and a rest of at most an eighth of a turn. Power series give the sine and cosine of the rest.
 pub fn sine_cosine(turns: f64) -> (f64, f64) {
     let turns = turns - turns.floor();
     let quarter = (turns * 4.0 + 0.5).floor();
@@ -60,7 +60,8 @@ pub fn sine_cosine(turns: f64) -> (f64, f64) {
     }
 }
 
-/// Writes turns of a circle about the origin in chords, starting with a move to (radius, 0).
+/// Writes a circle about the origin: `turns` turns, each of `chords` chords. It starts with a rapid to (radius, 0).
+/// Units: mm and mm/min.
 fn circle(out: &mut dyn Write, turns: u32, chords: u32, radius: f64, feed: u32) -> Result<()> {
     writeln!(out, "G21G90\nG0X{radius:.3}Y0\nF{feed}")?;
     for point in 1..=turns * chords {

@@ -1,7 +1,7 @@
 //! Writes the generated programs of `examples/`: the same bytes on every machine, since all arithmetic is on integers.
 //!
-//! Each program has its own file below; [`writer`] formats the words and numbers of a line. Nothing here depends on the
-//! controller: the programs are plain G-code for any Grbl 1.1.
+//! Each program has its own file below. [`writer`] formats the words and numbers of a line. The programs are plain
+//! G-code for any Grbl 1.1. The jobs of the benchmark ([`bench`]) are written from here, too; their curves need `f64`.
 
 pub mod bench;
 mod pcb;
@@ -11,10 +11,10 @@ mod writer;
 
 use std::io::{Result, Write};
 
-/// The programs that [`generate`] can write, by the stem of their file in `examples/`.
+/// Names of the programs: the stems of their files in `examples/`.
 pub const NAMES: &[&str] = &["pocket_mm", "pocket_inch", "relief", "pcb_isolation"];
 
-/// Writes one program. Returns `false`, without output, if there is no program of this name.
+/// Writes a program of `examples/` or a job of the benchmark. Returns `false`, without output, if none has this name.
 ///
 /// # Errors
 /// Errors of `out`.

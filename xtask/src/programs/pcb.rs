@@ -22,8 +22,8 @@ const PAD_RADIUS: i64 = 800;
 const BOARD: [i64; 2] = [60_000, 44_000];
 /// Centre of the eight-way fan of traces.
 const FAN_MIDDLE: [i64; 2] = [20_000, 22_000];
-/// Pitch of the traces at the chip, and distance of the chip's rows of pins from the centre; then the same two lengths
-/// for the terminals.
+/// Pitch of the traces at the chip. `CHIP_ROW`: distance of each row of pins from the centre of the chip.
+/// `TERMINAL_PITCH` and `TERMINAL_ROW`: the same for the terminals.
 const CHIP_PITCH: i64 = 2_540;
 const CHIP_ROW: i64 = 3_810;
 const TERMINAL_PITCH: i64 = 4_445;
@@ -78,12 +78,13 @@ pub fn write(out: &mut dyn Write) -> Result<()> {
     w.text("M2")
 }
 
-/// A trace from a terminal to a pin of the chip: down, across, down.
+/// The four points of a trace from a terminal to a pin of the chip: down, across, down.
 type Trace = [[i64; 2]; 4];
 
 /// Returns eight traces above the chip and their mirror images below. A trace left of the middle runs down from its
-/// terminal, then to the right. This cross leg must be lower than that of the right neighbour, or it would cross the
-/// neighbour's leg down from the terminal. The traces right of the middle are the mirror image.
+/// terminal, then to the right (the cross leg), then down to its pin. A cross leg must be lower than the cross leg of
+/// its right neighbour. Otherwise the left one would cross the leg that comes down from the neighbour's terminal. The
+/// traces right of the middle are the mirror image.
 fn traces() -> Vec<Trace> {
     let mut all = Vec::new();
     for side in [1, -1] {

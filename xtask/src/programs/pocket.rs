@@ -1,6 +1,6 @@
 //! Two pockets as CAM programs write them: one in millimetres with helical entry, one in inches with a zigzag ramp.
-//! Both step down, clear from the middle outwards in rounded rectangles, and finish the wall with a pass that begins
-//! and ends on a quarter circle.
+//! Each goes down level by level and clears a level from the middle outwards, in rounded rectangles. A last pass
+//! finishes the wall; it begins and ends on a quarter circle.
 
 use super::writer::Writer;
 use std::io::{Result, Write};

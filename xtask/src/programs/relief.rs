@@ -70,8 +70,9 @@ fn height(x: i64, y: i64) -> i64 {
     (height - NM / 2) / NM
 }
 
-/// Returns a hill's height at a point, for a radius (µm) and a maximum height (nm): height × (1 - d²/r²)², with level
-/// tangents at the top and the foot.
+/// Returns the height, nm, of a hill at the point (u, v), µm from its centre: `height` × (1 - d²/r²)². d is the
+/// distance from the centre, and r is `radius`, both in µm. `height` is in nm. At d = r/2 this is 9/16 of `height`. The
+/// surface is level at the top and at the foot.
 fn hill(u: i64, v: i64, radius: i64, height: i64) -> i64 {
     let (square, limit) = (u * u + v * v, radius * radius);
     if square >= limit {

@@ -43,13 +43,12 @@ impl<'a> Writer<'a> {
         self.line(line)
     }
 
-    /// Writes a line that is only a comment in parentheses.
     pub fn comment(&mut self, text: &str) -> Result<()> {
         self.line(&format!("({text})"))
     }
 
-    /// Writes a straight move with the word `motion` (such as `G1`) to the given coordinates; nothing if none of them
-    /// changes. `feed`: F in tenths.
+    /// Writes a straight move with the word `motion`, such as `G1`, to the given coordinates. Writes nothing if no
+    /// coordinate changes. `feed`: in tenths of mm/min or inch/min.
     pub fn line_to(&mut self, motion: &'static str, to: [Option<i64>; 3], feed: Option<i64>) -> Result<()> {
         let mut words = self.motion_word(motion);
         let before = words.len();
@@ -62,7 +61,8 @@ impl<'a> Writer<'a> {
         self.line(&words.join(self.separator))
     }
 
-    /// Writes an arc in the XY plane to (x, y), with the centre at offset (i, j) from its start, and `z` for a helix.
+    /// Writes an arc in the XY plane to the point `to`; with a Z it is a helix. `centre`: I and J, the centre relative
+    /// to the start of the arc. `feed`: in tenths of mm/min or inch/min.
     pub fn arc_to(
         &mut self,
         motion: &'static str,

@@ -1,5 +1,5 @@
-//! Reads the output of `rs274`: calls of canonical machining functions. Their positions are in the unit of the program,
-//! without the offsets.
+//! Runs `rs274` and reads its output: calls of canonical machining functions, such as `STRAIGHT_FEED(..)`, which are
+//! LinuxCNC's elementary commands to a machine. Positions in them are in the unit of the program, without the offsets.
 
 use super::{AXES, Event, NO_MOVE, Outcome};
 use crate::Failure;
@@ -17,16 +17,16 @@ struct Reader {
     rotation: f64,
     g92: [f64; AXES],
     tool: [f64; AXES],
-    /// Position in machine coordinates, without offsets.
+    /// Position in machine coordinates.
     machine: [f64; AXES],
-    /// Whether the position is unknown, because the last move was a spline, of which `rs274` prints only the number of
-    /// control points.
+    /// `true` after a spline: the position is unknown, because `rs274` prints only the spline's number of control
+    /// points.
     is_place_unknown: bool,
     /// Feed rate, mm/min.
     rate: f64,
-    /// Whether G93 is active.
+    /// `true` while G93 is active.
     is_inverse_time: bool,
-    /// Whether the most recent move or arc has produced an event.
+    /// `true` if the most recent move or arc has produced an event; `false` if it was too short.
     has_moved: bool,
     events: Vec<Event>,
 }
@@ -36,15 +36,16 @@ const LONGEST: &str = "20";
 
 /// Settings of a run of `rs274`, and which events it returns.
 pub struct Settings<'a> {
-    /// Contents of the tool table of `rs274`.
+    /// Contents of the tool table of `rs274`, such as `T1 P1` (tool 1 in pocket 1); one line per tool.
     pub tools: &'a str,
-    /// Whether lines that start with a slash are skipped.
+    /// `true`: lines that start with a slash are skipped.
     pub deletes_blocks: bool,
-    /// Whether to report messages, stops and the rates of G93.
+    /// `true`: the events include messages, program stops and the rates of G93.
     pub reports_all: bool,
 }
 
-/// Runs a file through `rs274` and returns its events. Each process needs its own `home`, where it keeps a tool table.
+/// Runs a file through `rs274` and returns its events. Processes that run at the same time need different folders
+/// `home`, because the tool table is written there.
 pub fn interpret(home: &Path, file: &Path, settings: &Settings) -> Result<Outcome, Failure> {
     let home = std::path::absolute(home).map_err(|e| e.to_string())?;
     // Each tool in this table needs a pocket (`P1`): `rs274` rejects a tool without one.
@@ -60,8 +61,8 @@ pub fn interpret(home: &Path, file: &Path, settings: &Settings) -> Result<Outcom
         .map_err(|e| format!("rs274: {e}"))?;
     let mut reader = Reader { plane: [0, 1, 2], ..Reader::default() };
     for line in String::from_utf8_lossy(&output.stdout).lines() {
-        // A line of the output has the number of a call, then N with the number of the program's line or dots, then the
-        // call.
+        // A line of the output has three parts: the number of the call, `N` with a line number of the program or with
+        // dots, and the call.
         let Some((_, numbered)) = line.trim_start().split_once(" N") else {
             // A line without a call can be what `(PRINT, ...)` in the program outputs.
             if settings.reports_all && line.starts_with(super::STATE) {
@@ -103,8 +104,8 @@ impl Reader {
 
     fn call(&mut self, call: &str) -> Option<()> {
         let (name, arguments) = call.strip_suffix(')')?.split_once('(')?;
-        // For a program in inches, `lengths` converts all numbers to mm. The number of A is in degrees, so its
-        // conversion is undone here.
+        // For a program in inches, `lengths` converts all numbers to mm. But A is in degrees, so its conversion is
+        // undone.
         let unit = if self.inches { 25.4 } else { 1.0 };
         let place =
             |numbers: &[f64]| Some([*numbers.first()?, *numbers.get(1)?, *numbers.get(2)?, *numbers.get(3)? / unit]);
@@ -149,7 +150,8 @@ impl Reader {
         Some(())
     }
 
-    /// Records what [`Self::call`] leaves out: messages, program stops and the rates of G93. Called after it.
+    /// Records the calls that [`Self::call`] ignores: messages, program stops and the rates of G93. It must run after
+    /// `call` for the same line.
     fn record_other(&mut self, call: &str) -> Option<()> {
         let (name, arguments) = call.strip_suffix(')')?.split_once('(')?;
         match name {

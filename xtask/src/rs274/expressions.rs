@@ -1,13 +1,17 @@
 //! Random expressions of RS274NGC that have the same value in both interpreters.
 //!
-//! Functions whose value jumps (`FIX`, `MOD`, `ROUND`, comparisons) must not jump because of rounding: LinuxCNC
-//! computes with binary numbers, in which `0.29 * 100` is below 29. So a number is an integer, a half, or has five
-//! random decimals, of which the last is odd: sums and products of such numbers do not fall on a jump by chance. An
-//! angle is never an integer: where the exact sine, cosine or tangent of an integer is 0, 0.5 or 1, LinuxCNC's result
-//! can be slightly different. The `y` of `ATAN` is never 0: binary numbers have a -0, for which `ATAN` returns -180
-//! instead of 180 degrees. Arguments are within the range of their function, and powers and exponents are small, for
-//! two reasons: only Oxmill rejects a result that is too large, and large binary numbers have no digits after the
-//! point.
+//! The value of `FIX`, `MOD`, `ROUND` and of comparisons jumps at some arguments. Rounding must not decide on which
+//! side of a jump an argument lies: LinuxCNC computes with binary numbers, in which `0.29 * 100` is below 29. So the
+//! expressions follow these rules:
+//!
+//! * A number is an integer, a half, or has five random decimals, of which the last is odd. Sums and products of such
+//!   numbers do not fall on a jump by chance.
+//! * An angle is never an integer. Sine, cosine and tangent of some integers are exactly 0, 0.5 or 1, and LinuxCNC's
+//!   result can be slightly different.
+//! * The `y` of `ATAN` is never 0. Binary numbers have a -0, for which `ATAN` returns -180 instead of 180 degrees.
+//! * Arguments are within the range of their function.
+//! * Powers and exponents are small. Only Oxmill rejects a result that is too large, and large binary numbers have no
+//!   digits after the point.
 
 use oxmill_test_support::Random;
 
@@ -112,14 +116,13 @@ pub fn chain(random: &mut Random, depth: u32) -> String {
     text
 }
 
-/// Returns a value within 20 of 0: 20 times the sine or cosine of any expression. A fraction is added to the
-/// expression, because the value of a comparison is an integer, and the cosine of an integer can be slightly off in
-/// LinuxCNC.
+/// Returns a value from -20 to 20: 20 times the sine or cosine of any expression. A fraction is added to the
+/// expression, because its value can be an integer, and the cosine of an integer can be slightly off in LinuxCNC.
 fn bounded(random: &mut Random) -> String {
     format!("[20 * {}[[{}] + 0.01357]]", random.of(&["SIN", "COS"]), chain(random, 1))
 }
 
-/// Returns the value of an axis word: a length within 50 of 0, and not an integer, because `rs274` loses a bit of
+/// Returns the value of an axis word, a length from -50 to 50. It is not an integer, because `rs274` loses a bit of
 /// integers when the unit changes.
 pub fn length(random: &mut Random) -> String {
     match random.below(20) {

@@ -21,14 +21,15 @@ const ENDING: &str = "ngc";
 /// Numbers of the tools that are entered into the tool tables of both interpreters, without offsets.
 const TOOLS: std::ops::RangeInclusive<u32> = 1..=30;
 
-/// Events of a program in Oxmill's interpreter, and the line that it has rejected, if any.
+/// The result of a program in Oxmill's interpreter.
 struct Ours {
     events: Vec<Event>,
-    /// The line of the file that was rejected, and the reason.
+    /// Number of the rejected line in the file, and the reason; `None` if no line was rejected.
     refused: Option<(usize, String)>,
 }
 
-/// Runs the comparison of all programs below these files and folders.
+/// Compares the programs at these paths: files, and all `.ngc` files below folders. Of equal files only one is
+/// compared.
 pub fn run(paths: &[&str]) -> Result<(), Failure> {
     let mut files = Vec::new();
     for path in paths {
@@ -113,7 +114,7 @@ pub fn judge(home: &Path, file: &Path, text: &[u8]) -> Result<(&'static str, Str
     Ok((verdict, what, mine))
 }
 
-/// Carries out a program to its end or to the first line that is rejected.
+/// Carries out a program in Oxmill's interpreter, to its end or to the first line that is rejected.
 fn interpret(text: &[u8]) -> Ours {
     let mut program = Program { mill: Mill::new(), lines: 0, events: Vec::new() };
     for tool in TOOLS {

@@ -1,11 +1,11 @@
-//! Random programs with parameters, expressions, names, O words and moves of A, and with words that are interesting
-//! only in such programs: G93, G90.1, messages, stops, block delete, computed G and M numbers.
+//! Random programs with parameters, expressions, names, O words and moves of A. They also have G93, G90.1, messages,
+//! stops, block delete, and computed G and M numbers.
 //!
-//! A statement is one line or a whole construct, such as a loop. Statements that Oxmill rejects are omitted, except for
-//! the last statement of a batch: `rs274` must reject the same line of that statement. Lines that show the machine's
-//! state are mixed in, also within constructs.
+//! A statement is one line or a whole construct, such as a loop. Statements with a line that Oxmill rejects are
+//! omitted, but the last statement of a batch can have one: `rs274` must then reject the same line. Between other
+//! lines, also within constructs, there are lines that show the machine's state.
 //!
-//! Not generated, because the book lists it as a difference (see also `expressions`):
+//! Not generated, because the book lists them as differences (see also `expressions`):
 //!
 //! * a label used for two constructs: in LinuxCNC each label belongs to one construct
 //! * a call of a subroutine that does not exist or comes later: `rs274` reads on to the end of the file and names
@@ -16,17 +16,17 @@
 //!   LinuxCNC has no such limits
 //! * `break` and `continue` in a `repeat`: LinuxCNC rejects them
 //! * `do` after a `break` in a `while`: in `rs274` the `break` also ends the next `do` after one pass
-//! * `continue` in a `do`: in its last pass, within another loop, `rs274` never leaves the loop
+//! * `continue` in a `do` within another loop: in the last pass of the `do`, `rs274` then never leaves the loop
 //! * `#<_value>` other than after a call: `rs274` also sets it at the definition of a subroutine
 //! * a G number with more than two decimals, such as G0.004: Oxmill, like Grbl, rounds it to hundredths
-//! * `#5401` and on: in Oxmill the active offset, in LinuxCNC that of the tool in the spindle
+//! * `#5401` and on: Oxmill shows the active tool offset, LinuxCNC the offset of the tool in the spindle, active or not
 //! * the spindle after M6: LinuxCNC stops it, so M3 is written in the same line
 //! * a message in a line with words: `rs274` sends it before the words act, so it shows the earlier values
-//! * `#<_feed>` after a change of the unit in which F was set, or in G93: LinuxCNC keeps the number of F; also F in a
-//!   line with G20 or G21
+//! * `#<_feed>` in G93, or after a change of the unit in which F was set: LinuxCNC keeps the number of F
+//! * F in a line with G20 or G21, for the same reason
 //! * a change of units under a tool offset
-//! * M6, unless X, Y and Z have moved since the last change of offsets: at M6 the machine stub of `rs274` forgets such
-//!   changes
+//! * M6 after a change of offsets, unless X, Y and Z have moved since: at M6, the simulated machine in `rs274` forgets
+//!   such a change
 //! * G53 with G91
 //!
 //! Rotations are generated in `programs`.
@@ -112,7 +112,7 @@ const NESTED: u32 = 2;
 const PLANES: [(&str, [char; 3], [char; 2]); 3] =
     [("G17", ['X', 'Y', 'Z'], ['I', 'J']), ("G18", ['Z', 'X', 'Y'], ['K', 'I']), ("G19", ['Y', 'Z', 'X'], ['J', 'K'])];
 
-/// A rejected statement, the events before it, and the rejected line.
+/// A statement with a rejected line: all its lines, its events up to the rejected line, and the rejected line.
 struct Refused {
     lines: Vec<String>,
     events: Vec<Event>,
@@ -124,8 +124,8 @@ struct Writer {
     runner: Runner,
     batch: Batch,
     refused: Option<Refused>,
-    /// Whether the batch may have `do` loops. If so, it has no `break` in a `while`, because in `rs274` such a `break`
-    /// also ends the next `do`.
+    /// `true`: the batch may have `do` loops, but no `break` in a `while`. In `rs274` such a `break` also ends the next
+    /// `do`.
     has_do: bool,
     /// Number of labels used so far.
     labels: u64,
@@ -218,7 +218,7 @@ impl Writer {
             let result = runner.run(line, &mut events);
             of.resize(events.len(), self.batch.lines.len() + at);
             match result {
-                // The move is so short that rounding would decide whether there is a move at all.
+                // The statement is left out: its move is so short that rounding would decide if there is a move at all.
                 _ if runner.mill.is_doubtful() => return false,
                 Ok(()) => {}
                 Err(refusal) => {
@@ -339,8 +339,8 @@ impl Writer {
             };
             line += &format!("{target} = {value} ");
         }
-        // The assignment comes before the motion in the line, but takes effect only after the whole line is read: the
-        // motion uses the previous values.
+        // The motion uses the values before the assignment, although the assignment is earlier in the line: it takes
+        // effect only after the whole line is read.
         if random.below(5) == 0 {
             line += &format!("G0 X{}", expressions::length(random));
         }
@@ -420,7 +420,8 @@ impl Writer {
         let arc = match random.below(6) {
             // A full circle.
             0..=1 => format!("{turn} {i}{a} {j}{b}{helix}{turns}"),
-            // Half a circle, in G90 and in G91.
+            // Half a circle. `#<_absolute>` is 1 in G90 and 0 in G91, so the same text gives the right end in both
+            // modes.
             2..=3 => format!(
                 "{turn} {first}[{here_first} * #<_absolute> + 2 * {a}] {second}[{here_second} * #<_absolute> + 2 * {b}]{helix} {i}{a} {j}{b}{turns}"
             ),
@@ -545,7 +546,7 @@ impl Writer {
                 let times = match self.random.below(4) {
                     0 => format!("[{most}]"),
                     1 => format!("[{most} - 2]"),
-                    // Rounded to the nearest integer, a half to the even one.
+                    // Both interpreters round the count to the nearest integer, and a half to the even one.
                     2 => format!("[{}.{}]", self.random.below(4), 1 + self.random.below(9)),
                     _ => format!("[ABS[{}] MOD 4]", expressions::value(&mut self.random)),
                 };
@@ -561,7 +562,8 @@ impl Writer {
         (0..self.random.below(4)).map(|_| format!(" [{}]", expressions::chain(&mut self.random, 1))).collect()
     }
 
-    /// Returns a call of one of the subroutines, possibly with a use of its result.
+    /// Returns a call of one of the subroutines, sometimes followed by a line that uses its result. Without a
+    /// subroutine, returns a line that shows the state.
     fn call(&mut self) -> Vec<String> {
         if self.subroutines.is_empty() {
             return vec![self.state()];
@@ -577,7 +579,7 @@ impl Writer {
         lines
     }
 
-    /// Returns a subroutine, possibly recursive, and a call of it.
+    /// Adds a subroutine, possibly recursive, and a call of it to the program. Returns a line that shows the state.
     fn subroutine(&mut self) -> Vec<String> {
         let label = self.label();
         let mut lines = vec![format!("{label} sub"), OWN.into()];
@@ -669,8 +671,7 @@ impl Writer {
         lines
     }
 
-    /// Returns a statement with a line that should be rejected, sometimes within an `if` or a `repeat`. The lines have
-    /// different faults.
+    /// Returns a statement with a line that should be rejected, sometimes within an `if` or a `repeat`.
     fn wrong(&mut self) -> Vec<String> {
         const ALONE: [&str; 22] = [
             "G0 X[1 / 0]",

@@ -27,8 +27,8 @@ const TOLERANCE: f64 = 0.003;
 const VALUE_TOLERANCE: f64 = 3e-4;
 /// Maximum relative difference of G93 rates, in addition to [`TOLERANCE`].
 const RATE_TOLERANCE: f64 = 2e-4;
-/// Minimum rate in G93: `rs274` replaces lower rates by 0.1 units of the program per minute. Here in mm/min, for
-/// programs in mm and in inches.
+/// Minimum rates in G93, mm/min, for programs in mm and in inches. `rs274` replaces a lower rate by 0.1 units of the
+/// program per minute.
 const LEAST_RATES: [f64; 2] = [0.1, 2.54];
 /// First word of the messages in generated programs, except those that show stored positions ([`PLACES_MARK`]).
 const STATE: &str = "state";
@@ -44,12 +44,10 @@ const SHOWN: usize = 10;
 /// Number of axes: X, Y and Z in mm, and A in degrees.
 pub const AXES: usize = 4;
 
-/// An action of a program, in work coordinates.
+/// An action of a program. Positions are in work coordinates: X, Y and Z in mm, A in degrees.
 #[derive(Clone, Debug)]
 pub enum Event {
-    /// A rapid to a position.
     Rapid([f64; AXES]),
-    /// A feed move to a position.
     Feed([f64; AXES]),
     /// An arc: its end, its centre in the plane, and its number of turns, negative if clockwise.
     Arc([f64; AXES], [f64; 2], i64),
@@ -57,19 +55,19 @@ pub enum Event {
     Spline(u8),
     /// A dwell, s.
     Dwell(f64),
-    /// A program output: whether it is analog, its number, its value, and whether it changes with the next motion.
+    /// A program output (M62 to M65, M67, M68): `true` if analog, number, value, `true` if it changes with the next
+    /// motion.
     Output(bool, i64, f64, bool),
-    /// While G93 is active, after a feed move or an arc: its feed rate, mm/min, which follows from its length and its
-    /// programmed time.
+    /// Feed rate of the feed move or arc before this event, mm/min. Occurs only in G93, where the rate follows from the
+    /// length and the programmed time.
     Rate(f64),
-    /// A message to the operator.
     Message(String),
     /// A program stop; `true`: an optional stop.
     Stop(bool),
 }
 
-/// Returns whether the words of two texts are equal, and their numbers are close. In messages with stored positions,
-/// `rs274` shows values below 0.0001 inch as 0.
+/// Returns whether two texts have equal words and nearly equal numbers. In messages with stored positions, `rs274`
+/// shows values below 0.0001 inch as 0.
 fn is_same_text(a: &str, b: &str) -> bool {
     let least = if a.starts_with(PLACES_MARK) { TOLERANCE } else { VALUE_TOLERANCE };
     let is_same = |(a, b): (&str, &str)| match (a.parse::<f64>(), b.parse::<f64>()) {
@@ -113,7 +111,7 @@ pub struct Outcome {
     pub refused: Option<String>,
 }
 
-/// Runs the comparison: `arguments` are a number of programs and a seed.
+/// Runs the comparison. `arguments`: a number of programs and a seed, both optional; or `files` and paths.
 pub fn run(arguments: &[&str]) -> Result<(), Failure> {
     if Command::new("rs274").arg("-h").stdout(Stdio::null()).stderr(Stdio::null()).status().is_err() {
         return Err("rs274 is not installed: it is part of the Debian package linuxcnc-uspace".into());
@@ -163,8 +161,8 @@ struct Totals {
     differences: Vec<String>,
 }
 
-/// Comparison of one batch: the numbers of its lines and of Oxmill's events, whether it ends with a rejected line, and
-/// the first difference.
+/// Result of the comparison of one batch. `lines` and `events`: numbers of lines and of Oxmill's events. `refused`:
+/// `true` if the batch ends with a rejected line. `difference`: the first difference.
 struct Found {
     lines: usize,
     events: usize,
@@ -200,7 +198,8 @@ impl Totals {
     }
 }
 
-/// Compares this number of programs with subprograms. Each is in a file of its own, because it ends with M30.
+/// Compares `programs` random programs that contain subprograms. Each program is a file of its own, because its main
+/// part ends with M30.
 fn batch_of_files(home: &Path, seed: u64, programs: usize) -> Result<Found, Failure> {
     let mut found = Found { lines: 0, events: 0, refused: false, difference: None };
     for number in 0..programs {
@@ -246,7 +245,7 @@ fn one_batch(home: &Path, batch: usize, seed: u64, programs: usize) -> Result<Fo
     Ok(Found { lines: lines.len(), events: ours.events.len(), refused: ours.refused.is_some(), difference })
 }
 
-/// Returns the events of Oxmill with their lines beside those of `rs274`.
+/// Returns a text with a line for each event: Oxmill's event, the event of `rs274`, and the program line.
 fn side_by_side(lines: &[String], ours: &Outcome, theirs: &Outcome) -> String {
     let mut text = String::new();
     for at in 0..ours.events.len().max(theirs.events.len()) {
@@ -281,8 +280,7 @@ fn compare(lines: &[String], ours: &Outcome, theirs: &Outcome) -> Option<String>
             }
         }
     }
-    // If both reject a line, further events of `rs274` do not count as a difference: it can have moved before it found
-    // the error.
+    // If both reject the same line, `rs274` may have more events: it can have moved before it found the error.
     if ours.refused != theirs.refused {
         return Some(format!("Oxmill refuses {:?}, rs274 {:?}", ours.refused, theirs.refused));
     }

@@ -1,4 +1,4 @@
-//! Runs lines through Oxmill's interpreter and returns their events.
+//! Runs lines through Oxmill's interpreter and returns their events: moves, arcs, dwells and outputs.
 
 use super::{AXES, Event, NO_MOVE, TOLERANCE};
 use oxmill_controller::axes::PerAxis;
@@ -19,9 +19,9 @@ pub struct Mill {
     interpreter: Interpreter<AXES>,
     /// End position of the most recent event, machine coordinates.
     place: [f64; AXES],
-    /// Whether no event has this position, because the most recent event was a spline.
+    /// `true` after a spline: the event of a spline does not contain its end, which is `place`.
     is_place_unknown: bool,
-    /// Whether a move of the most recent line is so short that rounding decides if there is a move at all.
+    /// `true`: a move of the most recent line is so short that rounding decides whether it is a move at all.
     is_doubtful: bool,
 }
 
@@ -38,7 +38,7 @@ impl Mill {
         Mill { interpreter: Interpreter::default(), place: [0.0; AXES], is_place_unknown: false, is_doubtful: false }
     }
 
-    /// Returns whether rounding decides if the most recent line has a move.
+    /// Returns `true` if a move of the most recent line is so short that rounding decides if it is a move at all.
     pub fn is_doubtful(&self) -> bool {
         self.is_doubtful
     }
@@ -48,12 +48,12 @@ impl Mill {
         mm(&self.interpreter.to_program(self.interpreter.position()))
     }
 
-    /// Returns whether G92 or G52 shifts the coordinates.
+    /// Returns `true` if an offset of G92 or G52 is active.
     pub fn has_g92(&self) -> bool {
         self.interpreter.offsets().g92 != PerAxis::default()
     }
 
-    /// Returns whether G92 or G52 shifts the coordinates and some system is rotated.
+    /// Returns `true` if an offset of G92 or G52 is active while any coordinate system is rotated.
     pub fn is_rotated_under_g92(&self) -> bool {
         let offsets = self.interpreter.offsets();
         self.has_g92() && CoordinateSystem::ALL.into_iter().any(|system| offsets.angle(system) != Angle::ZERO)
@@ -64,8 +64,8 @@ impl Mill {
         &mut self.interpreter
     }
 
-    /// Carries out a line, and the stored lines that it runs if it is a call or the end of a loop. Blanks in the line
-    /// are ignored.
+    /// Carries out a line. If the line is a call or the end of a loop, also carries out the stored lines that it
+    /// starts. Ignores blanks.
     pub fn run(&mut self, line: &str) -> Result<Vec<Event>, Error> {
         self.is_doubtful = false;
         match self.interpreter.direct(line.replace(' ', "").to_uppercase().as_bytes(), &[], 0)? {
@@ -163,8 +163,8 @@ impl Mill {
             MotionCommand::Line { target, feed, .. } => {
                 let ([x, y, z, a], [from_x, from_y, from_z, from_a]) = (mm(target), self.place);
                 let way = distance(&[x, y, z], &[from_x, from_y, from_z]);
-                // Degrees do not depend on the unit of length, but `rs274` treats the rate that it derives from degrees
-                // as a rate in units of length.
+                // The rate of a move of A alone is in degrees per minute, in either unit of length. But `rs274` takes
+                // this rate for a length per minute, so in inches it is multiplied by 25.4.
                 let unit = if self.interpreter.modal().units == Units::Inch { 25.4 } else { 1.0 };
                 (if way > 0.0 { way } else { (a - from_a).abs() * unit }, feed)
             }
@@ -208,8 +208,8 @@ impl Mill {
 mod tests {
     use super::*;
 
-    /// The output of `rs274` does not contain the end of a spline. If a cycle starts at such an end at the height of R,
-    /// it needs no rise, and there must be no event for one.
+    /// The output of `rs274` does not contain the end of a spline. If a spline ends at the height of R, a cycle there
+    /// needs no rise to R, so there must be no event for a rise.
     #[test]
     fn a_cycle_behind_a_spline_has_no_rise_of_no_length() {
         for (spline, moves) in [("G5.1 X4 Y2 I1 J3", 1), ("G5 X4 Y2 I1 J1 P-1 Q1", 1), ("G1 X4 Y2", 1)] {

@@ -1,10 +1,16 @@
 //! Random programs of the words that Oxmill and LinuxCNC share.
 //!
-//! Lines that Oxmill rejects are omitted, except that a batch can end with one: `rs274` must reject it, too. Not
-//! generated, because the book lists them as differences: G88; a change of offsets, of the plane or of G98 and G99
-//! within a series of cycles; a change of rotation while G92 is active, because LinuxCNC then loses its position; arcs
-//! and cycles in another plane than that of a rotation; pecks smaller than the clearance of peck cycles; G53 with G91;
-//! a change of units, or M70, while a tool offset is active; a tool offset along A.
+//! Lines that Oxmill rejects are omitted, with one exception: a batch can end with a rejected line, and then `rs274`
+//! must reject it, too. Not generated, because the book lists them as differences:
+//!
+//! * G88
+//! * a change of offsets, of the plane, or of G98 and G99 within a series of cycles
+//! * a change of rotation while G92 is active: LinuxCNC then loses its position
+//! * arcs and cycles in another plane than the plane of a rotation
+//! * pecks smaller than the clearance of peck cycles
+//! * G53 with G91
+//! * a change of units, or M70, while a tool offset is active
+//! * a tool offset along A
 
 use super::Outcome;
 use super::ours::Mill;
@@ -43,10 +49,10 @@ struct Writer {
     inches: bool,
     incremental: bool,
     plane: usize,
-    /// `inches`, `incremental` and `plane` in the state that M70 has saved.
+    /// `inches`, `incremental` and `plane` at the most recent M70, which saves them. M72 restores them.
     kept: (bool, bool, usize),
-    /// Whether M61 has set the tool in the spindle. Then no G43 without H is generated, because the machine stub of
-    /// `rs274` looks up a tool's offset only at M6.
+    /// `true` after M61, which names the tool in the spindle. Then no G43 without H is generated: `rs274` looks up a
+    /// tool's offset only at M6.
     is_tool_named: bool,
     /// Number of subroutines written so far; each is named after its number.
     subroutines: usize,
@@ -72,8 +78,8 @@ pub fn batch(seed: u64, programs: usize) -> Batch {
     };
     for _ in 0..programs {
         for line in BEGIN {
-            // If the machine is so near the target of this line that rounding decides whether there is a move, move
-            // away first.
+            // If the machine is very near the target of G53, rounding decides if there is a move. So it moves away
+            // first.
             if !writer.put((*line).into()) && line.starts_with("G53") {
                 writer.put("G53 G0 X9 Y9 Z9 A9".into());
                 writer.put((*line).into());
@@ -174,8 +180,8 @@ impl Writer {
                 self.refused = None;
                 true
             }
-            // This line cannot end the batch as a line that both must reject, because `rs274` accepts arcs and cycles
-            // in another plane than that of a rotation.
+            // Only Oxmill rejects this line: `rs274` accepts arcs and cycles in another plane than the plane of a
+            // rotation. So the line cannot end the batch.
             Err(Error::NotInRotatedPlane) => false,
             Err(_) => {
                 self.refused = Some(line);
@@ -595,7 +601,7 @@ impl Writer {
             }
         }
         (self.inches, self.incremental, self.plane) = now;
-        // The subroutine can change units, distance mode and plane for its caller. The program sets them again below.
+        // The subroutine can change units, distance mode and plane for its caller. The last lines below restore them.
         let back = |on: bool, words: [&str; 2]| words[usize::from(on)].to_string();
         let word = if self.percent(30) { "return" } else { "endsub" };
         if word == "return" {

@@ -10,7 +10,7 @@ use oxmill_controller::protocol::line_filter::{self, Line, LineRules, Pushed};
 #[derive(Clone)]
 pub struct Runner {
     pub mill: Mill,
-    /// Whether lines that start with a slash are skipped.
+    /// `true`: lines that start with a slash are skipped.
     deletes_blocks: bool,
     lines: u32,
 }

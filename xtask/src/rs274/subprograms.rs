@@ -1,6 +1,6 @@
-//! Random programs with subprograms in Fanuc's style: they follow the M30 of the main program, each after its O number,
-//! and are called by M98 with and without a repeat count (L), also from subprograms. A subprogram shares the parameters
-//! of its caller.
+//! Random programs with subprograms in Fanuc's style. The subprograms follow the M30 of the main program, each after
+//! its O number. M98 calls them, with or without a repeat count (L), also from subprograms. A subprogram shares the
+//! parameters of its caller.
 
 use oxmill_test_support::Random;
 
