@@ -150,7 +150,7 @@ impl Outcome {
         if let Some((line, source)) = since.and_then(|line| job.opener(line)) {
             let source = source.to_owned();
             if is_call(&source) && !source.trim_start().starts_with(['o', 'O']) {
-                let text = self.missing_program(line, job);
+                let (line, source, text) = self.missing_program(line, source, job);
                 self.refused(line, Error::OutOfPlace.code(), &text, source, job);
             } else {
                 let text = "the program ended within the block that begins here";
@@ -159,23 +159,26 @@ impl Outcome {
         }
     }
 
-    /// Returns the error text for the call in line `call`, whose subprogram is not in the file. Removes the
-    /// controller's messages about waiting for this subprogram.
-    fn missing_program(&mut self, call: u64, job: &JobText) -> String {
+    /// Returns the first line that calls a subprogram that is not in the file: its number, its source, and what is wrong
+    /// with it. The controller has stored the program from the call in line `opener` on. Removes the controller's
+    /// messages about waiting for this subprogram.
+    fn missing_program(&mut self, opener: u64, source: String, job: &JobText) -> (u64, String, String) {
         let awaited = self.messages.iter().rev().find_map(|message| message.strip_prefix(AWAITS));
         let Some(number) = awaited.map(|number| number.trim_end_matches(']').to_owned()) else {
-            return "a subprogram that is called here is not in the file: write it after M30, as O1001 .. M99".into();
+            let text = "a subprogram that is called here is not in the file: write it after M30, as O1001 .. M99";
+            return (opener, source, text.into());
         };
         let all = std::mem::take(&mut self.messages).into_iter().zip(std::mem::take(&mut self.message_lines));
         (self.messages, self.message_lines) = all.filter(|(message, _)| !message.starts_with(AWAITS)).unzip();
-        let more: Vec<String> =
-            job.calls_of(&number).into_iter().filter(|line| *line != call).map(|line| line.to_string()).collect();
+        let calls = job.calls_of(&number);
+        let (call, source) = calls.first().map_or((opener, source), |(line, text)| (*line, (*text).to_owned()));
+        let more: Vec<String> = calls.iter().skip(1).map(|(line, _)| line.to_string()).collect();
         let more = match &more[..] {
             [] => String::new(),
             [line] => format!(", also in line {line}"),
             lines => format!(", also in lines {}", lines.join(", ")),
         };
-        missing(&number, &more, &job.other_programs(call))
+        (call, source, missing(&number, &more, &job.other_programs(call)))
     }
 
     /// Adds advice to the last error `OutOfMemory`. The controller stores a program until its subprograms have arrived,
@@ -375,6 +378,13 @@ impl Check {
             for (line, seconds) in long_lines {
                 self.outcome
                     .warn(Warning { line: job.file_line(line), text: format!("takes {}", clock_time(seconds)) });
+            }
+            for (number, line) in job.never_set() {
+                let text = format!(
+                    "#{number} is 0, because no line of the file sets it: correct the number, or set it (unless an earlier program \
+                     has set it, which the machine keeps)"
+                );
+                self.outcome.warn(Warning { line, text });
             }
             if let Some((end, behind)) = job.behind_end() {
                 let word = if end.is_tape_mark { "%" } else { "M2 or M30" };
@@ -623,9 +633,15 @@ mod tests {
             looped.iter().map(|error| (error.line, error.column, &*error.advice)).collect::<Vec<_>>(),
             [(4, Some(9), "The file sets #<step>: is that the name? Line 5 ran this line.")]
         );
+        let unset = |text| checked("oxmill", text).warnings.into_iter().map(|warning| warning.line).collect::<Vec<_>>();
+        assert_eq!(unset("G21\n#100=5\nG1 X#1000 F#100\nX[#1000+#5 + #5220]\n(#200)\n"), [3]);
+        assert!(unset("G21\n#[100]=5\nG1 X#100 F100\n").is_empty());
         let calls = "O1 (MAIN)\nG21 G90\nM98 P20\nM98 P20\nM30\nO21\nG1 X1 F100\nM99\n";
         let summary = checked("oxmill", calls);
         assert_eq!((summary.errors.len(), summary.errors[0].line), (1, 3), "{:?}", summary.errors);
+        let later = "O1\nG21 G90\nM98 P20\nM98 P30\nM30\nO20\nG1 X1 F100\nM99\n";
+        let error = &checked("oxmill", later).errors[0];
+        assert_eq!((error.line, &*error.source, error.text.get(..18)), (4, "M98 P30", Some("O30 is called here")));
         let text = "O20 is called here, also in line 4, but the only subprogram in the file is O21: write P21 if you mean that one, or write the missing one after M30, from O20 to M99";
         assert_eq!(summary.errors[0].text, text);
         assert!(!summary.messages.iter().any(|message| message.starts_with(AWAITS)), "{:?}", summary.messages);

@@ -12,7 +12,7 @@ use crate::small_board;
 use crate::summary::Warning;
 use oxmill_controller::error::Error;
 use oxmill_controller::protocol::line_checksum::ANSWER_HEADER;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, HashSet, VecDeque};
 use std::io::{self, BufRead};
 
 /// Maximum length of a line, in bytes. A file with a longer line is not a program for a machine.
@@ -67,6 +67,12 @@ pub struct JobText {
     failed: Option<io::Error>,
     /// Names of parameters, such as `depth`, that lines of the file set; not more than [`MOST_NAMES`].
     names: Vec<String>,
+    /// Numbers of the parameters that lines of the file set, such as 100 for `#100=5`.
+    numbers_set: HashSet<u32>,
+    /// Numbers of the parameters that lines of the file read, each with its first line; at most [`MOST_NAMES`].
+    numbers_read: BTreeMap<u32, u64>,
+    /// Whether a line sets a parameter whose number it computes, such as `#[#1+100]=5`.
+    sets_computed: bool,
     /// Whether a comment has mentioned inches so far.
     mentions_inches: bool,
     /// Line number of the most recent line with G21.
@@ -158,6 +164,9 @@ impl JobText {
             stopped: false,
             failed: None,
             names: Vec::new(),
+            numbers_set: HashSet::new(),
+            numbers_read: BTreeMap::new(),
+            sets_computed: false,
             mentions_inches: false,
             metric_at: None,
             inches_at: None,
@@ -422,7 +431,10 @@ impl JobText {
             shown += " ...";
         }
         self.mentions_inches |= mentions_inches(text);
-        self.note_names(text);
+        if text.contains('#') {
+            self.note_names(text);
+            self.note_numbers(text);
+        }
         if text.contains("G21") || text.contains("g21") {
             self.metric_at = Some(self.lines);
         }
@@ -445,6 +457,32 @@ impl JobText {
         }
     }
 
+    /// Notes the numbers of the parameters that a line sets and reads. Only `#31` to `#4999` count: the numbers below are
+    /// arguments of calls, and the machine sets those above.
+    fn note_numbers(&mut self, line: &str) {
+        let line = column::as_read(line);
+        for part in line.split('#').skip(1) {
+            self.sets_computed |= part.starts_with('[') && line.contains("]=");
+            let digits = part.bytes().take_while(u8::is_ascii_digit).count();
+            let (number, behind) = part.split_at(digits);
+            match number.parse() {
+                Ok(31..=4999) if behind.starts_with('=') => {
+                    self.numbers_set.extend(number.parse::<u32>());
+                }
+                Ok(number @ 31..=4999) if self.numbers_read.len() < MOST_NAMES => {
+                    self.numbers_read.entry(number).or_insert(self.lines);
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Returns the numbers of the parameters that the file reads and never sets, each with its first line.
+    pub fn never_set(&self) -> Vec<(u32, u64)> {
+        let is_unset = |number: &u32| !self.sets_computed && !self.numbers_set.contains(number);
+        self.numbers_read.iter().map(|(number, line)| (*number, *line)).filter(|(number, _)| is_unset(number)).collect()
+    }
+
     /// Returns the name of a parameter that the file sets and that differs from `name` by few letters, if there is one.
     pub fn name_like(&self, name: &str) -> Option<&str> {
         let distance = |known: &String| strsim::damerau_levenshtein(&known.to_lowercase(), &name.to_lowercase());
@@ -452,12 +490,12 @@ impl JobText {
         (distance(nearest) <= MOST_DIFFERENT && distance(nearest) < name.chars().count()).then_some(nearest)
     }
 
-    /// Returns the numbers of the lines that call a program. `number`: number of the program, such as `O1001`. Searches
+    /// Returns the lines that call a program, each with its number in the file. `number`: number of the program, such as `O1001`. Searches
     /// only the lines since the last [`JobText::forget_openers`].
-    pub fn calls_of(&self, number: &str) -> Vec<u64> {
+    pub fn calls_of(&self, number: &str) -> Vec<(u64, &str)> {
         let word = number.replace(['O', 'o'], "P");
         let is_one = |opener: &&Opener| is_call(&opener.text) && advice::words(&opener.text).contains(&word);
-        self.openers.iter().filter(is_one).map(|opener| opener.number).collect()
+        self.openers.iter().filter(is_one).map(|opener| (opener.number, opener.text.as_str())).collect()
     }
 
     /// Receives a part of the controller's output.
