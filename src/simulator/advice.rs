@@ -37,6 +37,9 @@ const INSTEAD: [(&[&str], &str); 11] = [
 pub const LONG_LINE: &str =
     "Split the line: put M, S, T and F on a line above, and keep X, Y, Z, I, J, K and R together.";
 
+/// Advice for a line that is too long because of the decimals of its numbers.
+pub const LONG_NUMBERS: &str = "Write at most four decimals in each number: the machine cannot use more. Most post-processors have a setting for it.";
+
 /// Advice for a line that is too long because of its expressions.
 pub const LONG_EXPRESSION: &str = "Calculate a part of the expression on a line above: #<part>=[20/3+1.5], then use it as X[#<part>+4]. Cut where a + or - is outside the inner brackets.";
 

@@ -125,7 +125,12 @@ impl Outcome {
             return (text.into(), advice::PRINTER.into());
         }
         if code == Error::LineTooLong.code() {
-            let advice = if source.contains('[') { advice::LONG_EXPRESSION } else { advice::LONG_LINE };
+            let is_long = |number: &str| number.bytes().take_while(u8::is_ascii_digit).count() > MANY_DECIMALS;
+            let advice = match source {
+                source if source.contains('[') => advice::LONG_EXPRESSION,
+                source if source.split('.').skip(1).any(is_long) => advice::LONG_NUMBERS,
+                _ => advice::LONG_LINE,
+            };
             return (text.into(), advice.into());
         }
         let unset = text.strip_prefix("#<").and_then(|rest| rest.split_once("> is not set"));
@@ -206,6 +211,9 @@ impl Outcome {
 /// file is named in addition.
 const MOST_NAMED: usize = 5;
 
+/// Number of decimals above which a number has more digits than any post-processor needs.
+const MANY_DECIMALS: usize = 6;
+
 /// Returns whether a line has words that move X, Y or Z.
 fn moves(source: &str) -> bool {
     ['X', 'Y', 'Z'].iter().any(|letter| advice::count(source, *letter) > 0)
@@ -226,11 +234,11 @@ fn without_length(source: &str) -> String {
 
 /// Returns the error text for calls of the subprogram `number`, such as `O1001`, which is not in the file. `more`: the
 /// further lines that call it. `present`: the numbers of the other programs in the file.
-fn missing(number: &str, more: &str, present: &[&str]) -> String {
+fn missing(number: &str, more: &str, present: &[String]) -> String {
     match present {
         [] => format!("{number} is called here{more} and is not in the file: write it after M30, from {number} to M99"),
         [only] => {
-            let word = only.replace(['O', 'o'], "P");
+            let word = only.split(' ').next().unwrap_or_default().replace(['O', 'o'], "P");
             format!(
                 "{number} is called here{more}, but the only subprogram in the file is {only}: write {word} if you mean that one, \
                  or write the missing one after M30, from {number} to M99"
@@ -380,9 +388,12 @@ impl Check {
                     .warn(Warning { line: job.file_line(line), text: format!("takes {}", clock_time(seconds)) });
             }
             for (number, line) in job.never_set() {
+                let set = job.numbers_set();
+                let other = if set.is_empty() { String::new() } else { format!(" (the file sets {})", set.join(", ")) };
                 let text = format!(
-                    "#{number} is 0, because no line of the file sets it: correct the number, or set it (unless an earlier program \
-                     has set it, which the machine keeps)"
+                    "#{number} is 0 here, because no line of the file sets it. If you mean another parameter{other}, correct its \
+                     number. If not, insert a line such as #{number}=12.5 above. Ignore this if a program that ran before \
+                     sets #{number}: the machine keeps it until it is switched off"
                 );
                 self.outcome.warn(Warning { line, text });
             }
@@ -444,12 +455,13 @@ impl Check {
         let settings = self.simulator.controller().settings();
         let (low, high) = self.simulator.machine().extents();
         let [low, high] = [low, high].map(|steps| self.simulator.meter().carriages_mm(steps));
-        let (mut axes, mut travels) = (Vec::new(), Vec::new());
+        let (mut axes, mut metric, mut travels) = (Vec::new(), Vec::new(), Vec::new());
         for axis in Axis::ALL.into_iter().take(LINEAR) {
             let Some([from, to]) = settings.ends_of_travel(axis) else { continue };
             let (travel, covered) = (f64::from(to - from), high[axis.index()] - low[axis.index()]);
             if covered > MUCH * travel && travel > 0.0 {
                 axes.push(format!("{} over {covered:.0} mm", char::from(axis.letter())));
+                metric.push(format!("{} over {:.0} mm", char::from(axis.letter()), covered / 25.4));
                 travels.push(format!("{travel:.0} mm (${})", 130 + axis.index()));
             }
         }
@@ -461,8 +473,9 @@ impl Check {
             Some(line) => self.outcome.warn(Warning {
                 line,
                 text: format!(
-                    "G20 makes the numbers inches, so {too_far}. If the numbers are millimetres, replace G20 by G21. If they \
-                     are inches, the job does not fit the machine"
+                    "G20 makes the numbers inches, so {too_far}. If the numbers are millimetres, replace G20 by G21: then the \
+                     job moves {}. If they are inches, the job does not fit the machine: do not run it",
+                    metric.join(" and ")
                 ),
             }),
             None => self.outcome.note(format!("{too_far}: the job does not fit the machine")),
@@ -642,7 +655,7 @@ mod tests {
         let later = "O1\nG21 G90\nM98 P20\nM98 P30\nM30\nO20\nG1 X1 F100\nM99\n";
         let error = &checked("oxmill", later).errors[0];
         assert_eq!((error.line, &*error.source, error.text.get(..18)), (4, "M98 P30", Some("O30 is called here")));
-        let text = "O20 is called here, also in line 4, but the only subprogram in the file is O21: write P21 if you mean that one, or write the missing one after M30, from O20 to M99";
+        let text = "O20 is called here, also in line 4, but the only subprogram in the file is O21 (line 6): write P21 if you mean that one, or write the missing one after M30, from O20 to M99";
         assert_eq!(summary.errors[0].text, text);
         assert!(!summary.messages.iter().any(|message| message.starts_with(AWAITS)), "{:?}", summary.messages);
         let one: String = (0..40).map(|at| format!("G1X{at}.123")).collect();
@@ -654,7 +667,9 @@ mod tests {
 
     #[test]
     fn a_missing_program_is_told_with_those_that_exist() {
-        let text = |present: &[&str]| missing("O7", ", also in line 8", present);
+        let text = |present: &[&str]| {
+            missing("O7", ", also in line 8", &present.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>())
+        };
         assert!(
             text(&["O1"])
                 .contains("is called here, also in line 8, but the only subprogram in the file is O1: write P1 if")

@@ -35,15 +35,15 @@ impl fmt::Display for ShortReport<'_> {
         )?;
         let mut shown: Vec<&str> = Vec::new();
         // This advice is about the whole program, so it comes first.
-        if summary.errors.iter().any(|error| error.advice == PRINTER) {
+        let is_of_printer = summary.errors.iter().any(|error| error.advice == PRINTER);
+        if is_of_printer {
             writeln!(f, "  {PRINTER}")?;
-            shown.push(PRINTER);
         }
         for error in summary.errors.iter().take(SHOWN_ERRORS) {
             writeln!(f, "  line {}: {}", error.line, error.source)?;
             writeln!(f, "    {BAD}error:{}{BAD:#} {}", error.code, error.text)?;
             // Show the same advice only once, at the first error that has it.
-            let is_new = !shown.contains(&error.advice.as_str());
+            let is_new = !shown.contains(&error.advice.as_str()) && !is_of_printer;
             if is_new && !error.advice.is_empty() {
                 writeln!(f, "    {FAINT}{}{FAINT:#}", error.advice)?;
                 shown.push(&error.advice);
@@ -58,7 +58,7 @@ impl fmt::Display for ShortReport<'_> {
             writeln!(f, "    {FAINT}{}{FAINT:#}", alarm.advice)?;
         }
         for warning in summary.warnings.iter().take(SHOWN_ERRORS) {
-            writeln!(f, "  {WARNING}line {}{WARNING:#}: {}", warning.line, warning.text)?;
+            writeln!(f, "  {WARNING}warning, line {}{WARNING:#}: {}", warning.line, warning.text)?;
         }
         if summary.warning_count() > SHOWN_ERRORS as u64 {
             writeln!(f, "  and {} more warnings", summary.warning_count() - SHOWN_ERRORS as u64)?;
@@ -100,7 +100,11 @@ fn verdict(summary: &Summary) -> (Style, String) {
     if summary.alarm.is_some() {
         (BAD, "ends in an alarm".into())
     } else if !summary.errors.is_empty() {
-        (BAD, format!("{} refused", counted(summary.error_count(), "line")))
+        let warnings = match summary.warning_count() {
+            0 => String::new(),
+            warnings => format!(", {}", counted(warnings, "warning")),
+        };
+        (BAD, format!("{} refused{warnings}", counted(summary.error_count(), "line")))
     } else if !summary.complete {
         (BAD, "not taken to the end".into())
     } else {

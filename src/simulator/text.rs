@@ -12,7 +12,7 @@ use crate::small_board;
 use crate::summary::Warning;
 use oxmill_controller::error::Error;
 use oxmill_controller::protocol::line_checksum::ANSWER_HEADER;
-use std::collections::{BTreeMap, HashSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::io::{self, BufRead};
 
 /// Maximum length of a line, in bytes. A file with a longer line is not a program for a machine.
@@ -68,7 +68,7 @@ pub struct JobText {
     /// Names of parameters, such as `depth`, that lines of the file set; not more than [`MOST_NAMES`].
     names: Vec<String>,
     /// Numbers of the parameters that lines of the file set, such as 100 for `#100=5`.
-    numbers_set: HashSet<u32>,
+    numbers_set: BTreeSet<u32>,
     /// Numbers of the parameters that lines of the file read, each with its first line; at most [`MOST_NAMES`].
     numbers_read: BTreeMap<u32, u64>,
     /// Whether a line sets a parameter whose number it computes, such as `#[#1+100]=5`.
@@ -164,7 +164,7 @@ impl JobText {
             stopped: false,
             failed: None,
             names: Vec::new(),
-            numbers_set: HashSet::new(),
+            numbers_set: BTreeSet::new(),
             numbers_read: BTreeMap::new(),
             sets_computed: false,
             mentions_inches: false,
@@ -209,14 +209,14 @@ impl JobText {
         self.openers.iter().find(|opener| opener.given == given).map(|opener| (opener.number, opener.text.as_str()))
     }
 
-    /// Returns the program numbers in the file (such as `O1001`), except the number of the program that contains the
+    /// Returns the program numbers in the file, such as `O1001 (line 20)`, except that of the program that contains the
     /// line `call`. Searches only the lines since the last [`JobText::forget_openers`].
-    pub fn other_programs(&self, call: u64) -> Vec<&str> {
+    pub fn other_programs(&self, call: u64) -> Vec<String> {
         let mut numbers: Vec<(u64, &str)> = self.program_numbers().collect();
         if let Some(own) = numbers.iter().rposition(|(line, _)| *line < call) {
             numbers.remove(own);
         }
-        numbers.into_iter().map(|(_, number)| number).collect()
+        numbers.into_iter().map(|(line, number)| format!("{number} (line {line})")).collect()
     }
 
     fn program_numbers(&self) -> impl Iterator<Item = (u64, &str)> {
@@ -475,6 +475,11 @@ impl JobText {
                 _ => {}
             }
         }
+    }
+
+    /// Returns some parameters that the file sets, such as `#100`, in order of their numbers.
+    pub fn numbers_set(&self) -> Vec<String> {
+        self.numbers_set.iter().take(5).map(|number| format!("#{number}")).collect()
     }
 
     /// Returns the numbers of the parameters that the file reads and never sets, each with its first line.

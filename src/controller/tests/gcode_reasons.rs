@@ -355,6 +355,19 @@ const ROWS: &[Row] = &[
     ("F100", "G2 X1 K1", 35, "I and J are missing in G2, or R: the plane is G17"),
     ("F100 | G18", "G3 X1", 35, "I and K are missing in G3, or R: the plane is G18"),
     ("F100 | G90.1", "G2 X5 I2", 35, "I and J are both needed in G2: G90.1 is active"),
+    // A lost digit and a wrong sign: only the probable centre is suggested.
+    (
+        "F100 | G0 X60",
+        "G2 X30 Y-30 I-3 J0",
+        33,
+        "the radius of G2 is 3.000 mm at its start, 40.361 at its end. Write I-30.000 J0.000",
+    ),
+    (
+        "F100",
+        "G2 X10 Y10 I-10 J0",
+        33,
+        "the radius of G2 is 10.000 mm at its start, 22.361 at its end. Write I10.000 J0.000",
+    ),
     ("F100", "G2 X10 I4", 33, "the radius of G2 is 4.000 mm at its start, 6.000 at its end. Write I5.000 J0.000"),
     // The sentence suggests only one centre, because the other one would need a word beyond 50 m.
     (

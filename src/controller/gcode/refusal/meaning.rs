@@ -700,10 +700,14 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
             (across as f32 * across as f32 * FLATTEST >= square && value.in_range()).then_some(value.0)
         };
         let (other_i, other_j) = (other(x, y, j), other(y, x, i));
-        let mut centres = [other_j.map(|j| [i, j]), other_i.map(|i| [i, j])];
-        if other_i.is_some_and(|other| is_slip(i, other)) {
-            centres.swap(0, 1);
-        }
+        let (slip_i, slip_j) = (other_i.filter(|other| is_slip(i, *other)), other_j.filter(|other| is_slip(j, *other)));
+        // If only one of the two can be a slip, it is the wrong word.
+        let (other_i, other_j) = match (slip_i, slip_j) {
+            (Some(_), None) => (other_i, None),
+            (None, Some(_)) => (None, other_j),
+            _ => (other_i, other_j),
+        };
+        let centres = [other_j.map(|j| [i, j]), other_i.map(|i| [i, j])];
         let mut before = "Write ";
         for [i, j] in centres.into_iter().flatten() {
             let length = out.len();
