@@ -4,8 +4,8 @@
 //! limit.
 
 /// Minimum time between two calls of the serial task: 10 samples of the inputs, or 500 us. A host can have 255 bytes
-/// in flight, which take 2.55 ms at 1 Mbaud. If the first line among these bytes is not delivered, executed and
-/// answered within that time, the host has to pause. So `REST` must be well below 2.55 ms.
+/// in flight, which take 2.55 ms at 1 Mbaud. The host has to pause if it takes longer than these 2.55 ms to deliver,
+/// execute and answer the first line among these bytes. So `REST` must be well below 2.55 ms.
 pub const REST: u8 = 10;
 
 /// Rate limiter for calls of the serial task.
@@ -21,8 +21,9 @@ impl Calls {
         Calls { rests: 0 }
     }
 
-    /// Counts one sample of the inputs. Returns true if the serial task must be called now: the pause is over, and
-    /// `has_news` returns true. Does not call `has_news` during the pause.
+    /// Counts one sample of the inputs. Returns true if the serial task must be called now. This is the case if the
+    /// pause since the last call is over and `has_news` returns true. `has_news` returns whether there is work for the
+    /// serial task; it is not called during the pause.
     #[inline(always)]
     pub fn sample(&mut self, has_news: impl FnOnce() -> bool) -> bool {
         self.rests = self.rests.saturating_sub(1);

@@ -10,7 +10,7 @@
 //! | name | is |
 //! |---|---|
 //! | `pac` | the device crate: registers and interrupt numbers, for RTIC |
-//! | `vectors!(app)` | calls the macro `app` with the names of the interrupt vectors of the tasks; if there is a vector `uart`, `serial` is the vector of an unused peripheral |
+//! | `vectors!(app)` | calls the macro `app` with the names of the interrupt vectors of the tasks; `serial` is the vector of an unused peripheral if there is a vector `uart` |
 //! | `PROFILE` | the numbers of the image, from its entry of [`profiles`](crate::profiles) |
 //! | `AXES`, `BLOCKS` | number of axes, and blocks of the look-ahead, from the same entry; used as const generics |
 //! | `HELD_BYTES` | bytes of memory for subroutines, loops and macros, from the same entry |
@@ -76,7 +76,7 @@ pub struct SlowLevels {
 pub struct Due(pub u32);
 
 impl Due {
-    /// An event has been output. Reported only while events are output one by one, each by an interrupt of its own.
+    /// An event has been output. This reason is set only while each event is output by an interrupt of its own.
     pub const OUT: Due = Due(2);
     /// The time set by [`StepOutput::call_at`] has come.
     pub const MORE: Due = Due(4);
@@ -95,10 +95,10 @@ impl Due {
 /// Number of combinations of axes that step together: 8 with three axes. A combination is a bit mask; bit 0 is X.
 pub const COMBINATIONS: usize = 1 << crate::AXES;
 
-/// Contiguous free slots of the queue, for the next events: none if the queue is full, and at most one while events are
-/// output one by one.
+/// Contiguous free slots of the queue for the next events. There are none if the queue is full. While events are
+/// output one by one, there is at most one.
 pub struct Free<'a> {
-    /// What to write into `words` for an event. The index is the combination of axes that step. With one GPIO port,
+    /// Entries to write into `words`. The index is the combination of axes that step in the event. With one GPIO port,
     /// the entry is the word for that port, with the present directions. With several ports, it is a code that
     /// [`StepOutput::commit`] translates.
     pub table: &'a [u32; COMBINATIONS],
@@ -136,11 +136,11 @@ pub struct Undone<const N: usize> {
 /// committed in time ([`StepOutput::joins_until`]). If an event is committed too late, the output ends before this
 /// event. Then the step task must call [`StepOutput::halt`], and `begin` again.
 pub trait StepOutput<const N: usize> {
-    /// Maximum number of committed events that have not been output. With 1, each event is output by an interrupt of
-    /// its own.
+    /// Maximum number of committed events that have not been output. If the number is 1, each event is output by an
+    /// interrupt of its own.
     const DEPTH: usize;
-    /// While each event is output by an interrupt of its own: minimum time from the commit of an event to its output,
-    /// in ticks of the step clock.
+    /// Minimum time from the commit of an event to its output, in ticks of the step clock. It applies only while each
+    /// event is output by an interrupt of its own.
     const SOON: u32;
 
     /// Returns the time of the step clock in ticks; it wraps after 2^32.
@@ -165,14 +165,14 @@ pub trait StepOutput<const N: usize> {
     /// Queues the events that were written into the first `events` free slots. While events are output one by one,
     /// returns the ticks by which a late event was delayed; otherwise 0.
     fn commit(&mut self, events: usize) -> u32;
-    /// Called after each tick of the stepper that the step task executes by itself, not in a batch. `ticks`: time from
-    /// this tick to the next one, in ticks of the step clock. Only the QEMU board needs this, for its digest
-    /// (checksum) of the steps.
+    /// Notes a tick of the stepper. The step task calls this for each tick that it executes by itself, but not for the
+    /// ticks of a batch. `ticks`: time from this tick to the next one, in ticks of the step clock. Only the QEMU board
+    /// needs this, for its digest (checksum) of the steps.
     fn pass(&mut self, ticks: u32);
     /// Returns the number of committed events that have not been output. It can be too high, but never too low.
     fn ahead(&self) -> usize;
-    /// Returns the time at which `left` committed events will remain to be output. If at most `left` events remain
-    /// already, returns a time that is not in the future.
+    /// Returns the time at which only `left` of the committed events remain to be output. If no more than `left`
+    /// events remain already, returns a time that is not in the future.
     fn moment_before(&self, left: usize) -> u32;
     /// Returns the deadline for committing an event due at `next`. If the event is committed by this time, the output
     /// continues with it and need not be started again.
@@ -213,7 +213,8 @@ pub trait Port {
     }
     /// Fetches the next received byte, if any.
     fn receive(&mut self) -> Incoming;
-    /// Returns the next received bytes without consuming them, as far as they are in one contiguous buffer.
+    /// Returns the next received bytes without consuming them. These are only the bytes of one contiguous buffer, so
+    /// more bytes may be waiting.
     #[inline]
     fn fetched(&mut self) -> &[u8] {
         &[]

@@ -10,7 +10,7 @@ use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 pub mod calls;
 pub mod pin_table;
 pub mod profiles;
-// Compiled without a board, too, so that host tests can use it.
+// Host tests use this module, so it is compiled even without a board.
 pub mod uart_receiver;
 #[cfg(any(not(feature = "board"), feature = "usb"))]
 pub mod usb_host;
@@ -22,12 +22,12 @@ pub mod stack;
 #[cfg(feature = "board")]
 pub mod stm32f4;
 
-/// Returns the CRC-32 (ISO-HDLC) of some bytes, computed bit by bit, without a table of 1 KiB.
+/// Returns the CRC-32 (ISO-HDLC) of some bytes. Computes it bit by bit, because a table would take 1 KiB.
 #[inline(never)]
 pub fn checksum(bytes: &[u8]) -> u32 {
     const SUM: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
     let mut digest = SUM.digest();
-    // Byte by byte, because the compiler would unroll the loop over a slice to 700 bytes of code.
+    // Update the digest byte by byte. The compiler would unroll an update with the whole slice to 700 bytes of code.
     for byte in bytes {
         digest.update(core::slice::from_ref(byte));
     }
@@ -79,7 +79,7 @@ mod chosen {
     pub const HELD_BYTES: usize = IMAGE.held_bytes;
     /// Pages of 256 bytes for the recording of inputs and received bytes.
     pub const RECORDING_PAGES: usize = IMAGE.recording_pages;
-    /// Maximum duration, in CPU cycles, of a run of the step task that generates events.
+    /// Maximum duration of a run of the step task, in CPU cycles, if the run generates events.
     pub const RUN_CYCLES: u32 = IMAGE.run_cycles;
     /// Clock of the processor and of SysTick.
     pub const CORE_HZ: u32 = IMAGE.core_hz;

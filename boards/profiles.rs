@@ -20,9 +20,9 @@ pub struct Board {
     pub step_clock_hz: u32,
     /// Clock of the processor, Hz.
     pub core_hz: u32,
-    /// Maximum duration of a run of the step task that generates events, in CPU cycles. (A run that stops the output
-    /// takes longer.) At least 1.1 times the instructions that `cargo xtask count` counts, because the flash has wait
-    /// states.
+    /// Maximum duration of a run of the step task, in CPU cycles, if the run generates events. A run that stops the
+    /// output takes longer. The value is at least 1.1 times the number of instructions that `cargo xtask count`
+    /// counts, because the flash has wait states.
     pub run_cycles: u32,
     /// Number of axes, 3 or 4. A board whose pin table has fewer motors has fewer axes.
     pub axes: usize,
@@ -30,7 +30,7 @@ pub struct Board {
     pub blocks: usize,
     /// Capacity of the memory for subroutines, loops and macros, bytes; 0 if the image has none.
     pub held_bytes: usize,
-    /// Maximum step rate of one axis that the step task can follow, steps/s.
+    /// Maximum step rate of one axis, steps/s. The step task can follow this rate.
     pub safe_step_hz: u32,
     /// Shortest step pulse that `$0` can set, tenths of a microsecond.
     pub least_pulse_tenths: u16,
@@ -87,17 +87,18 @@ pub const DESK: Board = Board {
     has_all_words: true,
 };
 
-/// Defaults of the boards with hardware: three axes, pulses of at least 1 us unless a board was tested with shorter
-/// ones, no pins for programs or for a spindle's at-speed signal.
+/// Defaults of the boards with hardware: a board has three axes, and no pins for programs or for a spindle's at-speed
+/// signal. Its step pulses take at least 1 us, unless the board was tested with shorter pulses.
 const HARDWARE: Board =
     Board { axes: AXES_OF_BOARDS, least_pulse_tenths: 10, program_pins: [0, 0], has_at_speed: false, ..DESK };
 
 /// The Nucleos have spare pins for program outputs and inputs and for the at-speed signal. The outputs for programs
-/// are in a corner of the outer connectors that no shield covers.
+/// are on the outer connectors, in a corner that no shield covers.
 const NUCLEO: Board = Board { program_pins: [2, 2], has_at_speed: true, ..HARDWARE };
 
-/// The Black Pills have USB. Their UART interrupt has a lower priority than the step task. So a byte must take longer
-/// to arrive (87 us at 115,200 baud) than the longest run of that task.
+/// The Black Pills have USB. Their UART interrupt has a lower priority than the step task, so a run of that task
+/// delays it. The baud rate is limited for this reason: a byte must take longer to arrive (87 us at 115,200 baud) than
+/// the longest run takes.
 const BLACKPILL: Board = Board { most_baud: 115_200, has_usb: true, step_ports: 1, ..HARDWARE };
 
 /// WeAct Black Pill, STM32F411CE. The chip runs at 96 MHz instead of 100, because USB needs 48 MHz from the same PLL

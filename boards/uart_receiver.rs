@@ -6,11 +6,9 @@
 //! without such a command, the sampling task calls the serial task at most once per 500 us (`calls`). Whenever the
 //! serial task runs, it takes all messages sent so far.
 //!
-//! ```text
-//!  UART ──▶ DMA or interrupt ──▶ buffer ──look──▶ messages ──▶ serial task
-//! ```
-//! Bytes keep their order. If bytes are missing, the next message is marked (`is_behind_loss`). If the hardware
-//! reports damage, but not which bytes are damaged, no line with any of the doubtful bytes is executed.
+//! Bytes keep their order. If bytes are missing, the next message is marked (`is_behind_loss`). The hardware can
+//! report damage without telling which bytes are damaged. Then no line that contains one of the doubtful bytes is
+//! executed.
 //!
 //! The buffer has one reader, which sets each slot to `EMPTY` after reading it. If the writer reaches a slot that is
 //! not `EMPTY`, this is an overrun. The reader detects it even after the half second of a flash erase, in which nobody
@@ -45,9 +43,9 @@ const WAITED: u8 = 4;
 /// Maximum number of bytes of text that one look (reading of the buffer) reads from a buffer filled by DMA; other bytes
 /// count double. At 1 Mbaud five bytes arrive between two samples.
 const AT_A_TIME: u8 = 28;
-/// The byte that replaces a damaged byte (see [`refused`]). A line that contains it is not executed. After a series of
-/// damaged bytes, one more is inserted, for this reason: an end of line in the series may have been another byte
-/// before the damage. Then the bytes after the series still belong to the damaged line.
+/// The byte that replaces a damaged byte (see [`refused`]). A line that contains it is not executed. It is also
+/// inserted once after a series of damaged bytes. The reason: an end of line in the series may have been another byte
+/// before the damage, and then the bytes after the series still belong to the damaged line.
 const REFUSED: u8 = b'@';
 
 /// The part of a UART that writes bytes into the buffer.
@@ -134,8 +132,8 @@ pub struct UartReceiver<S> {
     /// several equal stop commands arrive in a row, only the first calls the serial task at once; `before` shows which
     /// are repeated.
     before: u8,
-    /// Number of bytes of text read since the last call of the serial task; decides whether to call it. An end of line,
-    /// a command or a loss raises the number to at least [`GATHERED`].
+    /// Number of bytes of text read since the last call of the serial task. The task is called when this number
+    /// reaches [`GATHERED`]. An end of line, a command or an overrun sets the number to [`GATHERED`].
     text: u8,
     /// Last byte of the message sent most recently, which the serial task may not have processed yet. `None` after a
     /// call of the serial task.
@@ -150,8 +148,7 @@ pub struct UartReceiver<S> {
     has_stop: bool,
     /// The most recent look left bytes in the buffer, because it reached its limit or no message could be sent.
     is_stuck: bool,
-    /// Number of the unread bytes, the oldest first, that [`UartReceiver::scan`] has checked: none of them stops the
-    /// machine.
+    /// How many of the oldest unread bytes [`UartReceiver::scan`] has checked. None of these bytes stops the machine.
     scanned: usize,
     /// The byte after the `scanned` ones is a command that stops the machine.
     has_stop_ahead: bool,
@@ -303,8 +300,9 @@ impl<S: ByteSource> UartReceiver<S> {
         count
     }
 
-    /// Appends a byte to the message, after a mark if bytes before it were lost or damaged. Sends the message first if
-    /// it is full, or if a loss must be marked at the start of a new one. Returns `false` if it could not be sent.
+    /// Appends a byte to the message. If bytes before it were lost, marks the message; if they were damaged, inserts
+    /// [`REFUSED`]. Sends the message first if it is full, or if a loss must be marked at the start of a new one.
+    /// Returns `false` if the message could not be sent.
     #[inline(always)]
     fn append(&mut self, word: u16, is_bad: bool, send: &mut impl FnMut(ReceivedBytes) -> bool) -> bool {
         let byte = if is_bad { refused(word as u8) } else { word as u8 };
@@ -330,9 +328,9 @@ impl<S: ByteSource> UartReceiver<S> {
         true
     }
 
-    /// Appends a byte that is not text. A `?`, hold, reset or stop is dropped if the byte before it is the same and may
-    /// still be unprocessed by the serial task. Other repeated bytes are kept, as they may be parts of one UTF-8
-    /// character.
+    /// Appends a byte that is not text. Drops a repeated `?`, hold, reset or stop: the byte before it is the same, and
+    /// the serial task may not have processed that byte yet. Keeps other repeated bytes, because they may be parts of
+    /// one UTF-8 character.
     #[inline(always)]
     fn append_command(&mut self, byte: u8) {
         let last = self.message.from(0).last().copied().or(self.unheard);
@@ -354,8 +352,8 @@ impl<S: ByteSource> UartReceiver<S> {
         is_sent
     }
 
-    /// Searches the bytes that could not be read for the first command that stops the machine; each call checks a few
-    /// bytes. If there is such a command, the serial task is called. The serial task then takes messages from the
+    /// Checks the bytes that had to stay in the buffer, a few at each call, until it finds a command that stops the
+    /// machine. If there is such a command, the serial task is called. The serial task then takes messages from the
     /// queue, which makes space for the command.
     #[cold]
     #[inline(never)]

@@ -1,6 +1,6 @@
 //! Detects hosts at a USB serial port: whether one is connected, when it leaves, and when another one takes its place.
-//! The inputs are the DTR line, whether the device is configured, and received packets. Bytes of a departed host that
-//! arrive late are rejected.
+//! The detection uses the DTR line, the state of the device (configured or not), and received packets. Bytes of a
+//! departed host that arrive late are rejected.
 //!
 //! Accesses no registers: the caller passes the driver's state, so that host tests can run this code.
 

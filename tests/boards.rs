@@ -91,10 +91,11 @@ fn every_board_has_its_name_in_the_readme_and_a_probe_profile() {
     }
 }
 
-/// Each board's safe step rate follows docs/cost.md, "Step rates". Ring: the step task fills a ring of 96 events in
-/// batches of 32. A full ring must last for two of the longest runs of the task plus half a batch. CPU: batches for
-/// three axes take at most half of the processor's time. Pulse: the pause after the shortest pulse is long enough for
-/// the pulse timer to stop.
+/// Each board's safe step rate follows three rules of docs/cost.md, "Step rates".
+/// - Ring: the step task fills a ring of 96 events in batches of 32. The output of 96 events must take longer than two
+///   of the task's longest runs and the output of half a batch together.
+/// - CPU: batches for three axes take at most half of the processor's time.
+/// - Pulse: the pause after the shortest pulse is long enough for the pulse timer to stop.
 #[test]
 fn step_rates_follow_the_rule() {
     const DEPTH: u64 = 96;
@@ -107,10 +108,10 @@ fn step_rates_follow_the_rule() {
         assert!(1_582 * hz / BATCH <= core_hz / 2, "{board:?}");
         let rates = StepRates { safe_hz: u32::MAX, least_pulse_tenths: board.least_pulse_tenths };
         assert!(rates.greatest_hz(board.least_pulse_tenths) >= hz as f32, "{board:?}");
-        // The pulse timer must stop before the next event triggers it. So the pause after a pulse must be longer than
-        // 7 of its ticks: 4 from the trigger to its first count, 1 to the leading edge, 1 after the trailing edge, 1
-        // to the stop. If a port has direction pins and no step pins, the leading edge comes `DIRECTION_LEAD` ticks
-        // later. A tick of this timer is at most a step-clock tick.
+        // The pulse timer must stop before the next event triggers it. So the pause after a pulse must be longer than 7
+        // ticks of the pulse timer: 4 from the trigger to its first count, 1 to the leading edge, 1 after the trailing
+        // edge, 1 to the stop. If a port has direction pins and no step pins, the leading edge comes `DIRECTION_LEAD`
+        // ticks later. A tick of the pulse timer is at most a step-clock tick.
         let timing = StepTiming::new(board.step_clock_hz / 1_000_000, board.least_pulse_tenths, 0);
         let lead = if board.direction_ports > 0 { number("chain.rs", "DIRECTION_LEAD") } else { 0 };
         assert!(timing.gap > timing.pulse + 7 + lead, "{board:?}");
@@ -127,8 +128,8 @@ fn said(board: oxmill_boards::profiles::Board, line: &str) -> String {
     mill.take_output()
 }
 
-/// `$915` enables the at-speed signal. On a board without a pin for it, every spindle would count as up to speed, or
-/// none.
+/// `$915` enables the spindle's at-speed signal. On a board without a pin for this signal, its level would be fixed:
+/// every spindle would count as up to speed, or no spindle would. So `$915` locks motion on this board.
 #[test]
 fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
     for board in profiles::ALL {
@@ -142,8 +143,8 @@ fn a_board_without_a_pin_for_the_speed_takes_no_setting_for_it() {
     }
 }
 
-/// On a board with USB, the UART has an interrupt for each byte, and the interrupt waits while the step task runs.
-/// Above the board's `most_baud`, bytes would be lost. The fast link of such a board is USB.
+/// On a board with USB, the UART causes an interrupt for each byte, and this interrupt waits while the step task runs.
+/// So bytes would be lost at rates above the board's `most_baud`. Hosts that need a faster link use USB.
 #[test]
 fn a_uart_beside_usb_takes_no_rate_of_its_uart_that_it_cannot_keep() {
     for board in oxmill_boards::profiles::ALL {

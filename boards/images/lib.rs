@@ -52,7 +52,7 @@ pub fn chip(image: &str) -> Option<&'static str> {
 ///
 /// # Panics
 ///
-/// If the features do not choose exactly one image.
+/// Panics if the features do not choose exactly one image.
 pub fn chosen() -> Option<&'static str> {
     if env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("none") {
         return None;
@@ -64,8 +64,8 @@ pub fn chosen() -> Option<&'static str> {
 }
 
 /// Writes the linker scripts of the chosen image into the search path of the linker, and passes them to the linker.
-/// Call only in a build script. `kinds`: cargo targets that get the scripts, as in `cargo:rustc-link-arg-KIND`, such
-/// as `bins`. `stack_kib`: size of the stack, KiB.
+/// Call only in a build script. `kinds`: the kinds of cargo targets that get the scripts, such as `bins` (each is the
+/// KIND of a `cargo:rustc-link-arg-KIND`). `stack_kib`: size of the stack, KiB.
 ///
 /// In this workspace the linker runs in the root folder and finds the original `memory.x` there first. The copy
 /// written here is for a workspace that was made from the packaged crates alone.

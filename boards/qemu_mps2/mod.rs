@@ -23,9 +23,9 @@
 //! reads one, so the step stream is the same in every run. At the end of the job, UART1 sends the report and QEMU
 //! exits. A script in PSRAM replaces the host at UART0 (see `script`).
 //!
-//! With the option `-icount`, QEMU derives virtual time from the number of executed instructions. Only while the
-//! emulated processor sleeps does virtual time follow the clock of the PC. With "BUSY" the processor never sleeps, so
-//! virtual time depends on the instructions alone, even if the PC delays QEMU.
+//! With the option `-icount`, QEMU derives virtual time from the number of executed instructions. This does not hold
+//! while the emulated processor sleeps: then virtual time follows the clock of the PC. With "BUSY" the processor never
+//! sleeps, so virtual time depends on the instructions alone, even if the PC delays QEMU.
 //!
 //! Source of all addresses: <https://www.qemu.org/docs/master/system/arm/mps2.html>, ARM DAI 0386.
 
@@ -56,8 +56,8 @@ pub fn profile() -> Profile {
     PROFILE
 }
 
-/// Number of GPIO ports; the machine itself has none. Only `cargo xtask count` uses this number: it runs the step
-/// output of the STM32 boards on plain memory. There, all step and direction pins are on one port.
+/// Number of GPIO ports. The machine itself has none. The number is only for `cargo xtask count`, which runs the step
+/// output of the STM32 boards on plain memory, with all step and direction pins on one port.
 pub const PORTS: usize = 3;
 /// Number of axes.
 pub const AXES: usize = profiles::QEMU_MPS2.axes;
@@ -67,7 +67,7 @@ pub const BLOCKS: usize = profiles::QEMU_MPS2.blocks;
 pub const HELD_BYTES: usize = profiles::QEMU_MPS2.held_bytes;
 /// Pages of 256 bytes for the recording of inputs and received bytes.
 pub const RECORDING_PAGES: usize = profiles::QEMU_MPS2.recording_pages;
-/// Maximum duration, in CPU cycles, of a run of the step task that generates events.
+/// Maximum duration of a run of the step task, in CPU cycles, if the run generates events.
 pub const RUN_CYCLES: u32 = profiles::QEMU_MPS2.run_cycles;
 /// Ticks of [`clock_ticks`] in a microsecond. The clock is the step clock.
 pub const CLOCK_TICKS_PER_US: u32 = 25;
@@ -79,7 +79,7 @@ pub const SAMPLE_HZ: u32 = 2_000;
 /// False: on this board the non-maskable interrupt comes from the watchdog.
 pub const WATCHES_CLOCK: bool = false;
 
-/// The parts of the board that `setup` returns, each for the task that its comment names.
+/// The parts of the board that `setup` returns. The comment of a part names the task that gets it.
 pub struct Parts {
     /// Given to the task `step`.
     pub step_pins: StepPins,
@@ -415,8 +415,8 @@ impl Port for SerialPort {
         if self.0.state() & Uart0::RX_FULL != 0 { Incoming::Byte(self.0.data() as u8) } else { Incoming::Nothing }
     }
 
-    /// Clears the interrupt of a received byte if the program has no space for the byte: the interrupt would recur
-    /// forever. The byte stays in the data register, where [`SerialPort::receive`] later finds it without an
+    /// Clears the interrupt of a received byte if the program has no space for the byte, because the interrupt would
+    /// recur forever. The byte stays in the data register, where [`SerialPort::receive`] later finds it without an
     /// interrupt.
     fn allow(&mut self, room: usize) {
         if room == 0 {

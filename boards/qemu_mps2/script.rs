@@ -96,9 +96,10 @@ pub fn hear(byte: u8) {
     });
 }
 
-/// What the script waits for before its next step. `since` is the start of the wait and `ticks` its length, in ticks of
-/// the step clock. For a `Report`: `before` is the number of status reports before the `?`; `pause` is the time until
-/// the next `?`, in milliseconds; `step` is the index of the step in the script.
+/// What the script waits for before its next step. `since` is the start of the wait, and `ticks` is the length of the
+/// wait, in ticks of the step clock. The rest belongs to a `Report`. `before` is the number of status reports before
+/// the `?`. `pause` is the time until the next `?`, in milliseconds. `step` is the index in the script at which the
+/// step with this `?` begins.
 #[derive(Clone, Copy)]
 enum Wait {
     Nothing,

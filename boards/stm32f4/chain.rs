@@ -38,9 +38,9 @@
 //! stream, because all streams that serve TIM1 are in use. TIM8 triggers it `DIRECTION_LEAD` ticks before TIM1
 //! triggers the streams of the ports with steps. So DMA2 is free again when a pulse begins or ends.
 //!
-//! While the program watches a probe, it must not queue events, but outputs them one by one. The CPU instead of DMA1
-//! writes the time of each event to CCR1, and CC1 interrupts after each event. Everything else works as for queued
-//! events.
+//! While the program watches a probe, it outputs the events one by one and must not queue them. For each event, the
+//! CPU (in place of DMA1) writes the time to CCR1, and CC1 interrupts after the event. Everything else works as for
+//! queued events.
 //!
 //! Hardware constraints, all checked by the models of `tests/virtual_board`:
 //!
@@ -71,35 +71,34 @@ use crate::contract::{COMBINATIONS, Due, Free};
 use core::marker::PhantomData;
 use core::sync::atomic::{Ordering, compiler_fence};
 
-/// Number of slots of the ring. The slot after the last event holds no event, but the time that stops the output.
+/// Number of slots of the ring. The slot after the last event holds no event. It holds the time that stops the output.
 const RING: usize = 128;
-/// Maximum number of committed events that have not been output ([`crate::StepOutput::DEPTH`]). A stop counts all
-/// cancelled events. For this many, that takes less time than two bytes on the UART.
+/// Maximum number of committed events that have not been output ([`crate::StepOutput::DEPTH`]). The number is limited,
+/// because a stop counts all cancelled events. To count this many takes less time than two bytes on the UART.
 pub(super) const DEPTH: usize = 96;
-/// Ticks from the start of the pulse timer to the leading edge of the pulse. With ports that have directions alone:
-/// ticks from the start of TIM8 to the output of their directions; the leading edge comes [`DIRECTION_LEAD`] ticks
-/// later.
+/// Number of ticks from the start of a timer to its first edge. Without ports that have directions alone, this edge is
+/// the leading edge of the pulse. With such ports, TIM8 outputs their directions at this edge, and the leading edge of
+/// the pulse comes [`DIRECTION_LEAD`] ticks later.
 const EDGE_COUNT: u32 = 1;
 /// DMA2 writes to ports with directions alone this many ticks before it writes to ports with steps. The lead covers
 /// the time that DMA2 needs: about 12 cycles for the first port with directions alone, and 8 for the second.
 const DIRECTION_LEAD: u32 = 20;
 /// When `begin` enables the trigger of TIM1, more than this many ticks must be left before the first event.
 const LISTENS_TICKS: u32 = 48;
-/// Time that `begin` gains if too little time is left before the first event: it delays all events, so that this many
-/// ticks are left, and tries again. One attempt takes at most this long.
+/// If too little time is left before the first event, `begin` delays all events so that this many ticks are left, and
+/// tries again. One attempt takes at most this long.
 const AGAIN_TICKS: u32 = 2_200;
-/// From this many ticks before a scheduled time until this many ticks after it, its DMA request may be about to come
-/// or in progress. Even at the maximum step rate, events are about 90 ticks apart.
+/// The DMA request of a scheduled time may be imminent or in progress from this many ticks before that time until this
+/// many ticks after it. Even at the maximum step rate, events are about 90 ticks apart.
 const NEAR_TICKS: u32 = 48;
 /// If an event is late by more than this many ticks, the output counts as stuck.
 const STANDS_TICKS: i32 = 500;
-/// Number of further comparisons if the event counts of the DMA streams differ. The output has failed only if the
-/// counts differ in each of them.
+/// If the event counts of the DMA streams differ, they are compared this many more times. The output has failed only
+/// if they differ each time.
 const MORE_LOOKS: u32 = 8;
 
 /// Error flags of streams 0 to 3 in LISR. In HISR, the same bits are those of streams 4 to 7.
 const ERRORS: u32 = dma::errors(&[0, 1, 2, 3]);
-/// Error flags of the stream [`MOMENTS`].
 const MOMENT_ERRORS: u32 = dma::errors(&[MOMENTS]);
 
 /// Stream of DMA1 that loads the event times, and its channel.
@@ -229,9 +228,9 @@ pub(super) struct Chain<M, const S: usize, const P: usize> {
     one_by_one: bool,
     /// With `one_by_one`: an event has been committed and is not output yet.
     pending: bool,
-    /// Count of event times of DMA1 when the first time is in CCR1. The count is 1 if DMA1 counts a word when it
-    /// writes the word, and 2 if DMA1 counts it when it fetches it. The manual leaves this open (DMA_SxNDTR), so each
-    /// `begin` measures it.
+    /// Number of event times that DMA1 has counted when CCR1 holds the first one. The number is 1 if DMA1 counts a
+    /// word when it writes the word, and 2 if DMA1 counts a word when it fetches the word. The manual leaves this open
+    /// (DMA_SxNDTR), so each `begin` measures it.
     first_moments: usize,
     map: PhantomData<M>,
 }
@@ -261,8 +260,8 @@ pub(super) fn cut<M: Map, const S: usize, const P: usize>() {
 }
 
 impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
-    /// Number of slots of the ring that stay free. One is the slot after the last event. With several ports, another
-    /// one is the slot before the tail: the tail is the next slot that the first port outputs, and the other ports may
+    /// Number of slots of the ring that stay free. One is the slot after the last event. With several ports, the slot
+    /// before the tail stays free, too. The tail is the next slot that the first port outputs. The other ports may
     /// still have to output their words in the slot before it.
     const SPARE: usize = if P > 1 { 2 } else { 1 };
     /// The timer of the step pulses.
@@ -503,10 +502,10 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
     }
 
     /// Waits until no DMA request of a compare channel is in progress or about to come. `channel`: offset of the
-    /// compare register. Two scheduled times of a channel are further apart than this wait takes.
+    /// compare register. The wait is shorter than the time between two scheduled times of a channel.
     fn await_served(&self, channel: usize) {
         let moment = read(M::TIM5 + channel);
-        // This number of iterations bounds the wait: an iteration takes at least a tick.
+        // Each iteration takes at least a tick, so this number of iterations is enough.
         for _ in 0..3 * NEAR_TICKS {
             if (read(M::TIM5 + CNT).wrapping_sub(moment).wrapping_add(NEAR_TICKS)) >= 2 * NEAR_TICKS {
                 return;
@@ -592,8 +591,8 @@ impl<M: Map, const S: usize, const P: usize> Chain<M, S, P> {
     }
 
     /// Makes the timers of pulses and of directions ignore their trigger. The timer of the pulses comes first. If an
-    /// event occurs between the two stores, its directions are output without its steps. The other order could output
-    /// steps without their directions, which would be wrong.
+    /// event occurs between the two stores, its directions are output, but its steps are not. With the other order,
+    /// its steps could be output without its directions, which would be wrong.
     #[inline(always)]
     fn ignore_triggers(&self) {
         Self::PULSES.ignore_trigger();

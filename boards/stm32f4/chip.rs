@@ -91,8 +91,9 @@ pub fn step_pins(
 ) -> StepPins {
     // Enable the clocks of the slave timers, TIM1 and TIM8, first (reference manual, timer synchronization).
     pac::TIM1::enable(rcc);
-    // By the manuals of the F401 and F411 (RCC_APB2LPENR, reset value 0x0007 7930), TIM1 would otherwise stop while the
-    // processor sleeps and ignore its trigger. All other peripherals in use keep their clock during sleep.
+    // Keep the clock of TIM1 on while the processor sleeps. Otherwise TIM1 would stop during sleep and would ignore
+    // its trigger (manuals of the F401 and F411, RCC_APB2LPENR, reset value 0x0007 7930). All other peripherals in use
+    // keep their clock during sleep.
     pac::TIM1::enable_in_low_power(rcc);
     pac::TIM1::reset(rcc);
     pac::TIM3::enable(rcc);
@@ -246,7 +247,7 @@ const BITS: [u8; INPUTS.len()] = {
     short
 };
 
-/// Input pins; with pull-ups, unless settings choose otherwise.
+/// Input pins. They have pull-ups unless settings choose otherwise.
 pub struct InputPins {
     /// For each function of [`INPUTS`]: its pin, if the board has one.
     places: [Option<Place>; INPUTS.len()],
@@ -390,7 +391,7 @@ fn write_level(place: Option<Place>, high: bool) {
     }
 }
 
-/// The parts of the board that `setup` returns, each for the task that its comment names.
+/// The parts of the board that `setup` returns. The comment of a part names the task that gets it.
 pub struct Parts<I, S: Port, L: Port> {
     /// Given to the task `step`.
     pub step_pins: StepPins,
@@ -428,8 +429,8 @@ pub fn idle() {
     cortex_m::asm::wfi();
 }
 
-/// The independent watchdog. It runs on its own clock (32 kHz nominal, 17 to 47 by the data sheet), so its timeout is 2
-/// s nominal and at least 1.3 s: more than a flash erase takes.
+/// The independent watchdog. It has a clock of its own: 32 kHz nominal, 17 to 47 kHz by the data sheet. So its timeout
+/// is 2 s nominal and at least 1.3 s, which is more than a flash erase takes.
 pub struct Watchdog(IndependentWatchdog);
 
 impl Watchdog {

@@ -23,10 +23,11 @@ const DIVIDER: u32 = 31;
 const EDGES: u32 = 8;
 /// Number of intervals between captures that the measurement takes.
 const CAPTURES: u32 = 16;
-/// Number of readings of the ready flag after which the oscillator counts as missing: a tenth of a second at least. A
-/// crystal starts within a few milliseconds.
+/// If the ready flag is not set in this many readings, the oscillator counts as missing. The readings take at least a
+/// tenth of a second. A crystal starts within a few milliseconds.
 const MOST_LOOKS: u32 = 400_000;
-/// Number of readings of the capture flag after which the oscillator counts as not measurable: a millisecond at least.
+/// If the capture flag is not set in this many readings, the measurement fails. The readings take at least a
+/// millisecond.
 const MOST_LOOKS_AT_CAPTURE: u32 = 4_000;
 
 /// Registers of TIM11, which only this measurement uses (RM0383, "TIM10/11 registers"; RM0368 and RM0390 have the
@@ -42,10 +43,10 @@ const IS_OSCILLATOR: u32 = 0b10;
 /// TIM11_SR: a capture has come.
 const CAPTURED: u32 = 1 << 1;
 
-/// Switches the external oscillator on, measures it, and returns its frequency in MHz. If the table gives a frequency,
-/// returns that one; otherwise the one of `KNOWN_MHZ` that fits the measurement. Returns `None` if the oscillator does
-/// not start, or if no such frequency fits the measurement. The chip must run on its internal oscillator, as after a
-/// reset.
+/// Switches the external oscillator on, measures it, and returns its frequency in MHz. This is the frequency in the
+/// table or, if the table has none, the one of `KNOWN_MHZ` that fits the measurement. Returns `None` if the oscillator
+/// does not start, if the table's frequency contradicts the measurement, or if no frequency of `KNOWN_MHZ` fits. The
+/// chip must run on its internal oscillator, as after a reset.
 #[inline(never)]
 pub fn find_oscillator(rcc: &pac::RCC, table: &PinTable) -> Option<u32> {
     // Two writes, because HSEBYP can only be written while the oscillator is off (reference manual, RCC_CR, HSEBYP).
@@ -74,7 +75,7 @@ pub fn change_source(rcc: &pac::rcc::RegisterBlock, mhz: u32) {
     rcc.cr().modify(|_, w| w.pllon().clear_bit());
     while rcc.cr().read().pllrdy().bit_is_set() {}
     rcc.pllcfgr().modify(|r, w| {
-        // The frequency of the PLL's own oscillator (VCO): a whole and even number of MHz at all clocks of our boards.
+        // Frequency of the PLL's own oscillator (VCO) in MHz. All clocks of our boards give a whole and even number.
         let vco_mhz = HSI_MHZ * u32::from(r.plln().bits()) / u32::from(r.pllm().bits());
         // The input of the PLL is 2 MHz, as the reference manuals recommend (RCC_PLLCFGR, PLLM), or 1 MHz. RM0368 asks
         // for a PLLN of 192 or more, so an F401, whose VCO runs at 336 MHz, always takes 1 MHz.

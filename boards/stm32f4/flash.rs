@@ -1,4 +1,5 @@
-//! The `SettingsFlash` of an STM32F4: two of its 16 KiB sectors, written in words at parallelism 32 (2.7 V and more).
+//! The `SettingsFlash` of an STM32F4: two of its 16 KiB sectors. A write stores a word of 32 bits at once (parallelism
+//! 32), which needs a supply of 2.7 V or more.
 //!
 //! Only these two sectors are ever written or erased. While a word is written or a sector erased, every fetch from
 //! flash stalls, and with it the whole program. A word takes 16 us (at most 100 us), an erase 250 ms (at most 500 ms;
@@ -15,7 +16,7 @@ const FLASH_START: u32 = 0x0800_0000;
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 // Bits of the status register (SR).
 const BUSY: u32 = 1 << 16;
-/// Operation error, write protection, alignment, parallelism, sequence; writing 1 clears the bit.
+/// Error bits of SR: operation error, write protection, alignment, parallelism, sequence. Writing 1 clears a bit.
 const ERRORS: u32 = 1 << 1 | 1 << 4 | 1 << 5 | 1 << 6 | 1 << 7;
 // Bits of the control register (CR).
 const PROGRAM: u32 = 1 << 0;

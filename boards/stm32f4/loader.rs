@@ -13,14 +13,14 @@ use core::mem::MaybeUninit;
 use core::ptr::addr_of_mut;
 use stm32f4xx_hal::pac;
 
-/// `true` if a host can reach the boot loader over the cable of the board. This is so over USB. On a Nucleo, the cable
-/// leads to the ST-LINK, which is connected to USART2, and the boot loader does not serve USART2 (AN2606).
+/// `true` if a host can reach the boot loader over the cable of the board, as with USB. On a Nucleo it cannot: the
+/// cable leads to the ST-LINK, which is connected to USART2, and the boot loader does not serve USART2 (AN2606).
 pub const HAS_LOADER: bool = cfg!(feature = "usb");
 
 /// Start of the boot loader in ROM, with its vector table (reference manuals, "Boot configuration").
 const LOADER: *const u32 = 0x1FFF_0000 as *const u32;
-/// Value of SYSCFG_MEMRMP, MEM_MODE: system memory, the ROM, is at address 0. The boot loader relies on its vectors
-/// there.
+/// Value of MEM_MODE (SYSCFG_MEMRMP) that puts the system memory, which is the ROM, at address 0. The boot loader
+/// relies on finding its vectors there.
 const SYSTEM_MEMORY: u8 = 1;
 
 /// Value of `REQUEST` that requests the boot loader. `REQUEST` keeps its value in a reset, because the start-up code
@@ -32,8 +32,8 @@ const REQUESTED: u32 = u32::from_le_bytes(*b"$DFU");
 // not initialised, and any bits are a number.
 static mut REQUEST: MaybeUninit<u32> = MaybeUninit::uninit();
 
-/// Sets the outputs to their safe levels and restarts the chip. With `into_loader`, the chip starts in its boot
-/// loader; but if a host cannot reach the boot loader ([`HAS_LOADER`]), in the program.
+/// Sets the outputs to their safe levels and restarts the chip. With `into_loader`, the chip starts in its boot loader
+/// if a host can reach that ([`HAS_LOADER`]). In all other cases the chip starts in the program.
 pub fn reboot(into_loader: bool) -> ! {
     cortex_m::interrupt::disable();
     safe_state();

@@ -50,7 +50,7 @@ unsafe impl Map for Chip {
     const RCC: usize = 0x4002_3800;
 }
 
-/// Offsets of a port's registers, and from one port's registers to those of the next.
+/// Offsets of two registers of a port, and the distance from the registers of one port to those of the next.
 const IDR: usize = 0x10;
 const BSRR: usize = 0x18;
 const PORT_SIZE: usize = 0x400;

@@ -85,8 +85,8 @@ fn fill<const P: usize>(
         let active_low = invert >> i & 1 != 0;
         let set = bsrr(place.pin(), !active_low);
         let unset = if both { bsrr(place.pin(), active_low) } else { 0 };
-        // Only the first match: if there are fewer ports than `P`, the spare entries repeat the first port, and their
-        // words must stay 0.
+        // Fill only the table of the first port that matches. If there are fewer ports than `P`, the spare entries of
+        // `ports` repeat the first port, and their words must stay 0.
         if let Some((_, words)) = ports.iter().zip(&mut tables).find(|(port, _)| **port == place.port()) {
             for (bits, word) in words.iter_mut().enumerate() {
                 *word |= if bits as u8 & driven != 0 { set } else { unset };
@@ -102,7 +102,7 @@ fn ports_of<const P: usize>(places: impl Iterator<Item = Place> + Clone) -> [usi
     let mut used = 1;
     for place in places {
         if !ports[..used].contains(&place.port()) {
-            // The index is valid: a table with more ports is not used, because it does not fit this image
+            // The index is valid: a pin table with more ports does not fit this image, so it is not used
             // (`pin_table`).
             ports[used] = place.port();
             used += 1;
@@ -155,8 +155,8 @@ pub struct StepPins<M, const S: usize, const P: usize, O> {
     directions: Words<P>,
     /// The words of `steps`, each combined with the word for the present directions.
     both: Words<P>,
-    /// For each combination of steps, what the slot of an event holds until the event is committed: with one port the
-    /// port's word, with several ports the combination itself.
+    /// What the slot of an event holds until the event is committed. The index is the combination of steps. With one
+    /// port, the slot holds the port's word. With several ports, it holds the combination itself.
     table: [u32; COMBINATIONS],
     clocks: Clocks,
     pwm: Pwm,
@@ -221,7 +221,7 @@ impl<M: Map, const S: usize, const P: usize, O> StepPins<M, S, P, O> {
 
 impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M, S, P, O> {
     const DEPTH: usize = super::chain::DEPTH;
-    // Ticks. Longer than the interrupt takes, so that at any step rate other tasks get much of the CPU time.
+    // In ticks. This is longer than the interrupt takes, so other tasks get much of the CPU time at any step rate.
     const SOON: u32 = 800;
 
     #[inline(always)]
@@ -303,9 +303,10 @@ impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M,
         // Stop the output first, so that the computations below do not delay the stop.
         let (tail, fault) = self.chain.silence(dark);
         let mut net = [0; AXES];
-        // For each axis and port, find two masks of bits of the port's word. The first mask means a step of the axis:
-        // all bits of the word in which only this axis steps. The second mask means its negative direction: the bits
-        // of the word in which only this axis is negative, except those of the word in which no axis is negative.
+        // For each axis and port, find two masks of bits of the port's word. The first mask shows a step of the axis.
+        // It has all bits of the word in which only this axis steps. The second mask shows the negative direction. It
+        // has the bits of the word in which only this axis is negative, without the bits of the word in which no axis
+        // is negative.
         let of = |table: &[u32; COMBINATIONS], axis: usize| table.get(1 << axis).copied().unwrap_or(0);
         let mut masks = [[(0, 0); P]; AXES];
         for (axis, masks) in masks.iter_mut().enumerate() {
@@ -327,8 +328,8 @@ impl<M: Map, const S: usize, const P: usize, O> StepOutput<AXES> for StepPins<M,
     }
 
     fn set_polarity(&mut self, step_invert: u8, direction_invert: u8, second: SecondMotor) {
-        // The fourth motor's pins get the polarities of its axis: the axis that has a second motor or, if none has one,
-        // A.
+        // The pins of the fourth motor get the polarities of the axis that has a second motor. If no axis has one, the
+        // pins get the polarities of A.
         let axis = if second.axis == 0 { FOURTH_AXIS } else { second.axis };
         let fourth = |mask: u8, turn: bool| mask & 7 | u8::from((mask & axis != 0) != turn) << 3;
         let step_invert = fourth(step_invert, false);

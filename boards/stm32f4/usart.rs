@@ -48,8 +48,8 @@ pub struct UartInput<S, const N: usize> {
     messages: Sender<'static, ReceivedBytes, N>,
     /// Number of messages sent (wrapping).
     sent: u32,
-    /// Signal to the serial task: number (counted as in `sent`) of the newest message that may contain a command that
-    /// stops the machine.
+    /// Signal to the serial task: the number of the newest message that may contain a command that stops the machine.
+    /// Messages are numbered as `sent` counts them.
     hurry: SignalWriter<'static, u32>,
 }
 
@@ -65,7 +65,8 @@ impl<S: ByteSource, const N: usize> UartInput<S, N> {
     /// afterwards.
     pub fn pass_on(&mut self, calls: bool) {
         if calls && self.receiver.has_stop() {
-            // The command that stops the machine is in the message being filled or in an earlier one.
+            // The command that stops the machine is in the message being filled, which is number `sent` + 1, or in an
+            // earlier one.
             self.hurry.write(self.sent.wrapping_add(1));
         }
         let (messages, sent) = (&mut self.messages, &mut self.sent);
@@ -91,13 +92,14 @@ pub trait UartOutput {
     fn begin(&mut self);
 }
 
-/// The UART as the serial task uses it: takes the messages with received bytes, and sends bytes by `T`.
+/// The UART as the serial task uses it. Received bytes come in messages, and `T` sends bytes.
 pub struct Usart<T, const N: usize> {
     messages: Receiver<'static, ReceivedBytes, N>,
     /// Number of messages taken out of `messages` so far (wrapping).
     taken: u32,
     hurry: SignalReader<'static, u32>,
-    /// Number (counted as in `taken`) of the newest message that may contain a command that stops the machine.
+    /// Number of the newest message that may contain a command that stops the machine. Messages are numbered as
+    /// `taken` counts them.
     hurries_to: u32,
     /// The message being read.
     message: ReceivedBytes,

@@ -9,8 +9,9 @@
 //! masked. So the pending bit stays set until software clears it, even after a read of the data register has cleared
 //! the error flags.
 //!
-//! If the receiver finds the bit clear at a look (reading of the buffer), all bytes that arrived before are good.
-//! Otherwise it treats all bytes from the previous look up to the next look as damaged (`uart_receiver`).
+//! The receiver checks the pending bit at each look (reading of the buffer). If the bit is clear, all bytes that
+//! arrived before are good. Otherwise the receiver treats all bytes from the previous look up to the next look as
+//! damaged (`uart_receiver`).
 
 use super::dma::{CIRCULAR, HISR, MEMORY_COUNTS, NDTR, SERVED_CYCLES, TO_PERIPHERAL, clear_flags, stream, switch_on};
 use super::registers::{read, write};

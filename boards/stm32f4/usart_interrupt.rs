@@ -129,7 +129,7 @@ impl Input {
             } else if status & ARRIVED != 0 {
                 self.put(byte);
             }
-            // The byte just read arrived before the lost one.
+            // Note an overrun only after the byte just read, because that byte arrived before the lost one.
             if status & OVERRUN != 0 {
                 self.receiver.source().is_behind_loss = true;
             }
@@ -235,8 +235,8 @@ impl ByteSource for ByInterrupt {
 
 /// Lets DMA receive during a flash operation, which stalls the processor. Call with interrupts off and the machine at
 /// rest. Until [`after_stall`], only a damaged byte makes the interrupt of the UART pending, so the pending bit
-/// records the damage. The error flags may be gone afterwards: the manuals do not say whether a read by DMA clears
-/// them.
+/// records the damage. The error flags would not be enough: the manuals do not say whether a read by DMA clears them,
+/// so they may be gone afterwards.
 pub fn before_stall() {
     write(USART + CR_1, read(USART + CR_1) & !(CALL_WHEN_COME | CALL_WHEN_FREE));
     let in_doubt = read(USART + CR_3) & CALL_AT_ERROR != 0;
@@ -252,8 +252,8 @@ pub fn before_stall() {
     write(USART + CR_3, DMA_RECEIVES | CALL_AT_ERROR);
 }
 
-/// Records in CR3 whether a byte was damaged while the processor was stalled: `CALL_AT_ERROR` stays set only then.
-/// Makes the interrupt of the UART pending, which ends receiving by DMA.
+/// Records in CR3 whether a byte was damaged while the processor was stalled: clears `CALL_AT_ERROR` if no byte was.
+/// Then makes the interrupt of the UART pending. This interrupt ends receiving by DMA.
 pub fn after_stall() {
     if !NVIC::is_pending(VECTOR) {
         write(USART + CR_3, DMA_RECEIVES);
@@ -273,8 +273,8 @@ impl UartOutput for Queue {
         self.bytes.try_send(byte).is_ok()
     }
 
-    /// Makes the interrupt pending. It sends a byte at once if the data register is free, otherwise as soon as it
-    /// becomes free.
+    /// Makes the interrupt of the UART pending. The interrupt sends a byte at once if the data register is free,
+    /// otherwise as soon as the register becomes free.
     fn begin(&mut self) {
         if !self.bytes.is_empty() {
             NVIC::pend(VECTOR);

@@ -9,9 +9,9 @@
 //! again. The driver would enable the endpoint at once. Then a packet for which there is no space would stay in the
 //! FIFO, raise the interrupt forever and block later entries of the control endpoint.
 //!
-//! Therefore this file takes the FIFO entry that ends a packet before the driver finds it. This file enables the
-//! endpoint only when there is space for a whole packet. So every packet in the FIFO can be fetched at once. DTR,
-//! suspend and reset are processed even while the host has to wait.
+//! Therefore this file removes from the FIFO the entry that ends a packet, before the driver finds this entry. Later
+//! this file enables the endpoint itself, but only when there is space for a whole packet. So every packet in the FIFO
+//! can be fetched at once. DTR, suspend and reset are processed even while the host has to wait.
 //!
 //! While flash is written, the processor is stalled. The FIFO then holds one packet, and the hardware answers further
 //! packets with NAK.
@@ -43,7 +43,7 @@ const SENT: usize = PACKET - 1;
 /// Words of the driver's receive buffers: 64 bytes each for the control endpoint and the data endpoint.
 const BUFFERS: usize = 2 * PACKET / 4;
 
-/// The test id of pid.codes: for development only, devices must not be sold with it.
+/// The test id of pid.codes. It is for development only: devices must not be sold with it.
 const ID: UsbVidPid = UsbVidPid(0x1209, 0x0001);
 
 /// OTG_FS registers as offsets from its base (RM0383, 22.16.2 to 22.16.4).
@@ -51,7 +51,7 @@ const GINTSTS: usize = 0x014;
 const GINTMSK: usize = 0x018;
 const GRXSTSR: usize = 0x01C;
 const GRXSTSP: usize = 0x020;
-/// Device status; its bit `SUSPENDED`: the bus is suspended.
+/// Device status register, and its bit that is set while the bus is suspended.
 const DSTS: usize = 0x808;
 const SUSPENDED: u32 = 1;
 /// Interrupt mask of the endpoints; the lowest bits are those of the IN endpoints (to the host).
@@ -63,8 +63,8 @@ const DOEPTSIZ: usize = 0xB10;
 const ONE_PACKET: u32 = 1 << 19 | PACKET as u32;
 /// Bytes from the register of one endpoint to that of the next.
 const NEXT_ENDPOINT: usize = 0x20;
-/// GINTSTS and GINTMSK: the receive FIFO is not empty (`RXFLVL`); all events that the driver handles (`EVENTS`), with
-/// suspend, reset, enumeration, IN endpoints and wake-up.
+/// Bits of GINTSTS and GINTMSK. `RXFLVL`: the receive FIFO is not empty. `EVENTS`: all events that the driver handles,
+/// with suspend, reset, enumeration, IN endpoints and wake-up.
 const RXFLVL: u32 = 1 << 4;
 const EVENTS: u32 = RXFLVL | 1 << 11 | USBRST | 1 << 13 | 1 << 18 | 1 << 31;
 const USBRST: u32 = 1 << 12;
@@ -78,8 +78,8 @@ const OUT_COMPLETED: u32 = 3;
 const ENABLED: u32 = 1 << 31;
 const CNAK: u32 = 1 << 26;
 const ENABLED_AGAIN: u32 = CNAK | ENABLED;
-/// DIEPCTL: set NAK, disable. DIEPINT (at this offset from DIEPCTL) reports when each of them has taken effect
-/// (`NAK_IN_FORCE`, `IS_DISABLED`).
+/// DIEPCTL: set NAK (`SNAK`), disable the endpoint (`DISABLED`). The register DIEPINT, at this offset from DIEPCTL,
+/// reports when each of the two has taken effect (`NAK_IN_FORCE`, `IS_DISABLED`).
 const SNAK: u32 = 1 << 27;
 const DISABLED: u32 = 1 << 30;
 const DIEPINT: usize = 0x08;
@@ -190,8 +190,8 @@ struct Received {
     next: usize,
     /// The end of the packet has been taken out of the FIFO; the endpoint must be enabled again.
     ended: bool,
-    /// The driver may hold a packet: it has handled events since it was last queried and had none. Without this flag,
-    /// each run of the serial task would query the driver, even a run for a byte of the UART. A query takes 4 us.
+    /// The driver may hold a packet: it has handled events, and each query since then has found a packet. Without this
+    /// flag, each run of the serial task would query the driver, even a run for a byte of the UART. A query takes 4 us.
     may_wait: bool,
 }
 
@@ -261,7 +261,8 @@ impl UsbPort {
         data.then_some(entry >> PKTSTS_SHIFT & PKTSTS)
     }
 
-    /// Takes the entry that ends a data packet out of the FIFO, before the driver finds it and enables the endpoint.
+    /// Removes from the FIFO the entry that ends a data packet, if this entry is the first one there. If the driver
+    /// found the entry first, it would enable the endpoint.
     fn hold_endpoint(&mut self) {
         if self.entry() == Some(OUT_COMPLETED) {
             read(GRXSTSP);
@@ -292,7 +293,7 @@ impl UsbPort {
         self.received.ended = false;
     }
 
-    /// Restarts the endpoints with DATA0 that the host has restarted with DATA0.
+    /// Makes the next packet of an endpoint DATA0 if the host has restarted this endpoint with DATA0.
     fn begin_toggles(&mut self) {
         let SerialClass { port, begin_out, begin_in } = &mut self.class;
         if core::mem::take(begin_out) {

@@ -169,9 +169,9 @@ fn chip_named(checked: &mut Checked<'_>, name: &str) -> Option<&'static Chip> {
     found
 }
 
-/// Reads the entry `oscillator`, for example `8 MHz, external`. Returns the frequency in MHz (`None`: the firmware
-/// measures it) and `true` if an external clock drives the oscillator's input. Adds a fault and returns `None` if the
-/// text has another form.
+/// Reads the entry `oscillator`, for example `8 MHz, external`. The first value returned is the frequency in MHz, or
+/// `None` if the firmware measures it. The second one is `true` if an external clock drives the oscillator's input. If
+/// the text has another form, adds a fault and returns `None`.
 fn read_oscillator(checked: &mut Checked<'_>, text: &str) -> Option<(Option<u8>, bool)> {
     let (frequency, is_external) = match text.strip_suffix(", external") {
         Some(frequency) => (frequency, true),

@@ -13,7 +13,8 @@ const DFU_SUM: Crc<u32> = Crc::<u32>::new(&CRC_32_JAMCRC);
 ///
 /// # Errors
 ///
-/// If the file is damaged, has no intact table or more than one, or is an image that `table` is not made for.
+/// Returns an error if the file is damaged, if it has no intact table or more than one, or if `table` is for another
+/// image.
 pub fn write(image: &[u8], table: &PinTable) -> Result<Vec<u8>, String> {
     if image.first() == Some(&b':') {
         return write_hex(image, table);

@@ -5,7 +5,7 @@
 //! spends memory and time on three axes only. X, Y and Z always exist. A, B and C exist if `N` includes them and
 //! `$930` puts them in use. An axis that is not in use never moves and appears in no report.
 //!
-//! X, Y and Z are lengths in millimetres, A, B and C are angles in degrees. Where a comment says millimetres, read
+//! X, Y and Z are lengths in millimetres; A, B and C are angles in degrees. Where a comment says millimetres, read
 //! degrees for A, B and C.
 
 /// An axis of the machine. Axes are ordered as in [`Axis::ALL`]: X, Y, Z, A, B, C.

@@ -130,8 +130,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Takes a byte that only extends the current line, as nearly all bytes do; their time does not matter. Returns
-    /// `false` if the byte has another effect. Then pass it to [`Controller::event`] as an [`Event::Line`].
+    /// Takes a byte that only extends the current line. Nearly all bytes do only this, and their time does not matter.
+    /// Returns `false` if the byte has another effect. Then pass it to [`Controller::event`] as an [`Event::Line`].
     pub fn take_text_byte(&mut self, byte: LineByte) -> bool {
         self.m.lines.take_plain(byte)
     }
@@ -215,7 +215,7 @@ impl<const N: usize> Controller<N> {
             State::Hold(hold) => hold.ends_with_spindle().map(|until| self.next_look_at_spindle(until)),
             _ => None,
         };
-        // A suspended dwell needs no wake-up either. Its end may already be past. A wake-up in the past would call the
+        // A suspended dwell gets no wake-up, because its end may already be past. A wake-up in the past would call the
         // controller again and again.
         let task = match &self.state {
             State::Homing(homing) => homing.wakeup(),
@@ -418,7 +418,7 @@ impl<const N: usize> Controller<N> {
         }
         if self.m.step_supply.is_running() && self.m.motion.is_idle() {
             self.m.step_supply.end();
-            // Between the moves of homing the drivers stay on.
+            // The drivers stay on between the moves of homing.
             if !matches!(self.state, State::Homing(_)) {
                 self.m.start_idle_delay();
             }

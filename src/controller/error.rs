@@ -1,6 +1,6 @@
 //! The errors that refuse a line and the alarms that lock the machine, each with its number and English text. The
-//! numbers are those of Grbl 1.1. An error or alarm that Grbl does not have mostly has grblHAL's number. If grblHAL
-//! has none either, the number is Oxmill's own.
+//! numbers are those of Grbl 1.1. If Grbl does not have an error or alarm, its number is mostly grblHAL's. If grblHAL
+//! does not have it either, the number is Oxmill's own.
 
 /// Declares an enum of codes. Each code has a name, the number that the host gets, and a text for people.
 macro_rules! codes {

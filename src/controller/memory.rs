@@ -89,7 +89,8 @@ mod on_board {
         }
     }
 
-    /// Not inlined, so that the stack used by one part is free again before the next is built.
+    /// Builds a part in its storage. Not inlined, so that the stack used by one part is free again before the next is
+    /// built.
     #[inline(never)]
     fn in_place<T>(place: &'static mut MaybeUninit<T>, new: impl FnOnce() -> T) -> &'static mut T {
         place.write(new())

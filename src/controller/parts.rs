@@ -44,9 +44,9 @@ pub(crate) struct Machine<const N: usize> {
     pub pins: Pins,
     pub settings_lock: SettingsLock,
     pub now: Instant,
-    /// When the host's last line was answered. If a hold, an open door or another suspended state ended later, the
-    /// end of that state. Of the `$` lines, only those count that end in `Controller::finish` with `Answer::Host`,
-    /// such as jogs, `$H` and `$I=`.
+    /// Time at which the host's last line was answered. If a hold, an open door or another suspended state ended later,
+    /// it is the time of that end. Most `$` lines do not count. The exceptions end in `Controller::finish` with
+    /// `Answer::Host`: jogs, `$H` and `$I=`, for example.
     pub last_line_at: Instant,
     pub lines: LineIntake,
     pub interpreter: Lent<Interpreter<N>>,

@@ -47,8 +47,8 @@ const MOST_COMMANDS: u32 = 2 * REALTIME_DEPTH as u32;
 
 /// The platform under a controller: provides queues, time and outputs, and makes no decisions.
 pub trait Pump<const N: usize> {
-    /// `true` (the firmware): input that arrives during a round, or room that is made, wakes the pump again. `false`:
-    /// a round in which anything was done is followed by another round.
+    /// `true` (the firmware): input that arrives during a round wakes the pump again, and so does new room in a queue.
+    /// `false`: a round in which anything was done is followed by another round.
     const IS_WOKEN: bool;
     /// Returns the controller that this pump drives.
     fn controller(&mut self) -> &mut Controller<N>;
@@ -146,10 +146,11 @@ pub fn round<const N: usize, P: Pump<N>>(pump: &mut P) -> bool {
     carry_outputs(pump, now, &mut again) || again || !wanted && pump.controller().wants_line()
 }
 
-/// Drops bytes of waiting lines that a reset has made invalid, or will make invalid in a state that only a reset ends.
-/// Lines wait, for example, at an open door. If these bytes stayed, they would fill the queue, and in the end the next
-/// reset would not get through. Drops at most as many bytes as the queue holds, so that a host that keeps sending
-/// cannot delay the round. Returns whether any byte was dropped.
+/// Drops bytes of waiting lines that a reset has made invalid. Lines wait, for example, at an open door. In a state
+/// that only a reset ends, such as sleep, also drops the bytes received before that reset, because the reset will make
+/// them invalid. If the bytes stayed, they would fill the queue, and in the end the next reset would not get through.
+/// Drops at most as many bytes as the queue holds, so that a host that keeps sending cannot delay the round. Returns
+/// whether any byte was dropped.
 #[cold]
 #[inline(never)]
 fn drop_old_bytes<const N: usize>(pump: &mut impl Pump<N>, now: Instant) -> bool {

@@ -11,8 +11,9 @@ pub const DECIMAL_PLACES: u32 = 7;
 /// 10 to the power of [`DECIMAL_PLACES`].
 pub const DECIMAL_ONE: i64 = 10_000_000;
 
-/// Returns `value` / [`DECIMAL_ONE`], rounded down, five times as fast as a 64-bit division. The processor of a board
-/// multiplies 32 by 32 bits in one instruction, but has no instruction that divides more than 32 bits.
+/// Returns `value` / [`DECIMAL_ONE`], rounded down. The processor of a board multiplies 32 by 32 bits in one
+/// instruction, but has no instruction that divides more than 32 bits. So this code is five times as fast as a 64-bit
+/// division.
 pub(crate) const fn ones(value: u64) -> u64 {
     /// 5^7, the odd factor of 10^7 = 2^7 × 5^7.
     const ODD: u32 = 78_125;
@@ -31,8 +32,8 @@ pub(crate) const fn ones(value: u64) -> u64 {
 }
 
 /// Divides a 96-bit number (`words`, highest word first) by a divisor below 2^24, and returns the lowest 64 bits of
-/// the quotient. Each step divides a word while the remainder is 0, otherwise a byte. A remainder and a byte together
-/// fit into the 32 bits that the processor divides in one instruction.
+/// the quotient. Each step divides a whole word if the remainder so far is 0. Otherwise it divides a single byte,
+/// because a remainder and a byte together fit into the 32 bits that the processor divides in one instruction.
 fn quotient(words: [u32; 3], divisor: u32) -> u64 {
     let (mut quotient, mut rest) = (0, 0);
     for word in words {
@@ -388,7 +389,7 @@ mod tests {
                     let step = i128::from(DECIMAL_ONE) << scale.shift;
                     let beyond = i128::from(coordinate.0) * i128::from(scale.mantissa) - i128::from(steps) * step;
                     let error = 7 * beyond - i128::from(sevenths) * step;
-                    // The error is at most half a seventh and a ten-millionth of a step.
+                    // The error is at most half a seventh of a step plus a ten-millionth of a step.
                     prop_assert!(2 * error.abs() <= step + 14 * (1 << scale.shift), "{sevenths} for {coordinate:?} at {scale:?}");
                     prop_assert!(sevenths.abs() <= 3);
                     prop_assert_eq!(scale.sevenths_beyond(scale.coordinate(steps), steps), 0);

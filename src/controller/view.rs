@@ -77,8 +77,8 @@ impl<const N: usize> Controller<N> {
         reaction.spindle_on && door_allows && !self.m.accessories.is_suspended()
     }
 
-    /// Returns why motion is stopping or braking; `None` if it is not, or if it will resume afterwards. Of two
-    /// reasons, returns the heavier one.
+    /// Returns why motion is stopping or braking. Of two reasons, returns the more serious one. Returns `None` if
+    /// motion is doing neither, or if it will resume afterwards.
     pub(crate) fn stop_under_way(&self) -> Option<StopReason> {
         let alarm = match self.state {
             State::Braking { then } => then.alarm(),
@@ -173,9 +173,9 @@ impl<const N: usize> Controller<N> {
             )
     }
 
-    /// Returns when the line being executed has waited for the spindle, and begins its own dwell (G4). The simulator
-    /// counts the two waits apart. Returns 0 if the line waits only for its dwell, `NEVER` if the line has no dwell,
-    /// and `None` if the line does not wait.
+    /// Returns the time at which the line being executed ends its wait for the spindle and begins its own dwell (G4).
+    /// The simulator counts the two waits apart. Returns 0 if the line waits only for its dwell, `NEVER` if the line
+    /// has no dwell, and `None` if the line does not wait.
     pub fn waits_for_spindle_until(&self) -> Option<Instant> {
         let Task::Job(job) = &self.task else { return None };
         match (job.stage, self.line.action.dwell) {
@@ -191,15 +191,15 @@ impl<const N: usize> Controller<N> {
         self.m.lines.lines_read()
     }
 
-    /// Returns the line that began the outermost open subroutine, loop or condition, as counted by
-    /// [`Controller::lines_read`]. If the program ended while one was open, returns the line that began that one.
-    /// `None` if none was open.
+    /// Returns the number of the line that began the outermost open subroutine, loop or condition. Lines are counted
+    /// as in [`Controller::lines_read`]. If the program ended while such a block was open, returns the line that began
+    /// that block. Returns `None` if no block was open.
     pub fn open_since(&self) -> Option<u32> {
         self.m.interpreter.open_since()
     }
 
-    /// Returns by how many bytes, at least, a held program was too long for the memory; `None` if it was not. A
-    /// program is held in memory if it calls a subprogram that is defined after it.
+    /// Returns by how many bytes a held program was too long for the memory; the true number can be higher. `None` if
+    /// it was not too long. A program is held in memory if it calls a subprogram that is defined after it.
     pub fn excess_bytes(&self) -> Option<usize> {
         self.m.interpreter.excess_bytes()
     }

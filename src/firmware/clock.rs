@@ -33,7 +33,7 @@ impl Clock {
     /// Returns the time since power-up, and adds the ticks since the last call to it.
     pub fn now(&mut self) -> Instant {
         let ticks = boards::clock_ticks();
-        // In 32 bits, because the compiler then turns the division by a constant into a multiplication.
+        // Compute in 32 bits, because the compiler then turns the division by a constant into a multiplication.
         let passed = ticks.wrapping_sub(self.seen).wrapping_add(self.rest);
         self.seen = ticks;
         let micros = passed / boards::CLOCK_TICKS_PER_US;
@@ -42,8 +42,8 @@ impl Clock {
         Instant::from_ticks(self.micros)
     }
 
-    /// Sets the alarm to the time `at`. The alarm goes off after `LONGEST_SLEEP` at the latest, even with `None`, so
-    /// that each wrap of the counter is noticed.
+    /// Sets the alarm to the time `at`. If `at` is `None` or further away than `LONGEST_SLEEP`, the alarm goes off
+    /// after `LONGEST_SLEEP`, so that each wrap of the counter is noticed.
     pub fn set_alarm(&mut self, at: Option<Instant>) {
         let now = self.now();
         let sleep = at.map_or(LONGEST_SLEEP, |at| at.checked_duration_since(now).unwrap_or(NOW).min(LONGEST_SLEEP));

@@ -21,8 +21,9 @@ use oxmill_controller::{Coalescing, DeferredCommands, LineReader};
 use rtic_sync::channel::{Receiver, Sender};
 use rtic_sync::signal::SignalWriter;
 
-/// Interval at which `control` wakes while the queue to the step task is full, 500 us. The wake-up time that the
-/// controller requests could then be too late: short segments leave the queue earlier.
+/// 500 us. `control` wakes at this interval while the queue to the step task is full, or while wiring data waits to be
+/// sent. Then the wake-up time that the controller requests could be too late, because short segments leave the queue
+/// earlier.
 const FULL_QUEUE_WAKEUP: Duration = Duration::from_ticks(500);
 
 /// The channel ends of `control`: receivers from other tasks, and senders to them.
@@ -156,7 +157,7 @@ impl Control {
             self.recorder.at_rest(self.round_began, self.controller);
         }
         let nothing_waits = observed.received == 0 && self.ends.realtime.is_empty();
-        // Ignore replies that have not been sent yet: the serial task itself checks them.
+        // Replies that have not been sent yet do not count here, because the serial task itself checks them.
         shared::set_free(activity, nothing_waits && self.controller.is_free() && observed.step_idle);
         CONTROL.reads_characters.store(self.controller.reads_characters(), Ordering::Relaxed);
         CONTROL.speaks_grblhal.store(self.controller.speaks_grblhal(), Ordering::Relaxed);
@@ -201,9 +202,9 @@ impl Control {
         last_words::note(Whereabouts { place, line, moment });
     }
 
-    /// Erases the spare sector of the settings log if that is due. Returns whether it erased. The machine must be at
-    /// rest with its spindle off, and no command or line may wait. If the log is nearly full, waiting lines do not
-    /// prevent the erase.
+    /// Erases the spare sector of the settings log if the erase is due and possible. Returns whether it erased. The
+    /// erase is possible if the machine is at rest with its spindle off, and no command or line waits. If the log is
+    /// nearly full, waiting lines do not prevent the erase.
     /// The erase stalls the processor for a quarter of a second. The board keeps the bytes that the host sends
     /// meanwhile.
     fn erase_ahead(&mut self) -> bool {
@@ -300,8 +301,8 @@ impl Control {
         self.deferred.pop()
     }
 
-    /// Returns whether lines must wait for an erase. So a host that sends many settings waits before the settings log
-    /// is full.
+    /// Returns whether lines must wait for an erase. Because of this wait, a host that sends many settings cannot fill
+    /// the settings log before the erase.
     #[inline(always)]
     fn waits_for_erase(&self) -> bool {
         self.wants_erase_soon && self.controller.is_nearly_quiet()

@@ -8,8 +8,8 @@
 //! RAM keeps its contents over a reset. After a power-off the checksum is wrong, and `take` finds no record. If the
 //! supply voltage drops, the record survives as long as the voltage stays above about 1.7 V.
 //!
-//! Position and line in a record are those at the end of the last run of the control task. While the machine moves,
-//! that run ended at most 2 ms before the failure.
+//! A record has the position and the line of the moment at which the control task last ended a run. While the machine
+//! moves, that was at most 2 ms before the failure.
 
 use crate::boards;
 use core::cell::Cell;

@@ -56,7 +56,7 @@ extern "C" fn NonMaskableInt() -> ! {
     }
 }
 
-/// Bus, usage and memory faults, including a stack that has run out of RAM.
+/// Handles bus, usage and memory faults, including a stack that has run out of RAM.
 ///
 /// After a stack overflow the stack pointer is below RAM. Any push or load would then be a second fault, which locks up
 /// the processor with its outputs on. So the handler first sets the stack pointer to the top of the stack, whose

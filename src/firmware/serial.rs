@@ -30,7 +30,7 @@ const UART_HELD: usize = 1;
 /// in their queue limits them. Without this limit, a host or noise on a wire could use all of the processor time by
 /// sending other bytes without end.
 const MOST_OTHERS: u32 = 128;
-/// Each time this period in µs has passed, one more other byte may be processed, up to `MOST_OTHERS`.
+/// Period in µs. Each time it has passed, one more other byte may be processed, up to `MOST_OTHERS`.
 const OTHER_US: u32 = 200;
 /// Maximum number of bytes that are processed one at a time in `SINGLY_US` µs, from a link that cannot make its sender
 /// wait. (Plain text is processed several bytes at a time and does not count.) The limit leaves processor time to
@@ -216,9 +216,9 @@ impl<P: Port> Ported<P> {
                 }
                 Incoming::Byte(byte) => news |= self.link.take(byte, arbiter, other, queues),
             }
-            // `others` does not count line bytes: the room in their queue limits them. On a link that cannot make its
-            // sender wait, it does not count characters of comments either. `singly` limits these characters, and a
-            // host that counts characters includes them.
+            // `others` does not count line bytes, because the room in their queue limits them. On a link that cannot
+            // make its sender wait, `others` does not count characters of comments either, because `singly` limits
+            // them. A host that counts characters counts them, too.
             let is_other = queues.bytes_queued == queued && (P::WAITS || !self.link.is_in_comment());
             queues.others = queues.others.saturating_sub(u32::from(is_other));
             self.singly += 1;
@@ -240,10 +240,10 @@ impl<P: Port> Ported<P> {
         news
     }
 
-    /// Makes a `!` that may be text a feed hold, if no byte has followed it for `AMBIGUOUS_US` and in `QUIET_RUNS` runs
-    /// of the task. Call while such a `!` is the last byte received. Returns whether there is news for `control`.
-    /// The time alone is not enough: it can pass during a stall of the processor, while bytes from the time of the
-    /// stall are still unread.
+    /// Turns a `!` that may be text into a feed hold, if no byte has followed it for `AMBIGUOUS_US` and in
+    /// `QUIET_RUNS` runs of the task. Call while such a `!` is the last byte received. Returns whether there is news
+    /// for `control`. The time alone is not enough: it can pass during a stall of the processor, while bytes from the
+    /// time of the stall are still unread.
     #[cold]
     fn await_rest(&mut self, arbiter: &mut HostArbiter, queues: &mut ToControl) -> bool {
         let now = boards::clock_ticks();
@@ -338,8 +338,8 @@ impl Serial {
         count(&SERIAL.bytes_queued, queued);
         news |= queues.flush();
         let held = uart.link.held() + usb.link.held();
-        // One more byte counts as received in two cases. A `HOST_CHANGED` must be queued before the line bytes that
-        // wait. Or no line byte waits, but a command waits for room.
+        // One more byte counts as received in two cases: a `HOST_CHANGED` must be queued before line bytes that wait,
+        // or a command waits for room while no line byte waits.
         let is_stuck = held == 0 && (uart.link.is_waiting() || usb.link.is_waiting());
         let held = (held + usize::from(held > 0 && arbiter.is_host_change_due() || is_stuck)) as u32;
         SERIAL.bytes_received.store(SERIAL.bytes_queued.load(Ordering::Relaxed).wrapping_add(held), Ordering::Relaxed);

@@ -18,7 +18,7 @@ pub struct SettingsStore {
 }
 
 impl SettingsStore {
-    /// Opens the log, or creates an empty one in flash without a log, and passes its records to the controller.
+    /// Opens the log and passes its records to the controller. If the flash has no log, creates an empty one.
     pub fn open(flash: SettingsFlash, controller: &mut BoardController) -> SettingsStore {
         let mut log = Log::open(flash).ok();
         if let Some(log) = &mut log

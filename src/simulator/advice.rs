@@ -3,7 +3,7 @@
 
 use oxmill_controller::error::{Alarm, Error};
 
-/// Advice for words of 3-D printers. It is about the whole program.
+/// Advice for words of 3-D printers. The advice is about the whole program, not about the word.
 pub const PRINTER: &str = "The program was made for a 3-D printer. Do not repair it: make the part's program with CAM software for mills, with a post-processor for Grbl.";
 
 /// Words that the controller rejects, each with the advice what to write instead.

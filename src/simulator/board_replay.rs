@@ -18,7 +18,8 @@ const SLACK_PARTS: u64 = 20;
 /// If the board read a line at most 1/1000 s after the previous line, both count as having waited in its receive queue
 /// at the same time. This constant is the denominator of that fraction.
 const AT_ONCE_PARTS: u64 = 1000;
-/// Part of the G-code words of a recorded modal state without a feed rate: F0, directly before the S word.
+/// A part of the G-code words of a recorded modal state: F0, directly before the S word. It means that no feed rate
+/// was in force.
 const NO_FEED: &str = "F0.0000000S";
 
 /// Result of replaying a board's recording.
@@ -112,8 +113,8 @@ fn in_order(inputs: &[(u64, Input)]) -> Vec<(u64, Input)> {
     ordered
 }
 
-/// Merges lines into one input, if each of them already waited when the board read the previous line. The machine can
-/// treat a line differently if another line waits.
+/// Merges lines into one input, if each of them already waited when the board read the previous line. Such lines must
+/// be sent together, because the machine can treat a line differently if another line waits.
 fn at_once_together(inputs: Vec<(u64, Input)>, at_once: u64) -> Vec<(u64, Input)> {
     let mut together: Vec<(u64, Input)> = Vec::new();
     // Time at which the board read the most recent line of the host.

@@ -83,7 +83,8 @@ impl Outcome {
             self.more_errors += 1;
             return;
         }
-        // The controller quotes a wrong line that it had stored, and the answer is to the line that ran it.
+        // If the wrong line was stored by the controller, the message quotes that line. The answer then belongs to the
+        // line that ran the stored line.
         let within = text.strip_prefix("in ").and_then(|quoted| quoted.split_once(": "));
         let stored = within.and_then(|(quoted, fault)| Some((job.stored_line(quoted)?, fault)));
         if let Some(((number, stored), fault)) = stored {
@@ -148,7 +149,7 @@ impl Outcome {
         }
     }
 
-    /// Reports a subroutine, loop or condition that is still open at the end of the file as an error. Its content was
+    /// Adds an error if a subroutine, loop or condition is still open at the end of the file, because its content was
     /// not executed, or not as intended. `since`: where it begins, from `Controller::open_since`; `None` if nothing is
     /// open.
     fn look_for_open_block(&mut self, since: Option<u32>, job: &JobText) {
@@ -164,9 +165,9 @@ impl Outcome {
         }
     }
 
-    /// Returns the first line that calls a subprogram that is not in the file: its number, its source, and what is wrong
-    /// with it. The controller has stored the program from the call in line `opener` on. Removes the controller's
-    /// messages about waiting for this subprogram.
+    /// Returns the first line that calls a subprogram that is not in the file: its number, its source, and what is
+    /// wrong with it. `opener`: the line with the call at which the controller has begun to store the program. Removes
+    /// the controller's messages about waiting for this subprogram.
     fn missing_program(&mut self, opener: u64, source: String, job: &JobText) -> (u64, String, String) {
         let awaited = self.messages.iter().rev().find_map(|message| message.strip_prefix(AWAITS));
         let Some(number) = awaited.map(|number| number.trim_end_matches(']').to_owned()) else {
@@ -207,8 +208,8 @@ impl Outcome {
     }
 }
 
-/// Maximum number of other programs of the file that the error about a missing program names. The last program of the
-/// file is named in addition.
+/// The error about a missing program names other programs of the file: at most this number of them, and the last one
+/// in addition.
 const MOST_NAMED: usize = 5;
 
 /// Number of decimals above which a number has more digits than any post-processor needs.
@@ -412,13 +413,14 @@ impl Check {
         self.outcome.warnings.sort_by_key(|warning| warning.line);
     }
 
-    /// Warns about a job in millimetres that was probably written in inches: its comments mention inches, it is small,
-    /// and its feeds are as slow as those of a program in inches.
+    /// Warns if the numbers of a job in millimetres are probably inches: the comments mention inches, the job is
+    /// small, and its feeds are as slow as those of a program in inches.
     fn look_for_feeds_in_inches(&mut self) {
-        /// Only a job with a lower average feed, in mm/min, is noted. Programs in mm mostly have 100 or more, and those
-        /// in inches 5 to 100.
+        /// Average feed in mm/min. Only a job with a lower average is noted. Programs in mm mostly have feeds of 100
+        /// or more, and programs in inches feeds of 5 to 100.
         const SLOW: f64 = 50.0;
-        /// Only a job of less than this size in X and Y, in mm, is noted: parts of 100 inches are rare.
+        /// Size in mm. Only a job that is smaller than this in X and in Y is noted, because parts of 100 inches are
+        /// rare.
         const SMALL: f64 = 100.0;
         let simulator = &self.simulator;
         let (measured, feed_s) = (simulator.meter().measured(), simulator.meter().times().sum().feed_s);
@@ -621,7 +623,7 @@ mod tests {
         assert_eq!(summary.position_mm[0], 0.0);
     }
 
-    /// An arc after a refused line starts at another point. So its error may come only from the wrong start.
+    /// An arc after a refused line starts at a wrong point. So that point may be the only reason for the arc's error.
     #[test]
     fn an_arc_behind_a_refused_line_is_not_blamed_alone() {
         let advice = |text| checked("oxmill", text).errors.into_iter().map(|error| error.advice).collect::<Vec<_>>();

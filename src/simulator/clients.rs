@@ -13,7 +13,7 @@ use std::time::Duration;
 use tungstenite::WebSocket;
 
 /// Reading stops when this many bytes of a client wait in its inbox. TCP reports a disconnection only after the last
-/// byte. So where `hung_up` detects nothing, a disconnection is noticed only when there is room again.
+/// byte has been read. So where `hung_up` detects nothing, a disconnection is noticed only when there is room again.
 const AHEAD: usize = (1 << 24) - PIECE;
 /// Number of bytes without a line end after which a client is disconnected. A board rejects lines of over 255 bytes.
 pub(crate) const LONGEST_LINE: usize = 1 << 16;
@@ -218,7 +218,7 @@ pub(crate) fn hung_up(link: &impl std::os::fd::AsFd) -> bool {
     poll(&mut look, PollTimeout::ZERO).is_ok_and(|events| events > 0)
 }
 
-/// On this platform only reading to the end reveals a disconnection.
+/// Returns `false`, because on this platform only reading to the end reveals a disconnection.
 #[cfg(not(unix))]
 pub(crate) fn hung_up<T>(_link: &T) -> bool {
     false

@@ -31,7 +31,8 @@ impl Clock {
 
     /// The time since power-up as the controller sees it: whole microseconds, rounded down.
     pub fn instant(&self) -> Instant {
-        // Convert whole seconds and the remainder separately: the ticks of a few days times a million would overflow.
+        // Convert whole seconds and the remainder separately, because the ticks of a few days, multiplied by a
+        // million, would overflow.
         Instant::from_ticks(self.now / self.hz * MICROSECONDS + self.now % self.hz * MICROSECONDS / self.hz)
     }
 
@@ -42,8 +43,8 @@ impl Clock {
         seconds.saturating_add((us % MICROSECONDS * self.hz).div_ceil(MICROSECONDS))
     }
 
-    /// The latest tick at which a wait can end. It is so far below the maximum of ticks and microseconds that even the
-    /// longest dwell can be added without overflow.
+    /// Returns the latest tick at which a wait can end. It is far enough below the maximum of ticks and of
+    /// microseconds: even the longest dwell can be added without overflow.
     pub fn end(&self) -> u64 {
         (u64::MAX / 4 / MICROSECONDS).saturating_mul(self.hz).min(u64::MAX / 2)
     }

@@ -38,8 +38,9 @@ fn is_word(name: &str) -> bool {
     !name.is_empty() && !name.contains(|c: char| c.is_ascii_lowercase())
 }
 
-/// Returns whether `line` begins with the G-code word `name`. `G2` also matches `G02`, but not `G21`. `without_number`:
-/// `true` if a `name` that is only a letter matches only without a number after it.
+/// Returns whether `line` begins with the G-code word `name`. `G2` also matches `G02`, but not `G21`.
+/// `without_number`: `true` if the message is about a letter that has no number. A `name` that is only a letter then
+/// matches only a letter without a number after it.
 fn begins(line: &[(u64, char)], name: &str, without_number: bool) -> bool {
     let is_of_number = |c: char| c.is_ascii_digit() || c == '.';
     let mut rest = line.iter().map(|(_, character)| *character).peekable();

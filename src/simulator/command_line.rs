@@ -157,7 +157,7 @@ pub struct Serve {
     #[arg(long)]
     pub reset_on_connect: bool,
     /// The file of the page that `--web` serves; the default is `oxmill.html` beside this program, or in `target/web`.
-    // `requires = "web"` would not work: with another link, `--web` is a conflict, and clap does not require an option
+    // `requires = "web"` would not work. With another link, `--web` is a conflict, and clap does not require an option
     // that conflicts.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["tcp", "stdio"])]
     #[cfg_attr(unix, arg(conflicts_with = "pty"))]

@@ -91,8 +91,8 @@ pub struct HomeSwitches {
     pub steps_per_mm: [f64; AXES],
     /// How the motors move the carriages; used if there is no [`Description`] of the machine.
     pub arrangement: Arrangement,
-    /// Switch positions in mm from the present positions of the carriages. A carriage closes its switch in the
-    /// direction of the sign.
+    /// Switch positions in mm from the present positions of the carriages. A carriage closes its switch when it moves
+    /// in the direction that the sign of the position shows.
     pub at_mm: [f64; AXES],
     /// The axes that have a switch.
     pub axes: Vec<usize>,
@@ -269,7 +269,8 @@ impl Fittings {
         self.driven_mm
     }
 
-    /// Returns whether the tool touches the probe plate, without bounce. The step task reads this.
+    /// Returns whether the tool touches the probe plate. The bounce of the contact is left out. The step task reads
+    /// this value.
     pub fn touches(&self) -> bool {
         self.contacts.iter().any(|c| c.probe && c.closed)
     }

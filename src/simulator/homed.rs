@@ -16,8 +16,8 @@ const ROUNDING_MM: f64 = 1e-3;
 
 /// Homes an idle machine with the controller's own `$H`, and sets the work zero of G54 to `work_zero`, in mm of machine
 /// coordinates. Afterwards the step counts correspond to machine coordinates.
-/// A machine without switches gets a switch at the end of each axis, according to `$23` and `$130` to `$132`. It then
-/// counts as powered up in the middle of its travel.
+/// A machine without switches gets a switch at the end of each axis, according to `$23` and `$130` to `$132`. The
+/// machine then counts as powered up in the middle of its travel.
 ///
 /// # Errors
 /// A text for users: homing is off (`$22`) or has failed, or `work_zero` is out of range.

@@ -88,7 +88,7 @@ pub struct HostLink {
     /// A `!` within a comment can be text or a feed hold. If no byte follows it until this time, it becomes a feed
     /// hold.
     command_at: Option<Instant>,
-    /// In a replay: `true` if the board had more bytes waiting after those sent so far.
+    /// In a replay: `true` if more bytes waited on the board, after the bytes sent so far.
     more: bool,
     /// In a replay: `true` if the host never counts as silent (see [`HostLink::update_activity`]).
     never_silent: bool,
@@ -118,7 +118,7 @@ impl HostLink {
         self.port.extend(bytes);
     }
 
-    /// Sets whether the board had more bytes waiting after those that are sent next. Only a replay calls this.
+    /// Sets whether more bytes waited on the board, after the bytes that are sent next. Only a replay calls this.
     pub fn follow(&mut self, more: bool) {
         self.more = more;
     }
@@ -158,8 +158,8 @@ impl HostLink {
         self.link.pass_on(&mut self.arbiter, &mut self.queues)
     }
 
-    /// Fetches a byte from the port into the link. Returns whether anything was added to the queues; `None` if there
-    /// was no byte to fetch, or no room in the link.
+    /// Fetches a byte from the port into the link. Returns whether anything was added to the queues. Returns `None` if
+    /// there was no byte to fetch, or no room in the link.
     pub fn fetch<const N: usize>(&mut self, controller: &Controller<N>) -> Option<bool> {
         let byte = if self.link.room() > 0 { self.port.pop_front()? } else { return None };
         self.activity = self.activity.wrapping_add(1);
@@ -170,7 +170,7 @@ impl HostLink {
         Some(self.link.take(byte, &mut self.arbiter, &mut self.unused_link, &mut self.queues))
     }
 
-    /// Makes the last byte received a feed hold, if it is a `!` in a comment and no byte has followed it for
+    /// Turns the last byte received into a feed hold, if it is a `!` in a comment and no byte has followed it for
     /// `AMBIGUOUS_US`. Call after all available bytes have been fetched. Returns whether a command was queued.
     pub fn await_rest(&mut self, now: Instant) -> bool {
         if !self.link.is_ambiguous() {
@@ -186,8 +186,8 @@ impl HostLink {
         self.pass_on()
     }
 
-    /// The time at which the last byte received, a `!` in a comment, becomes a feed hold. `None` if the last byte is no
-    /// such `!`, or if bytes wait in the port.
+    /// Returns the time at which the last byte received becomes a feed hold, if it is a `!` in a comment. Returns
+    /// `None` if it is no such `!`, or if bytes wait in the port.
     pub fn rest_due(&self) -> Option<Instant> {
         self.command_at.filter(|_| self.port.is_empty())
     }

@@ -25,8 +25,8 @@ const HAL_PECK: u16 = 28;
 /// Number of grblHAL's setting for tool changes.
 const HAL_TOOL_CHANGE: u16 = 341;
 
-/// Settings of grblHAL that Oxmill does not have, each with the reason. From `$220` on, the same numbers mean something
-/// else in Oxmill, such as the jerk.
+/// Settings of grblHAL that Oxmill does not have, each with the reason why it is not taken. From `$220` on, Oxmill
+/// uses the same numbers for other settings, such as the jerk.
 const HAL_ONLY: &[(RangeInclusive<u16>, &str)] = &[
     (7..=7, "the PWM is off at S0"),
     (8..=8, "$906 inverts the second motor of the axis in $905"),

@@ -81,7 +81,8 @@ fn without_comment(line: &str) -> &str {
     begin.map_or(line, |(at, _)| &line[..at])
 }
 
-/// Entries that become settings only together with other entries. Each has the entry of the file from which it comes.
+/// Values of the file that become settings only together with other values. Most of them are stored with the text and
+/// the line from which they come.
 #[derive(Default)]
 struct ConfiguredMachine {
     core_xy: bool,
@@ -361,8 +362,9 @@ impl Reader {
         self.import.finish()
     }
 
-    /// Imports a mask with the bits of those `axes` whose `bool` is true. Does nothing if `axes` is empty. The report
-    /// shows the mask with the entry of the first axis that is set, or with the first entry if none is.
+    /// Imports a mask. `axes`: the axes of the mask, each with `true` if its bit is set, and with its entry in the
+    /// file. Does nothing if `axes` is empty. The report shows the mask with the entry of the first axis whose bit is
+    /// set, or with the first entry if no bit is set.
     fn mask(&mut self, key: Key, axes: &[(Axis, bool, &FileEntry)]) {
         if let Some((_, _, entry)) = axes.iter().find(|(_, is_set, _)| *is_set).or(axes.first()) {
             let bits = axes.iter().filter(|(_, is_set, _)| *is_set).fold(0, |mask, (axis, ..)| mask | bit(*axis));
@@ -408,7 +410,8 @@ impl Reader {
     }
 
     /// Imports soft or hard limits. FluidNC enables them for each axis, Oxmill by one setting for all axes.
-    /// `is_possible`: `false` for soft limits without homing; limits that are on are then listed as not taken.
+    /// `is_possible`: `false` for soft limits without homing. Limits that are on in the file are then listed as not
+    /// taken.
     fn limits(&mut self, axes: &[(bool, FileEntry)], key: Key, is_possible: bool) {
         let is_on = is_possible && axes.iter().any(|(on, _)| *on);
         for (index, (on, entry)) in axes.iter().enumerate() {

@@ -140,8 +140,8 @@ fn settings(options: &MachineOptions) -> Result<Vec<(String, String)>> {
 }
 
 /// Applies settings in their order. The dialect decides which values a setting accepts, and `--dialect` comes last. So
-/// a refused setting is tried once more after all others. But if a later entry sets the same number, a second try would
-/// undo that entry: the refusal is then an error.
+/// a refused setting is tried once more after all others. There is no second try if a later entry sets the same
+/// number, because the second try would undo that entry. The refusal is then an error.
 fn apply_settings(
     simulator: &mut Simulator,
     recorder: &mut Option<Recorder>,
@@ -276,8 +276,8 @@ pub fn replay(options: &Replay) -> Result<Ending> {
     Ok(if same.is_ok() { Ending::of(&summary) } else { Ending::OtherSteps })
 }
 
-/// Runs `oxmill resume`: writes a program that continues a job at a given line. Lists the lines at its beginning, which
-/// restore the state, on standard error.
+/// Runs `oxmill resume`: writes a program that continues a job at a given line. The first lines of the program restore
+/// the state. These lines are also listed on standard error.
 ///
 /// # Errors
 /// If a file cannot be read or written, a setting is rejected, or the job cannot continue at that line.
@@ -501,8 +501,8 @@ fn base_name(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().replace(char::is_control, "?")
 }
 
-/// Returns a progress bar up to `length`, or a spinner if the length is unknown. `what`: the name of the whole, such as
-/// "the file read", for the text after the percentage.
+/// Returns a progress bar up to `length`, or a spinner if the length is unknown. `what`: what 100 % stands for, such as
+/// "the file read". The bar shows this text after the percentage.
 fn progress_bar(length: Option<u64>, what: &str) -> ProgressBar {
     // The bar goes to standard error, which can be a terminal even if standard output is a file.
     if !std::io::stderr().is_terminal() {
@@ -540,7 +540,7 @@ mod tests {
         }
     }
 
-    /// Progress is counted in bytes for a recorded job, in time for a recorded host session.
+    /// The progress of a recorded job is counted in bytes, and the progress of a recorded host session in time.
     #[test]
     fn a_recording_shows_its_progress() {
         let begin = "oxmill recording 1\nboard desk 1000000\nbegin 1000000\n";

@@ -3,8 +3,8 @@
 
 use std::collections::VecDeque;
 
-/// Number of entries above which the table is cleared of those without a queued move. The look-ahead holds fewer moves
-/// than this, so clearing is rare.
+/// If the table has more entries than this, entries without a queued move are removed. The look-ahead holds fewer
+/// moves than this, so entries are rarely removed.
 const KEPT: usize = 1 << 12;
 
 /// The line, the tool and further properties of a move.
@@ -28,11 +28,12 @@ pub struct Marks {
 }
 
 impl Marks {
-    /// Enters the `mark` of the line that the controller now executes. Returns the number for the moves of this line;
-    /// `None` if the mark equals the previous one, whose number then stays in use.
+    /// Enters the `mark` of the line that the controller now executes. Returns the number for the moves of this line.
+    /// Returns `None` if the mark equals the previous one, because the previous number then stays in use.
     ///
     /// `queued`: returns the numbers of the moves in the look-ahead. It is called if the table has more than `KEPT`
-    /// entries. Then only entries of queued moves stay, because lines without moves could fill the table without limit.
+    /// entries, because lines without moves could fill the table without limit. Then only the entries of queued moves
+    /// and the new entry stay.
     pub fn begin(&mut self, mark: Mark, queued: impl FnOnce() -> Vec<u32>) -> Option<u32> {
         if self.known.back().is_some_and(|(_, last)| *last == mark) {
             return None;

@@ -23,10 +23,10 @@ use std::collections::VecDeque;
 const SHORTEST: f64 = 0.0002;
 /// Number of segments in the longest window.
 const LONGEST_WINDOW: usize = 1024;
-/// Acceptable rounding error of a peak speed, as a fraction of the speed. Of a larger error, the part above this
-/// fraction is subtracted from the speed (see [`certain`]).
+/// Acceptable rounding error of a peak speed, as a fraction of the speed. If the error is larger, the part of it above
+/// this fraction is subtracted from the speed (see [`certain`]).
 const SPEED_TOLERANCE: f64 = 0.005;
-/// Acceptable rounding error of a peak acceleration, as a fraction of it; used like [`SPEED_TOLERANCE`].
+/// Acceptable rounding error of a peak acceleration, as a fraction of the acceleration; used like [`SPEED_TOLERANCE`].
 const ACCELERATION_TOLERANCE: f64 = 0.02;
 /// Acceptable rounding error of a speed in a drawing, as a fraction of the speed. The error is mostly smaller. A lower
 /// value would need longer windows, which would blur the motion after a short block.
@@ -77,8 +77,8 @@ struct Coming {
     steps_by_axis: [AxisSteps; AXES],
     /// Bit mask of the axes that move in the negative direction.
     directions: u8,
-    /// Number of units of the block that were executed before an interruption; the block continues after them. 0 for a
-    /// new block.
+    /// Number of units of the block that were executed before an interruption. The block continues after these units.
+    /// A new block has 0.
     entered: u32,
     /// The line and tool of the block, if `Simulator::mark_moves` was called.
     mark: Mark,
@@ -188,7 +188,7 @@ pub struct Meter {
     hz: f64,
     steps_per_mm: [f64; AXES],
     arrangement: Arrangement,
-    /// Steps of A, B and C; they arrive before the block to which they belong. `None` if they are 0.
+    /// Steps of A, B and C of the next block, which arrive before that block. `None` if all of them are 0.
     rest: Option<[AxisSteps; 3]>,
     next_block: Option<Coming>,
     upcoming: VecDeque<(Segment, Option<Coming>)>,
@@ -281,7 +281,7 @@ impl Meter {
         places
     }
 
-    /// From here on, also collects samples for a drawing.
+    /// Collects samples for `drawing` from now on, in addition to the measurements.
     pub fn draw(&mut self, drawing: Drawing) {
         self.drawing = Some(drawing);
     }
@@ -590,8 +590,8 @@ impl Meter {
     fn new_block(&mut self, block: Coming, position: [i32; AXES]) {
         let Coming { steps_by_axis, directions, entered, mark } = block;
         let sign = |motor: usize| if directions & (1 << motor) != 0 { -1.0 } else { 1.0 };
-        // `AxisSteps` gives the fraction of a step at each end. Positive means in the motor's direction of motion. If
-        // the motor makes no step, positive means in the positive direction.
+        // `AxisSteps` gives the fraction of a step at each end of the block. A positive fraction points in the motor's
+        // direction of motion or, if the motor makes no step, in the positive direction.
         let way = |motor: usize| if steps_by_axis[motor].steps() == 0 { 1.0 } else { sign(motor) };
         let in_steps = |parts: i32| f64::from(parts) / f64::from(AxisSteps::PARTS);
         let delta = self.place_of(std::array::from_fn(|motor| {
@@ -600,7 +600,7 @@ impl Meter {
         }));
         let length = delta.iter().map(|d| d * d).sum::<f64>().sqrt();
         let unit = delta.map(|d| if length > 0.0 { d / length } else { 0.0 });
-        // Distance by which a step of each motor moves the tool along the path, mm.
+        // For each motor: the distance, in mm, by which a step moves the tool along the path.
         let steps: [f64; AXES] = std::array::from_fn(|motor| {
             let moved = self.place_of(std::array::from_fn(|other| if other == motor { 1.0 } else { 0.0 }));
             (0..AXES).map(|axis| moved[axis] * unit[axis]).sum::<f64>().abs()
@@ -608,9 +608,9 @@ impl Meter {
         let error = ROUNDING * steps.iter().sum::<f64>();
         let step = steps.iter().copied().fold(0.0, f64::max);
         let short = length < SHORT * step;
-        // Rounding moves each end sideways by a distance between -r and r (`across`, mm), all equally likely. So the
-        // mean square of the sideways offset d between both ends is 2/3 r^2. The offset makes a block of length L
-        // longer by d^2 / 2L, on average by r^2 / 3L.
+        // Rounding moves each end sideways by a distance between -r and r, where r is `across` in mm. All these
+        // distances are equally likely. So the mean square of the sideways offset d between both ends is 2/3 r^2. The
+        // offset makes a block of length L longer by d^2 / 2L, on average by r^2 / 3L.
         let across = step
             * if steps_by_axis.iter().all(|axis_steps| axis_steps.is_on_steps()) { ROUNDING } else { ARC_ROUNDING };
         let excess = if length < LONG * step { (across * across / (3.0 * length)).min(length * 0.1) } else { 0.0 };

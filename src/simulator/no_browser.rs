@@ -1,6 +1,7 @@
-//! Keeps browsers away from ports that take lines. Any web page can make a browser send a request to a port of this
-//! computer, and the request could contain G-code. The first line of a connection shows whether a browser sent it (HTTP
-//! or TLS). If so, reading fails; only realtime commands before that line have been passed on.
+//! Keeps browsers away from ports that take lines, because any web page can make a browser send a request to a port of
+//! this computer, and the request could contain G-code. If the first line of a connection is an HTTP request or the
+//! beginning of TLS, a browser has sent the line. Reading then fails. Up to then, only realtime commands before that
+//! line have been passed on.
 
 use std::io::{self, ErrorKind, Read};
 
@@ -21,7 +22,7 @@ pub struct NoBrowser<R> {
     reader: R,
     /// The first line so far, while it can still become an HTTP request or the beginning of TLS.
     first: Option<Vec<u8>>,
-    /// Bytes that were read from `reader` and found harmless, and that `read` has not returned yet.
+    /// Harmless bytes from `reader` that `read` has not returned yet.
     passed: Vec<u8>,
 }
 
@@ -32,8 +33,9 @@ impl<R: Read> NoBrowser<R> {
     }
 }
 
-/// Returns whether a first line comes from a browser: an HTTP request `METHOD TARGET HTTP/1.1` (RFC 9112, 3), or the
-/// beginning of TLS. Returns `None` if more bytes are needed to decide. A page can choose any method name.
+/// Returns whether a first line comes from a browser. Such a line is the beginning of TLS, or an HTTP request
+/// `METHOD TARGET HTTP/1.1` (RFC 9112, 3). The method can have any name, because a page can choose the name. Returns
+/// `None` if more bytes are needed to decide.
 fn is_request(first: &[u8]) -> Option<bool> {
     if first.starts_with(TLS) {
         return Some(true);
@@ -47,8 +49,9 @@ fn is_request(first: &[u8]) -> Option<bool> {
     if !is_text || method.len() > LONGEST_METHOD || method.iter().any(|byte| b"\"(),/:;<=>?@[\\]{}".contains(byte)) {
         return Some(false);
     }
-    // A browser's target begins with a slash, whatever method a page chooses, so `G1 X5` is no request. Other targets
-    // (`*`, or addresses for a proxy) occur only with methods that have no digits.
+    // The target of a browser's request begins with a slash, even if a page has chosen a method such as `G1`. So
+    // `G1 X5` is no request. Other targets (`*`, or addresses for a proxy) occur only with methods that have no
+    // digits.
     let target = line.get(method.len() + 1);
     if method.iter().any(u8::is_ascii_digit) && target.is_some_and(|begin| *begin != b'/') {
         return Some(false);
@@ -170,7 +173,7 @@ mod tests {
         let mut buffer = [0; 8];
         assert_eq!(reader.read(&mut buffer).unwrap(), 1);
         assert_eq!(reader.read(&mut buffer).unwrap(), 2);
-        // A realtime command within a line does not wait for the end of the line either.
+        // A realtime command within a line is passed on before the line ends, too.
         let mut reader = NoBrowser::new(Pieces(vec![b"G1 ", b"X", b"!", b"~"]));
         for read in [b"G1 X" as &[u8], b"!", b"~"] {
             let length = reader.read(&mut buffer).unwrap();

@@ -11,8 +11,8 @@ const POINTS: usize = 300_000;
 const COLUMNS: usize = 8_192;
 /// Initial width of a column, in seconds: shorter than a segment.
 const FIRST_WIDTH: f64 = 0.000_25;
-/// Speeds that differ by less than this fraction of the maximum speed look the same in a drawing, so their motions can
-/// be merged.
+/// Motions can be merged if their speeds differ by less than this fraction of the maximum speed, because such speeds
+/// look the same in a drawing.
 const SAME_SPEED: f32 = 0.02;
 
 /// Initial tolerance of the path, in mm: removing points moves the path by at most this much. `thin_out` doubles the
@@ -50,14 +50,14 @@ pub struct Sample {
 pub struct Point {
     /// Position in mm.
     pub at: [f32; LINEAR],
-    /// Mean path speed of the motion to this point, mm/s.
+    /// Mean path speed of the motion to this point, in mm/s.
     pub speed: f32,
     /// Whether the motion to this point is a rapid.
     pub rapid: bool,
     /// Start and end time of the motion to this point, in seconds from the start of the drawing.
     pub seconds: [f64; 2],
     /// The line and tool of the motion to this point, if `Simulator::mark_moves` was called. If several motions were
-    /// merged, those of the last one.
+    /// merged, this is the mark of the last of them.
     pub mark: Mark,
 }
 
@@ -74,7 +74,7 @@ pub struct Column {
     /// Minimum and maximum speed of feeds in mm/s (0 at rest); `None` if neither a feed nor a rest was recorded in the
     /// span.
     pub feed: Option<(f32, f32)>,
-    /// Maximum speed of rapids, mm/s; `None` if there was no rapid.
+    /// Maximum speed of rapids, in mm/s; `None` if there was no rapid.
     pub rapid: Option<f32>,
 }
 
@@ -108,13 +108,13 @@ pub struct Drawing {
     top_speed: f32,
     /// `true` if the next sample of the same straight move can move the last point, instead of adding a point.
     extend: bool,
-    /// Speed of the first sample that was merged into the last point, mm/s. Further samples are merged only if their
-    /// speeds differ little from it.
+    /// Speed of the first sample that was merged into the last point, in mm/s. Further samples are merged only if
+    /// their speeds differ little from this speed.
     first_speed: f32,
 }
 
 impl Drawing {
-    /// Starts a drawing at a tool position in mm. `seconds`: the virtual time at which it begins.
+    /// Starts a drawing at a tool position in mm. `seconds`: the virtual time at which the drawing begins.
     pub fn new(start: [f64; LINEAR], seconds: f64) -> Self {
         Self::with_limit(start, seconds, POINTS)
     }
@@ -356,7 +356,7 @@ mod tests {
         }
         assert_eq!(drawing.points().len(), 2);
         assert!((drawing.points()[1].speed - 98.9375).abs() < 1e-3, "{:?}", drawing.points()[1]);
-        // If the path has a point for each sample, and `simplified` merges them, the mean speed is the same.
+        // The mean speed is the same if the path has a point for each sample and `simplified` merges these points.
         let points: Vec<Point> = std::iter::once(drawing.points()[0])
             .chain(speeds.iter().enumerate().map(|(i, speed)| {
                 let seconds = [i as f64, i as f64 + 1.0];
@@ -372,7 +372,8 @@ mod tests {
     fn the_number_of_points_is_bounded_and_the_shape_stays() {
         let mut drawing = Drawing::with_limit([50.0, 0.0, 0.0], 0.0, 8000);
         for i in 1..100_000 {
-            // 159 turns of the circle (1000 rad). 8000 points leave about 50 for each turn; a dozen already look round.
+            // The circle has 159 turns (1000 rad). If 8000 points remain, each turn has about 50. A turn looks round
+            // with a dozen points already.
             let angle = i as f64 * 0.01;
             let to = [50.0 * angle.cos(), 50.0 * angle.sin(), 0.0];
             drawing.add(sample(i, to, 10.0, true));

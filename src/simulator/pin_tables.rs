@@ -54,8 +54,8 @@ fn show(name: &str) -> Result<Ending> {
     Ok(Ending::Good)
 }
 
-/// Reads a pin table from a file, or from standard input if the path is `-`. Prints the faults of the table; `None` if
-/// it has any.
+/// Reads a pin table from a file, or from standard input if the path is `-`. If the table has faults, prints them and
+/// returns `None`.
 fn read(path: &Path) -> Result<Option<Board>> {
     let mut bytes = Vec::new();
     let result = match path.as_os_str() == "-" {

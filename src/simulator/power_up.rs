@@ -74,8 +74,8 @@ pub fn error_text(code: u8) -> &'static str {
     Error::ALL.iter().find(|error| error.code() == code).map_or("an error without a description", |error| error.text())
 }
 
-/// Returns the `[MSG:` lines of the output `said`, joined on one line with a blank before each, to be appended to a
-/// text for users.
+/// Returns all `[MSG:` lines of the output `said` as one line, to be appended to a text for users. A blank precedes
+/// each of the messages.
 pub fn messages_of(said: &str) -> String {
     said.lines().filter(|line| line.starts_with("[MSG:")).map(|line| format!(" {line}")).collect()
 }

@@ -1,8 +1,8 @@
 //! Writes the prologue of `oxmill resume`: the lines that restore the machine's state before the rest of a job. They
 //! restore modal state, tool and offsets, move to the position, and switch spindle and coolant on. Numbers are exact.
 //!
-//! The rest can rely on an arc or a canned cycle of the lines before it. Then the first line that does so gets the
-//! missing words.
+//! The rest of the job can rely on an arc mode or a canned cycle of the lines before it. Then the words that are
+//! missing in the rest are added to the first line that needs them.
 
 use crate::boards::AXES;
 use oxmill_controller::axes::{Axis, PerAxis};
@@ -38,14 +38,13 @@ pub struct Entry {
     pub outputs: u8,
 }
 
-/// The line of the rest that relies on a motion mode that one word cannot restore, such as an arc or a canned cycle,
-/// and the words that this line needs.
+/// The first line of the rest that uses or replaces the motion mode of the lines before the rest, and the words that
+/// this line needs. The prologue cannot restore some modes, such as arcs and canned cycles, by a single word.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mode {
     /// Index, in the rest, of the first line that moves in this mode or selects another motion mode.
     pub line: usize,
-    /// The words to add to that line; `None` if it needs none, because it selects another motion mode, or because G0,
-    /// G1 or G80 is in force.
+    /// The words to add to that line. `None` if the line selects another motion mode, or if G0, G1 or G80 is in force.
     pub words: Option<String>,
 }
 
@@ -115,7 +114,7 @@ fn words(place: &PerAxis<Coordinate, AXES>) -> String {
     axes.map(|(axis, value)| format!(" {}{}", char::from(axis.letter()), exact(value.0))).collect()
 }
 
-/// Returns the moves to the position. Unless the spindle is a laser, it is started before the move down.
+/// Returns the moves to the position. A spindle starts before the move down. A laser does not start in these lines.
 fn way(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String> {
     let mut lines = Vec::new();
     if let Some(clearance) = entry.clearance {
@@ -223,7 +222,8 @@ fn feed_and_motion(modal: &Modal, is_fed: bool) -> Vec<String> {
     }
     let mut units = Units::Mm;
     if let Some(feed) = feed.filter(|_| modal.feed_in_inches) {
-        // Give F in inches, as the job did: for rotary axes, F in inches differs from the same F in millimetres.
+        // Give F in inches, as the job did. A rotary axis takes the number after F as degrees per minute, so it would
+        // turn at another rate if F were given in millimetres.
         units = Units::Inch;
         words.push(format!("G20 F{}", exact(feed.0.saturating_mul(10) / 254)));
     }
@@ -254,7 +254,7 @@ pub fn mode_of(state: &Interpreter<AXES>, rest: &[&[u8]], dialect: Dialect) -> R
         let groups = found.iter().filter_map(|(letter, number)| group_of(*letter, *number, dialect).ok());
         // M2 and M30 select another motion mode, too; M0 does not.
         let mut selects = has_word(text, b'M', &[2, 30]);
-        // G12 and G13 leave the motion mode as it is, and use I.
+        // G12 and G13 have the word I, but do not change the motion mode.
         let circles = has_word(text, b'G', &[12, 13]);
         let mut takes_axes = circles;
         for group in groups {
@@ -360,13 +360,13 @@ pub fn has_word(line: &[u8], letter: u8, numbers: &[i32]) -> bool {
         .any(|(other, number)| *other == letter && numbers.iter().any(|wanted| *number == Decimal::from_int(*wanted)))
 }
 
-/// Inserts words at the beginning of a line, after a slash and an N word, which must come first.
+/// Inserts words at the beginning of a line, but after a slash and an N word, because these must come first.
 pub fn put_in_front(line: &[u8], words: &str) -> Vec<u8> {
     let blank = |byte: &u8| matches!(byte, b' ' | b'\t');
     let skip = |at: usize, is: &dyn Fn(&u8) -> bool| at + line[at..].iter().take_while(|byte| is(byte)).count();
     let mut at = skip(0, &blank);
     if line.get(at) == Some(&b'/') {
-        // The slash of a line that can be skipped can have a number, as in `/1`.
+        // A number can follow the slash of a line that can be skipped, as in `/1`.
         at = skip(at + 1, &|byte| byte.is_ascii_digit());
     }
     at = skip(at, &blank);

@@ -29,8 +29,8 @@ pub(crate) fn open(link: Option<&Path>, sender: SyncSender<Happened>) -> Result<
     make_raw(&master).context("cannot set up the pseudo terminal")?;
     // The write side must not block forever if a client does not read.
     fcntl(&master, FcntlArg::F_SETFL(OFlag::O_NONBLOCK)).context("cannot set up the pseudo terminal")?;
-    // Close the clients' end. As long as no client has it open, `poll` reports a hang-up. The end of the hang-up shows
-    // the first client.
+    // Close the clients' end. As long as no client has this end open, `poll` reports a hang-up. When the hang-up ends,
+    // the first client has opened the terminal.
     drop(ends.slave);
     if let Some(link) = link {
         match fs::symlink_metadata(link) {

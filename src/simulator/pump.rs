@@ -19,7 +19,7 @@ impl Pump<AXES> for Simulator {
     }
 
     fn begin(&mut self) -> Instant {
-        // Make the bytes of the job ready that the controller may read in this round.
+        // Make those bytes of the job ready that the controller may read in this round.
         self.read_job_ahead();
         self.clock.instant()
     }
@@ -75,8 +75,8 @@ impl Pump<AXES> for Simulator {
     }
 
     fn room(&mut self) -> Room {
-        // Number the moves of the line in progress here, because `room` is called before each output: at the line's
-        // first output, none of its moves is queued yet.
+        // `room` is called before each output, so also before the first output of a line. None of the line's moves is
+        // queued at that time, so number the moves here.
         self.mark_line();
         Room { step: self.step.queued() < SEGMENTS_DEPTH, reply: self.outgoing.len() < OUTGOING }
     }

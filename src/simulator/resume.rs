@@ -18,8 +18,8 @@ use oxmill_controller::messages::Realtime;
 use oxmill_controller::settings::Key;
 use oxmill_controller::units::{Coordinate, DECIMAL_ONE, Decimal};
 
-/// Position, in mm, at which a simulator begins a job or a program. Programs are unlikely to contain these numbers, so
-/// each axis that a program names moves.
+/// Position, in mm, at which a simulator begins a job or a program. A program is unlikely to contain these numbers. So
+/// no axis begins at its target by chance, and each axis that the program names moves.
 const START: [f64; AXES] = [-0.1357, -0.2473, -0.3791, -0.4919];
 
 /// Shift of the second run, in mm for each axis. The second run begins this far from [`START`]. The zeros of its
@@ -29,7 +29,7 @@ const ELSEWHERE: [f64; AXES] = [1.9, 3.1, -2.3, 4.7];
 /// Default of [`ResumeRequest::spin_up`], in seconds.
 pub const SPIN_UP: u16 = 5;
 
-/// Minimum plunge feed, mm/min, as in Grbl. Simulating a slower plunge would take hours of machine time.
+/// Minimum plunge feed in mm/min, as in Grbl. Simulating a slower plunge would take hours of machine time.
 const SLOWEST: Decimal = Decimal::from_int(1);
 
 /// Converts a length in mm or a feed rate in mm/min to units of 1e-7; `None` beyond the controller's range.
@@ -53,8 +53,8 @@ pub struct ResumeRequest {
     /// Where to resume.
     pub begin: Begin,
     /// Z at which the tool travels to the position, in program coordinates. `None`: the highest Z of the job so far.
-    /// For this, each height at which the job has travelled must be known in the present coordinate system, and must
-    /// not depend on where the machine was before the job.
+    /// That Z can be used only if each height at which the job has travelled is known in the present coordinate
+    /// system, and does not depend on where the machine was before the job.
     pub clearance: Option<Coordinate>,
     /// Feed rate down to the position, in mm/min. `None`: the feed rate of the job's last plunge straight down.
     pub plunge: Option<Decimal>,
@@ -192,7 +192,7 @@ struct Walk {
     ends: Vec<End>,
     /// Whether the job reached the present Z by a rapid and has made only rapids since.
     is_clear: bool,
-    /// Feed rate of the last move straight down, mm/min.
+    /// Feed rate of the last move straight down, in mm/min.
     plunge: Option<Decimal>,
     /// `true` if an output will change with the next motion (M62 or M63 without a motion since).
     waits_for_motion: bool,
@@ -339,9 +339,9 @@ impl Walk {
         })
     }
 
-    /// Returns the highest known Z of the job so far, at which the tool can travel. Fails if the job has travelled at a
-    /// height that is not known in the present coordinate system. Also fails if the present tool offset would lift the
-    /// spindle higher at this Z than the job did.
+    /// Returns the highest known Z of the job so far, at which the tool can travel. Fails if the job has travelled at
+    /// a height that is not known in the present coordinate system. Also fails if the spindle, with the present tool
+    /// offset, would be higher at this Z than it was in the job.
     fn clearance(&self, other: &Walk) -> Result<Coordinate, String> {
         const WISH: &str = "give a safe height to travel at (--clearance)";
         let system = self.state().modal().coordinate_system;
@@ -375,8 +375,8 @@ impl Walk {
     }
 
     /// Checks the program before it is written. This simulator runs the next lines of the job (`job`). A new simulator
-    /// runs the prologue, and these lines as the program contains them (`written`). Fails if the states of both then
-    /// differ.
+    /// runs the prologue, and then the same lines in the form that the program has (`written`). Fails if the resulting
+    /// states differ.
     fn compare(&mut self, prologue: &[String], written: &[Vec<u8>], job: &[&[u8]]) -> Result<(), String> {
         let mut anew = powered_up_as(&self.simulator)?;
         let taken = prologue.iter().map(|line| line.clone().into_bytes()).chain(written.iter().cloned());

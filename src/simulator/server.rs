@@ -5,9 +5,9 @@
 //! multiplied by the speed. If the simulation cannot keep up, virtual time runs slower and does not catch up later.
 //!
 //! One client is served at a time, like one program at a serial port. On TCP, a second client gets a message and is
-//! disconnected. When a client disconnects, the simulated port is closed: `$914` determines what becomes of the job,
-//! and bytes for which the board has no room are discarded. A client's bytes are read before the machine needs them,
-//! because a disconnection is noticed only after the last byte.
+//! disconnected. When a client disconnects, the simulated port is closed. `$914` then determines what becomes of the
+//! job, and bytes for which the board has no room are discarded. A client's bytes are read before the machine needs
+//! them, because a disconnection shows only when the last byte has been read.
 
 use crate::clients::{
     ANSWERS, Client, Connection, ENDLESS, Happened, Inbox, Incoming, LONGEST_LINE, LOOK, PIECE, Writer, hung_up,
@@ -178,7 +178,8 @@ impl Device {
             let active = self.simulator.is_active();
             if self.is_done() && !active && self.simulator.unfetched() == 0 && self.kept.is_none() {
                 // Standard input has ended. If lines are still unread, the machine waits for a realtime command, which
-                // cannot come any more. The writer ends after the last reply, when its sender is dropped.
+                // cannot come any more. The writer's queue loses its sender when this loop ends. The writer then ends
+                // after the last reply.
                 let failure = self.client.as_ref().and_then(|client| client.inbox.failure());
                 return failure.map_or(Ok(()), Err).context("cannot read standard input to its end");
             }
@@ -378,8 +379,8 @@ fn turn_away(incoming: Incoming) {
 
 fn serve_stdio(client: Client, sender: &SyncSender<Happened>) {
     let inbox = client.inbox.clone();
-    // `|| false`: never treat the client as disconnected while bytes are left. A pipe that has ended still holds a
-    // complete program.
+    // `|| false`: as long as bytes are left, never treat the client as disconnected. A pipe whose writing end is
+    // closed can still contain a complete program.
     if sender.send(Happened::Connected(client)).is_ok() {
         let tell = || inbox.fail(io::Error::other(format!("a line has more than {LONGEST_LINE} characters")));
         pass_bytes(&mut io::stdin().lock(), &inbox, sender, || false, tell);

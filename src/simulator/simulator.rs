@@ -152,9 +152,10 @@ impl Simulator {
 
     // Inputs: bytes of the host, its port, and the pins.
 
-    /// Receives bytes from the host at the present virtual time. The board's queue takes 255 line bytes and the link
-    /// 192. Within this room, a realtime command acts immediately: it overtakes line bytes that were sent earlier.
-    /// Further bytes wait in the host's port, and so do commands after them: see [`Simulator::unread`].
+    /// Receives bytes from the host at the present virtual time. The board's queue has room for 255 line bytes, and
+    /// the link for 192. While there is room, a realtime command acts immediately, so it overtakes line bytes that
+    /// were sent earlier. Further bytes, and the commands after them, wait in the host's port: see
+    /// [`Simulator::unread`].
     pub fn send(&mut self, bytes: impl AsRef<[u8]>) {
         self.host.send(bytes.as_ref());
         self.receive();
@@ -162,12 +163,12 @@ impl Simulator {
     }
 
     /// For a replay: sends bytes like [`Simulator::send`], at the time at which the board read them. `more`: `true` if
-    /// further bytes waited on the board after them.
+    /// the board had further bytes waiting when it read these.
     pub fn send_followed(&mut self, bytes: impl AsRef<[u8]>, more: bool) {
         self.host.follow(more);
         self.send(bytes);
-        // The board read the waiting bytes soon after, so from now on none wait. The replay may send them later: for a
-        // line, the recording has only the time of its end.
+        // The board read the waiting bytes soon after these, so from now on none count as waiting. The replay may send
+        // a waiting line only later, because the recording has only the time at which the line ended.
         self.host.follow(false);
     }
 
@@ -183,8 +184,8 @@ impl Simulator {
         self.host.lose();
     }
 
-    /// For a replay: puts the machine, which must be at rest, into a recorded state. `lock`: also locks it. See
-    /// `Controller::stand`.
+    /// For a replay: puts the machine, which must be at rest, into a recorded state. If `lock` is `true`, also locks
+    /// the machine. See `Controller::stand`.
     pub fn stand(&mut self, standing: &Standing, lock: bool) {
         self.controller.stand(standing, lock);
         self.turn();
@@ -384,7 +385,7 @@ impl Simulator {
     }
 
     /// Returns the number of ticks during which nothing will happen without further input, so that a caller can skip
-    /// them. 0 if nothing will happen at all.
+    /// them. Returns 0 if nothing will happen at all.
     pub fn ticks_without_event(&self) -> u64 {
         let next = [self.wake_due(), self.step.due(), self.inputs.sample_due()].into_iter().flatten().min();
         next.map_or(0, |next| next.saturating_sub(self.clock.now() + 1))
@@ -517,7 +518,7 @@ impl Simulator {
         linear(self.machine_place())
     }
 
-    /// Machine position in mm, and of A in degrees.
+    /// Returns the machine position: X, Y and Z in mm, A in degrees.
     pub fn machine_place(&self) -> [f64; AXES] {
         self.controller.machine_position().0.map(millimetres)
     }
@@ -527,7 +528,7 @@ impl Simulator {
         linear(self.work_place())
     }
 
-    /// Work position in mm, and of A in degrees.
+    /// Returns the work position: X, Y and Z in mm, A in degrees.
     pub fn work_place(&self) -> [f64; AXES] {
         self.controller.work_position().0.map(millimetres)
     }

@@ -134,7 +134,8 @@ impl StepTask {
         self.probe_invert = wiring.probe_invert;
     }
 
-    /// Sets the slow outputs. While a laser moves, its power stays as it is, because each segment sets it.
+    /// Sets the slow outputs. While the machine moves, the power of a laser stays as it is, because each segment sets
+    /// it.
     pub fn show(&mut self, outputs: SlowOutputs, clock: &Clock, world: &mut World) {
         self.outputs = Some(outputs);
         if !outputs.power_from_segments || self.due.is_none() {
@@ -240,8 +241,8 @@ impl StepTask {
         first
     }
 
-    /// Stops immediately, switches off a laser whose power segments set, and drops all waiting messages. Reports the
-    /// stop to the controller.
+    /// Stops immediately and drops all waiting messages. Switches off a laser if its power comes from the segments.
+    /// Reports the stop to the controller.
     pub fn stop(&mut self, clock: &Clock, world: &mut World) {
         let event = self.stepper.stop([0; AXES]);
         self.stopped(event, clock, world);

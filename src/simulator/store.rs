@@ -20,7 +20,7 @@ const ERASED: u32 = u32::MAX;
 /// A change of the image, or the request to make all changes durable.
 #[derive(Clone, Copy, Debug)]
 pub enum Kept<'a> {
-    /// The bytes of the image from this offset (in bytes) on have changed to the given ones.
+    /// Some bytes of the image have changed. Contains the offset of the first of them, in bytes, and their new values.
     Bytes(usize, &'a [u8]),
     /// All changes so far must be made durable.
     Sync,

@@ -18,8 +18,8 @@ const SLICE: Duration = Duration::from_millis(1);
 /// 115200 / 10000 = 11.52 bytes.
 const BYTE: u64 = 1000 * 10;
 /// Minimum loss of time that is listed, in seconds. The lag of a line is how much later it ends than over an unlimited
-/// link. A line is listed if its lag is greater by at least this much than that of the last listed line. The time
-/// slices alone can cause smaller differences.
+/// link. A line is listed if its lag exceeds the lag of the last listed line by more than this loss. Smaller
+/// differences can come from the time slices alone.
 const NOTICEABLE: f64 = 0.005;
 /// Maximum number of lines that are listed.
 const MOST_PLACES: usize = 20;
@@ -29,8 +29,8 @@ const MOST_PLACES: usize = 20;
 pub struct Lost {
     /// Line number in the text sent, from 1.
     pub line: u64,
-    /// Time lost since the previous line of the list (in the order of the text), compared with an unlimited link, in
-    /// seconds.
+    /// Time lost compared with an unlimited link, in seconds. Counted from the previous listed line, in the order of
+    /// the text.
     pub seconds: f64,
 }
 
@@ -39,13 +39,14 @@ pub struct Lost {
 pub struct Streamed {
     /// Bits per second of the link; 0 for an unlimited link.
     pub baud: u32,
-    /// From the first byte sent to rest, in seconds.
+    /// Time from the first byte sent until the machine is at rest, in seconds.
     pub forecast_s: f64,
     /// Whether every line was answered and the machine came to rest.
     pub complete: bool,
     /// Number of lines that were answered with an error.
     pub errors: u64,
-    /// Lines with the most time lost compared with an unlimited link, the largest loss first.
+    /// Lines at which the machine lost time compared with an unlimited link. The line with the largest loss comes
+    /// first.
     pub lost: Vec<Lost>,
 }
 

@@ -76,7 +76,7 @@ pub struct Summary {
     pub step_clock_hz: u32,
     /// Number of lines of the file.
     pub lines: u64,
-    /// Number of tape marks in the file: lines with `%` and only comments.
+    /// Number of tape marks in the file: lines that contain only `%`, or only `%` and comments.
     pub tape_marks: u64,
     /// The first errors, at most 1000.
     pub errors: Vec<LineError>,
@@ -131,7 +131,7 @@ pub struct Summary {
     pub distance_mm: f64,
     pub rapid_distance_mm: f64,
     pub extents_mm: Extents,
-    /// Travel of X, Y and Z after homing, in machine coordinates, by the settings.
+    /// Ends of the travel of X, Y and Z after homing, in machine coordinates. They follow from the settings.
     pub travel_mm: Extents,
     /// Maximum path speed, averaged over a few milliseconds or more. What rounding to steps may have added is
     /// subtracted.

@@ -33,20 +33,20 @@ pub(crate) fn set_up(stream: &TcpStream, unread: Duration) -> io::Result<()> {
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(unread))?;
     let socket = SockRef::from(stream);
-    // TCP sends no keep-alive probes while a reply is unacknowledged, but would retransmit the reply for a quarter of
-    // an hour. So limit this time.
+    // While a reply is unacknowledged, TCP sends no keep-alive probes. It would retransmit the reply for a quarter of
+    // an hour instead. So limit this time.
     #[cfg(target_os = "linux")]
     socket.set_tcp_user_timeout(Some(UNACKNOWLEDGED))?;
     socket.set_tcp_keepalive(&TcpKeepalive::new().with_time(SILENCE).with_interval(QUESTIONS))
 }
 
-/// Maximum length of a line of the pin protocol, bytes.
+/// Maximum length of a line of the pin protocol, in bytes.
 const PIN_LINE: u64 = 256;
 /// Maximum time until a pin client has sent its first line.
 const FIRST_LINE: Duration = Duration::from_secs(60);
 /// Maximum time for which writing a reply blocks if a pin client does not read and its buffers are full.
 const UNREAD: Duration = Duration::from_secs(5);
-/// Socket buffer sizes for the lines and the replies of a pin client, bytes.
+/// Socket buffer sizes for the lines and the replies of a pin client, in bytes.
 const PIN_BUFFER: usize = 1 << 14;
 
 /// Listens on an address such as `192.168.1.5:7000`. A port alone (`7000` or `:7000`) means the loopback, which only

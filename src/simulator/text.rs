@@ -100,16 +100,16 @@ pub struct JobText {
     lines_before: u32,
     /// For each tape mark (`%`) in the file: the number of lines before it that are not tape marks.
     marks: Vec<u64>,
-    /// Line number of a tape mark after words, while it is unknown whether words follow it. A tape mark between words
-    /// separates two programs: the controller gets the mark before the words that follow. `None` if there is no such
-    /// mark, or if the controller has it.
+    /// Line number of a tape mark that follows lines with words, while it is unknown whether further lines with words
+    /// follow the mark. If they do, the mark separates two programs, and the controller gets the mark before the next
+    /// line with words. `None` if there is no such mark, or if the controller has got it.
     between: Option<u64>,
     /// For each tape mark that was given to the controller: the number of lines given before it, including tape marks.
     given_marks: Vec<u64>,
     /// Answered lines that may have opened a block of O words.
     openers: Vec<Opener>,
-    /// Answered lines from the first opener on, with their line numbers in the file. The controller may have stored them
-    /// for a subroutine, loop or macro.
+    /// Answered lines from the first opener on, with their line numbers in the file. The controller may have stored
+    /// these lines for a subroutine, loop or macro.
     stored: VecDeque<(u64, String)>,
     /// Whether a line with words has been given to the controller.
     has_words: bool,
@@ -193,9 +193,9 @@ impl JobText {
         }
     }
 
-    /// Starts the job. `lines_before`: number of lines (wrapping) that the controller has read before. `has_all_words`:
-    /// `false` for a board that does not support all words; its errors for these words are then added.
-    /// `has_tape_marks`: `true` if the controller's dialect has tape marks.
+    /// Starts the job. `lines_before`: number of lines (wrapping) that the controller has read before.
+    /// `has_all_words`: `false` for a board that does not support all words. The errors that this board would return
+    /// for such words are then added. `has_tape_marks`: `true` if the controller's dialect has tape marks.
     pub fn begin(&mut self, lines_before: u32, has_all_words: bool, has_tape_marks: bool) {
         self.lines_before = lines_before;
         self.has_all_words = has_all_words;
@@ -251,8 +251,8 @@ impl JobText {
         self.lines
     }
 
-    /// Number of tape marks: lines with `%` and only comments, which mark the ends of a punched tape. Only those
-    /// between two programs are passed on to the controller.
+    /// Returns the number of tape marks: lines that contain only `%`, or only `%` and comments. They mark the ends of
+    /// a punched tape. Only tape marks between two programs are passed on to the controller.
     pub fn tape_marks(&self) -> u64 {
         self.marks.len() as u64
     }
@@ -282,8 +282,8 @@ impl JobText {
         self.inches_at
     }
 
-    /// Returns the line number and the text of the stored line that the controller quotes as `quoted`; `None` if no line
-    /// or more than one line of the file begins like this.
+    /// Returns the line number and the text of the stored line that the controller quotes as `quoted`. Returns `None`
+    /// if no line or more than one line of the file begins like this.
     pub fn stored_line(&self, quoted: &str) -> Option<(u64, &str)> {
         let is_quoted = |text: &str| {
             let read = column::as_read(text);
@@ -457,8 +457,8 @@ impl JobText {
         }
     }
 
-    /// Notes the numbers of the parameters that a line sets and reads. Only `#31` to `#4999` count: the numbers below are
-    /// arguments of calls, and the machine sets those above.
+    /// Notes the numbers of the parameters that a line sets and reads. Only `#31` to `#4999` count, because lower
+    /// numbers are arguments of calls, and the machine sets the parameters with higher numbers.
     fn note_numbers(&mut self, line: &str) {
         let line = column::as_read(line);
         for part in line.split('#').skip(1) {
@@ -495,8 +495,8 @@ impl JobText {
         (distance(nearest) <= MOST_DIFFERENT && distance(nearest) < name.chars().count()).then_some(nearest)
     }
 
-    /// Returns the lines that call a program, each with its number in the file. `number`: number of the program, such as `O1001`. Searches
-    /// only the lines since the last [`JobText::forget_openers`].
+    /// Returns the lines that call a program, each with its number in the file. `number`: number of the program, such
+    /// as `O1001`. Searches only the lines since the last [`JobText::forget_openers`].
     pub fn calls_of(&self, number: &str) -> Vec<(u64, &str)> {
         let word = number.replace(['O', 'o'], "P");
         let is_one = |opener: &&Opener| is_call(&opener.text) && advice::words(&opener.text).contains(&word);
@@ -765,8 +765,8 @@ mod tests {
         assert_eq!(job.said(), [Said::Error { line: 1, code: 2, text: "G1 X?".into(), reason: None }]);
     }
 
-    /// A message before an error explains the error, except if the state of the machine causes the error (here 9:
-    /// locked). Such a message is not about the line.
+    /// A message before an error explains the error. But if the state of the machine causes the error (here error 9:
+    /// locked), the message is not about the line.
     #[test]
     fn the_message_in_front_of_an_error_says_what_is_wrong_with_its_line() {
         let mut job = JobText::new(&b"G1 X\nG1\nG2\n"[..]);

@@ -7,17 +7,17 @@ use serde::Serialize;
 pub struct ToolTime {
     /// The tool number of M6; 0 for the time before the first M6.
     pub tool: u32,
-    /// Moves except rapids, s.
+    /// Time of all moves except rapids, in seconds.
     pub feed_s: f64,
-    /// Rapids, s.
+    /// Time of rapids, in seconds.
     pub rapid_s: f64,
-    /// G4, and the dwells of canned cycles, s.
+    /// Time of G4 and of the dwells of canned cycles, in seconds.
     pub dwell_s: f64,
-    /// Waiting for the spindle to spin up (`$394`) or to stop (`$539`), s.
+    /// Time in which the machine waits for the spindle to spin up (`$394`) or to stop (`$539`), in seconds.
     pub spin_up_s: f64,
 }
 
-/// Lines that take longer than this are listed, s.
+/// A line is listed if it takes longer than this time, in seconds.
 const LONG: f64 = 3600.0;
 
 /// The times of all tools in the order of use, and of the line in progress.

@@ -26,8 +26,8 @@ pub struct StepRecord {
     pub rotary: [i32; AXES - LINEAR],
 }
 
-/// An optional value that is not cloned with its owner: the clone has `None`. For values such as a file, which can have
-/// only one reader or writer.
+/// An optional value that is not cloned with its owner: the clone has `None`. Used for values that can have only one
+/// reader or writer, such as a file.
 #[derive(Debug)]
 pub struct Sole<T>(pub Option<T>);
 
@@ -185,8 +185,9 @@ impl Trace {
     }
 }
 
-/// The CSV file. Spindle, power, coolant and the digital outputs of the program (a bit mask, bit 0 is P0) are written
-/// into the first row after a change and left empty in all other rows.
+/// The CSV file. Its last columns are spindle, power, coolant and the digital outputs of the program (a bit mask, bit
+/// 0 is P0). If any of the four has changed, the next row gives the values of all four. In all other rows these
+/// columns are empty.
 pub struct Csv {
     out: BufWriter<Box<dyn Write>>,
     hz: u64,
@@ -271,8 +272,8 @@ impl Csv {
     }
 }
 
-/// Appends an integer in decimal, with zeros in front up to `width` digits. Most of the time for a trace is spent on
-/// formatting its rows, and `write!` would take several times as long.
+/// Appends an integer in decimal, with zeros in front up to `width` digits. Formatting the rows takes most of the time
+/// for a trace, and `write!` would take several times as long.
 fn push_number(row: &mut Vec<u8>, mut value: u64, width: usize) {
     let mut digits = [b'0'; 20];
     let mut start = digits.len();

@@ -1,9 +1,9 @@
 //! `serve --web`: serves the page over HTTP and carries the machine's bytes over a WebSocket, on the loopback only.
 //!
-//! Any web site that the user visits can send requests to ports of this computer. Two headers tell such requests apart,
-//! because a browser sets them truthfully and lets no page change them. A request is answered only if `Host` names the
-//! loopback, because the name of another site may resolve to this computer. The machine is connected only if `Origin`
-//! is this page.
+//! Any web site that the user visits can send requests to ports of this computer. Two headers distinguish these
+//! requests from those of the served page, because a browser sets the headers truthfully and lets no page change them.
+//! A request is answered only if `Host` names the loopback, because the name of another site may resolve to this
+//! computer. The machine is connected only if `Origin` is the served page.
 
 use crate::clients::{Connection, ENDLESS, Happened, Inbox, Incoming, Places, Taken, hung_up};
 use crate::tcp_link::connections;
@@ -21,13 +21,13 @@ use tungstenite::{Message, WebSocket};
 
 /// Maximum time for a request to arrive.
 const REQUEST_TIME: Duration = Duration::from_secs(5);
-/// Maximum size of a request's head, bytes.
+/// Maximum size of a request's head, in bytes.
 const REQUEST: usize = 1 << 14;
 /// Interval at which the thread checks for replies while the page sends nothing.
 const LOOK: Duration = Duration::from_millis(3);
-/// Maximum time for which a page that does not read blocks its thread.
+/// Maximum time for which a thread waits for a page that does not read.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Maximum length of a message of the page, bytes; the page sends a line at a time.
+/// Maximum length of a message of the page, in bytes; the page sends a line at a time.
 const MESSAGE: usize = 1 << 16;
 /// Path of the machine's WebSocket.
 const DEVICE: &str = "/machine";
@@ -40,8 +40,8 @@ const MARK: &str = "<meta charset=\"utf-8\">";
 /// The page that is served.
 pub struct Site {
     html: Vec<u8>,
-    /// Accepted values of `Host`: `127.0.0.1` and `localhost`, with the port. For port 80 also without the port,
-    /// because browsers omit it.
+    /// Accepted values of `Host`: `127.0.0.1` and `localhost`, each with the port. If the port is 80, the names
+    /// without the port are accepted, too, because browsers omit this port.
     hosts: Vec<String>,
 }
 

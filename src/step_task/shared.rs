@@ -107,8 +107,8 @@ pub struct Asked {
 /// The flags by which the watchdog finds out whether `serial` and `control` still run.
 pub static ASKED: Asked = Asked { serial: AtomicBool::new(false), control: AtomicBool::new(false) };
 
-/// Stops requested by any task since power-up (wrapping). A count instead of a flag, so that each request is executed
-/// and counted.
+/// Number of stops that any task has requested since power-up (wrapping). It is a count and not a flag, so that each
+/// request is executed and counted.
 static STOPS_ASKED: AtomicU16 = AtomicU16::new(0);
 
 /// Requests an immediate stop of the step task. The caller must pend the step vector right afterwards. The request
@@ -153,7 +153,7 @@ pub fn stops_asked() -> u16 {
 }
 
 /// For `control`: publishes whether everything received so far has been executed and answered (`free`). `activity`:
-/// value of [`SerialStatus::activity`] that `control` read before it checked this. If more has arrived since,
+/// value of [`SerialStatus::activity`] that `control` read before it determined `free`. If more has arrived since,
 /// [`is_free`] returns `false`.
 pub fn set_free(activity: u32, free: bool) {
     CONTROL.free_at.store(if free { activity } else { activity.wrapping_sub(1) }, Ordering::Relaxed);

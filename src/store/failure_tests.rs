@@ -106,8 +106,8 @@ fn series() -> impl Strategy<Value = Vec<(Store, u8)>> {
         8 => (0_u16..7, proptest::collection::vec(any::<u8>(), 0..60)).prop_map(|(key, v)| put(key, &v)),
         1 => (0_u16..7, 0_u16..7).prop_map(|(a, b)| Store::Remove { from: a.min(b), until: a.max(b) }),
     ];
-    // The number with each change decides whether there is time for an erase before the change, and whether a restart
-    // follows it.
+    // Each change comes with a number, which decides whether there is time for an erase before the change, and whether
+    // a restart follows the change.
     proptest::collection::vec((one, 0..12_u8), 1..150)
 }
 

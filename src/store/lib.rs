@@ -24,9 +24,10 @@
 //! store never looks like a record, because its characters are neither the kind `PUT` nor the length of a `REMOVE`.)
 //! One wrong byte in a header is corrected by means of its crc.
 //!
-//! A power cut during a write leaves a partial record at the end: some words, the last with only some of its bits
-//! programmed, then only erased words. A partial record is normally not damage. But if the power was cut in the last
-//! word of a record, the result can look like a complete record with one wrong byte. Only this case counts as damage.
+//! A power cut during a write leaves a partial record at the end of the log. The record has some words, and the last
+//! of them may have only some of its bits programmed. Only erased words follow. A partial record is normally not
+//! damage. But if the power was cut in the last word of a record, the result can look like a complete record with one
+//! wrong byte. Only this case counts as damage.
 //!
 //! Damage is reported as a record with the key [`STORE_DAMAGED`] until that record is removed. The report survives
 //! power cycles and compaction. Removing the record compacts the log into the spare sector. Opening a damaged log
@@ -99,7 +100,7 @@ impl Sector {
 pub enum StoreError<E> {
     /// The flash memory failed.
     Flash(E),
-    /// The log is full, and the spare sector is not erased (or the valid records alone fill a sector).
+    /// The log is full. Either the spare sector is not erased, or the valid records alone fill a sector.
     Full,
 }
 

@@ -174,8 +174,8 @@ pub fn resume(order: &Order, job: &[u8]) -> Result<Value, String> {
     Ok(json!({ "program": program, "line": rest.line, "lines": rest.lines, "prologue": rest.prologue }))
 }
 
-/// Returns a machine with the settings of the order. After they are stored, the machine is switched off and on, and a
-/// host connects.
+/// Returns a machine with the settings of the order. First stores the settings, switches the machine off and on, and
+/// connects a host.
 ///
 /// # Errors
 /// As [`power_up`].

@@ -44,17 +44,17 @@
 //! `default`, `grbl` (whether Grbl has it), `axis`, `title` (the name that all axes share), `group`, `labels` (names of
 //! choices or bits, from 0 on), and `explanation`: what it does and when to change it.
 //!
-//! An order is JSON, all parts of which are optional: `{"name": "a.nc", "board": "blackpill_f411", "dialect": "oxmill",
-//! "settings": {"110": 5000}, "path": true, "machine": {"steps_per_mm": [250, 250, 250]}, "work_zero": [-150, -100,
-//! -30], "baud": 115200}`. `machine` has the fields of the file that `--machine` reads. With `work_zero`, in mm of
-//! machine coordinates, the machine of a check or a stream is homed before the job and G54 is set there, as with
-//! `--work-zero`. `"resume": {"line": 1200, "clearance": 20, "plunge": 100, "spin_up": 5}` says where the rest of a job
-//! begins; only `line` is required. `"stored": ["G10 L1 P1 Z12.5"]` are lines that the machine of a check or a stream
-//! executes before the job, to set its offsets and tools. Settings are applied in the order of their numbers, then the
-//! dialect. Settings that were rejected are tried again after that, because the dialect determines which values are
-//! accepted.
+//! An order is a JSON object, and all its fields are optional: `{"name": "a.nc", "board": "blackpill_f411", "dialect":
+//! "oxmill", "settings": {"110": 5000}, "path": true, "machine": {"steps_per_mm": [250, 250, 250]}, "work_zero":
+//! [-150, -100, -30], "baud": 115200}`. `machine` has the fields of the file that `--machine` reads. `work_zero` is in
+//! mm of machine coordinates. If it is given, the machine of a check or a stream is homed before the job, and G54 is
+//! set there, as with `--work-zero`. `"resume": {"line": 1200, "clearance": 20, "plunge": 100, "spin_up": 5}` says
+//! where the rest of a job begins; only `line` is required. `"stored": ["G10 L1 P1 Z12.5"]` are lines that the machine
+//! of a check or a stream executes before the job, to set its offsets and tools. Settings are applied in the order of
+//! their numbers, then the dialect. Settings that were rejected are tried again after the dialect, because the dialect
+//! determines which values are accepted.
 //!
-//! A panic traps and ends the instance; the text of the panic can still be fetched.
+//! A call that panics ends the instance with a trap. The text of the panic can still be fetched.
 
 pub mod engine;
 mod pins;
@@ -280,7 +280,7 @@ pub extern "C" fn oxmill_resume() -> u32 {
 }
 
 /// Converts the settings of another controller, which are the input. Outputs JSON: the resulting settings of this
-/// firmware, and the entries that have none.
+/// firmware, and the entries of the input that do not become settings.
 #[unsafe(no_mangle)]
 pub extern "C" fn oxmill_import() -> u32 {
     answer(|_, text| json(&settings_import::import(&String::from_utf8_lossy(text))?))

@@ -100,9 +100,9 @@ fn module_of(file: &Path) -> Vec<String> {
     parts
 }
 
-/// Returns the room (top-level module of the controller) to which `path` leads, or another name in the root of the
-/// crate. `path`: as a file writes it. `module`: the module of this file, where `self` and `super` start. Returns
-/// `None` if the path does not start with `crate`, `self` or `super`.
+/// Resolves `path` from the root of the crate and returns its first name. This is a room (a top-level module of the
+/// controller), or another name that the root has. `path` is as a file writes it. `module` is the module of this file:
+/// `self` and `super` start there. Returns `None` if the path does not start with `crate`, `self` or `super`.
 fn room_of(path: &[String], module: &[String]) -> Option<String> {
     let mut base = module.to_vec();
     let mut rest = path;
@@ -151,9 +151,9 @@ fn faults(file: &Path, text: &str) -> Vec<String> {
         if path[0] == "std" || path[0] == "alloc" && room != "lent" {
             faults.push(format!("uses `{}`", path.join("::")));
         }
-        // `room_of` resolves `super` from the module of the file. Inline modules would need more, but only tests have
-        // them. A path to a re-export in the crate's root, such as `crate::Profile`, is rejected: it hides the room of
-        // the name.
+        // `room_of` resolves `super` from the module of the file. Within an inline module this would be wrong, but only
+        // tests have inline modules. A path to a re-export in the crate's root, such as `crate::Profile`, is rejected,
+        // because it hides the room of the name.
         if let Some(other) = room_of(&path, &module)
             && other != *room
             && !allowed.contains(&other.as_str())
@@ -206,7 +206,8 @@ fn dependencies(manifest: &str) -> Vec<String> {
     for line in manifest.lines().map(str::trim) {
         if line.starts_with('[') {
             inside = line == "[dependencies]";
-            // Dependencies can also have tables of their own (`[dependencies.x]`), and tables for single targets.
+            // Dependencies can also be in other tables: a dependency in one of its own (`[dependencies.x]`), and those
+            // of a single target in a table of this target.
             if let Some(name) = line.trim_matches(['[', ']']).split("dependencies.").nth(1)
                 && !line.contains("dev-dependencies")
             {
@@ -252,8 +253,9 @@ fn the_simulator_is_safe_and_knows_no_hardware() {
     assert!(text.contains("forbid(unsafe_code)"));
 }
 
-/// Returns the rules that a file of the boards violates. From the controller, boards may use the profile, the step
-/// rates, the reset cause, and the step digest (for boards without pins). They must not use RTIC or the simulator.
+/// Returns the rules that a file of the boards violates. Of the controller, boards may use only four things: the
+/// profile, the step rates, the reset cause, and the digest of the steps, which boards without pins compute. Boards
+/// must not use RTIC or the simulator.
 fn board_faults(_: &Path, text: &str) -> Vec<String> {
     let mut faults = Vec::new();
     for path in source::paths(&source::bare(text)) {
@@ -277,8 +279,8 @@ fn boards_know_pins_only() {
     report(&root().join("boards"), board_faults);
 }
 
-/// Code that computes an address from the number of a port could reach any register. So `read` and `write` of registers
-/// must not be visible outside of `boards/stm32f4`.
+/// A function that computes the address of a register from the number of a port could reach any register. So `read` and
+/// `write` of registers must not be visible outside of `boards/stm32f4`.
 #[test]
 fn registers_are_reached_from_their_folder_only() {
     let text = source::bare(&fs::read_to_string(root().join("boards/stm32f4/registers.rs")).unwrap());
@@ -287,7 +289,7 @@ fn registers_are_reached_from_their_folder_only() {
     assert!(text.contains("pub(super) fn write(") && text.contains("pub(super) fn read("));
 }
 
-/// `docs/errors.md` lists all errors. An error that the controller never reports must not exist.
+/// `docs/errors.md` lists all errors and alarms of the code. So the controller must report each of them somewhere.
 #[test]
 fn each_error_and_alarm_is_given_somewhere() {
     let texts: String = sources(&root().join("src/controller"))

@@ -6,8 +6,8 @@ use crate::{CORE, module_of, root, sources};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Type names that occur several times in a crate, with the number of occurrences. A stub for builds without a part
-/// has the same type names as this part.
+/// Type names that occur several times in a crate, with the number of occurrences. A part of the controller can be left
+/// out of a build. A stub with the same type names then stands in for it.
 const SAME_NAMES: &[(&str, usize)] = &[
     ("src/controller Computed", 2),
     ("src/controller ComputedMemory", 2),
@@ -20,8 +20,9 @@ const SAME_NAMES: &[(&str, usize)] = &[
 const CRATES: [&str; 8] =
     ["boards", "src/controller", "src/firmware", "src/sqrt", "src/simulator", "src/step_task", "src/store", "src/web"];
 
-/// Compares figures with a limit. `listed`: the known exceptions, with their figures. The list must be exact: fails if
-/// a figure above the limit is not listed or has another value, and if a listed figure is within the limit.
+/// Compares figures with a limit. `listed` has the known figures above the limit, and must be exact. So the test fails
+/// in three cases: a figure above the limit is not listed, it differs from the listed one, or a listed figure is within
+/// the limit.
 fn judge(what: &str, found: &BTreeMap<String, usize>, limit: usize, listed: &[(&str, usize)]) {
     let mut faults = Vec::new();
     for (name, figure) in found.iter().filter(|(_, figure)| **figure > limit) {
@@ -47,8 +48,8 @@ fn items(folder: &str) -> Vec<(String, Vec<Item>)> {
     sources(&root().join(folder)).iter().map(read).collect()
 }
 
-/// Returns the controller's files by room (top-level module). A file at the root is a room of its own, and all rooms of
-/// [`CORE`] count as one.
+/// Returns the controller's files by room (top-level module). A file at the root is a room of its own. All rooms of
+/// [`CORE`] count as one room.
 fn rooms() -> BTreeMap<String, Vec<(String, String)>> {
     let mut rooms: BTreeMap<String, Vec<(String, String)>> = BTreeMap::new();
     for (file, text) in sources(&root().join("src/controller")) {

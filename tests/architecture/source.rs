@@ -219,7 +219,7 @@ fn end_of(tokens: &[String], at: usize) -> usize {
     tokens.len() - 1
 }
 
-/// Returns the items of a file, including those of inline modules, but not items within items.
+/// Returns the items of a file. Items of inline modules are included; items within other items are not.
 pub fn items(tokens: &[String]) -> Vec<Item> {
     let mut found = Vec::new();
     let mut at = 0;

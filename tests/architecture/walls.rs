@@ -3,8 +3,8 @@
 use crate::{dependencies, root, source, sources};
 use std::fs;
 
-/// For each crate, the crates of this workspace that it must use; others of the workspace are forbidden. External
-/// crates are not restricted here.
+/// The dependencies between the crates of this workspace: for each crate, the crates that it uses. It must use all of
+/// these and no others of the workspace. Crates from outside the workspace are not restricted here.
 const CRATES: &[(&str, &[&str])] = &[
     ("boards", &["oxmill-controller", "oxmill-store"]),
     ("boards/images", &[]),

@@ -1,8 +1,8 @@
 //! Durations of jobs, compared with those of other controllers for equivalent jobs: the table of `docs/motion.md`.
 //!
-//! `cargo xtask bench` prints the table; given file names, it prints the durations of these programs. Time is counted
-//! in step-clock ticks, and the bytes of a job are always available. So the figures are the same on every computer.
-//! Each job also runs with a look-ahead that holds the whole job.
+//! `cargo xtask bench` prints the table. With file names as arguments, it prints the durations of these programs
+//! instead. Time is counted in step-clock ticks, and the controller never waits for the bytes of a job. So the figures
+//! are the same on every computer. Each job also runs with a look-ahead that holds the whole job.
 
 #[path = "../../xtask/src/programs/mod.rs"]
 #[allow(dead_code, unused_imports, reason = "only the benchmark's jobs are wanted here, and without their tests")]
@@ -122,8 +122,8 @@ struct Row {
     job: &'static str,
     what: &'static str,
     settings: &'static str,
-    /// Results of the equivalent job with Grbl 1.1h and with grblHAL. A result is a duration in seconds, or a number
-    /// of steps followed by `steps`. It is empty if there is no result.
+    /// Results of the equivalent job with Grbl 1.1h and with grblHAL. A result is either a duration in seconds, or the
+    /// text `N steps` with a number of steps. It is empty if there is no result.
     peers: [&'static str; 2],
 }
 

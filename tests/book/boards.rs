@@ -134,8 +134,8 @@ fn wiring_list() -> String {
     text
 }
 
-/// Rows of the table for choosing a board: title, boards, whom they suit, their drivers, and what they lack. The
-/// numbers in the table come from the profiles.
+/// Rows of the table for choosing a board. A row has a title, the boards, whom they suit, their drivers, and what they
+/// lack. The numbers in the table come from the profiles.
 const CHOICES: [(&str, &[&str], &str, &str, &str); 12] = [
     (
         "Black Pill, STM32F411",
@@ -247,7 +247,7 @@ fn choice_table() -> String {
     table
 }
 
-/// Returns the table of what the chip's boot loader does with the pins of each board.
+/// Returns the table that shows, for each board, what the chip's boot loader does with the board's pins.
 fn loader_table() -> String {
     let mut table = "| board | outputs with a pull-up | pins that it may drive |\n|---|---|---|\n".to_owned();
     let mut rows: Vec<(Vec<String>, [String; 2])> = Vec::new();

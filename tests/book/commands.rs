@@ -92,7 +92,7 @@ fn fault_of_flags(words: &[&str]) -> Option<String> {
     unknown.map(|word| format!("no task knows {word}"))
 }
 
-/// Returns what is wrong with a command line of `cargo`, which has at least two words.
+/// Returns what is wrong with a command line of `cargo`. The line has at least two words.
 fn fault_of_cargo(words: &[&str], whole: bool) -> Option<String> {
     let aliases = read(&root().join(".cargo/config.toml"));
     let tasks = read(&root().join("xtask/src/main.rs"));

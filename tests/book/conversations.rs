@@ -10,8 +10,8 @@ const FENCE: &str = "```conversation\n";
 /// Pages for work at a machine. On these pages, all lines for the machine must be in fences named `conversation`.
 const HANDS_ON: [&str; 5] = ["boards", "first-cut", "set-up", "tuning", "troubleshooting"];
 
-/// Returns a new machine. The mark `<!-- machine: FILE -->` in the page names the file that describes its hardware, as
-/// for `--machine`.
+/// Returns a new machine. If the page has a mark `<!-- machine: FILE -->`, FILE describes the hardware of this machine,
+/// in the format that the option `--machine` reads.
 fn machine(page: &str) -> Simulator {
     let fittings = page.split("<!-- machine: ").nth(1).and_then(|rest| rest.split_once(" -->")).map(|(file, _)| {
         let text = fs::read_to_string(root().join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
@@ -99,8 +99,8 @@ fn pages_with_hands_on_say_all_lines_in_conversations() {
     }
 }
 
-/// Returns the values that lines `$n=v` of a text assign, by setting number. The last value of a setting counts. Only
-/// lines that begin with `before` are read.
+/// Reads the settings that a text assigns in lines `$n=v`. Returns the values by setting number. If a text assigns a
+/// setting several times, the last value counts. Only lines that begin with `before` are read.
 fn assignments(text: &str, before: &str) -> BTreeMap<u16, String> {
     let lines = text.lines().filter_map(|line| line.strip_prefix(before)?.strip_prefix('$')?.split_once('='));
     lines.filter_map(|(number, value)| Some((number.parse().ok()?, value.to_owned()))).collect()

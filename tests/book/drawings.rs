@@ -63,8 +63,8 @@ impl Side {
         if self == Side::Left { edge - distance } else { edge + distance }
     }
 
-    /// Returns the CSS class of a text that extends to this side. `e` (`text-anchor:end`) makes a text on the left end
-    /// at its coordinate.
+    /// Returns the CSS class of a text on this side of the board. On the left, the class `e` (`text-anchor:end`) aligns
+    /// the right end of the text with its coordinate.
     fn class(self) -> &'static str {
         if self == Side::Left { "e" } else { "" }
     }
@@ -100,7 +100,8 @@ impl Svg {
         self.text((x, y + 4), "p", pin);
     }
 
-    /// Draws a triangle in the direction of the signal: `out` is the side to which outputs point.
+    /// Draws a triangle that points in the direction of the signal. The arrow of an output points to the side `out`,
+    /// that of an input to the other side.
     fn arrow(&mut self, (x, y): (i32, i32), out: Side, wire: &Wire, kind: Kind) {
         let points_left = match wire.way {
             Way::Output => out == Side::Left,
@@ -142,7 +143,7 @@ impl Svg {
         y + 20 + 17 * lines.len() as i32
     }
 
-    /// Draws the heading: title, and names and chips of the boards.
+    /// Draws the heading. It shows the title, and the name and the chip of each board.
     fn heading(&mut self, title: &str, boards: &[Board]) {
         self.text((WIDTH / 2, 30), "t m", title);
         let names: Vec<String> = boards.iter().map(|board| format!("{} ({})", board.name, board.chip.name)).collect();
@@ -182,8 +183,9 @@ fn signs(boards: &[Board], groups: &[Group]) -> Vec<String> {
     signs
 }
 
-/// x coordinates of the left and right edge of a control board. Then the heights of a group's caption, of a pin's row
-/// and of the gap between groups, and the y coordinate of the first group.
+/// Layout of a control board: `EDGES` are the x coordinates of its left and right edge. `CAPTION`, `ROW` and `GAP` are
+/// the heights of a group's caption, of a pin's row and of the gap between groups. `TOP` is the y coordinate of the
+/// first group.
 const EDGES: (i32, i32) = (305, 635);
 const CAPTION: i32 = 24;
 const ROW: i32 = 22;
@@ -303,7 +305,7 @@ const BLACK_PILL: ([&str; 20], [&str; 20]) = (
         "C14", "C13", "VBAT",
     ],
 );
-/// Pins of a Black Pill that parts on the board itself use, with this use.
+/// Pins of a Black Pill to which parts on the board itself are connected. The second text names the part or the use.
 const OWN_USES: [(&str, &str); 5] =
     [("B2", "BOOT1"), ("C13", "LED"), ("C14", "32 kHz crystal"), ("C15", "32 kHz crystal"), ("A0", "KEY")];
 
@@ -397,7 +399,7 @@ const ARDUINO_RIGHT: [(&str, i32); 17] = [
 /// Draws a Nucleo-64 with its headers.
 fn nucleo(title: &str, boards: &[Board]) -> String {
     const PITCH: i32 = 25;
-    /// x coordinates of the board's edges. Then the x coordinates of the pins of its headers, from left to right.
+    /// x coordinates: of the board's left and right edge, then of the pin rows of its headers, from left to right.
     const EDGE: (i32, i32) = (187, 753);
     const CN7: (i32, i32) = (198, 216);
     const ARDUINO: (i32, i32) = (248, 692);

@@ -1,7 +1,7 @@
-//! The boot loader in the ROM of the chips: on which outputs of a board it switches a pull-up on, and which pins it
-//! may drive. Source: ST's AN2606, tables "configuration in system memory boot mode" of the STM32F401, F411, F446 and
-//! F40xxx (boot loaders V13, V13, V9 and V9.1; V3.1 of the F40xxx uses fewer pins). The table of the F412 was not
-//! available: it is assumed to use the pins of the F411 and of the F446.
+//! The boot loader in the ROM of the chips: it switches a pull-up on at some outputs of a board, and may drive some
+//! pins. Source: ST's AN2606, tables "configuration in system memory boot mode". The tables are those of the STM32F401,
+//! F411, F446 and F40xxx, with the boot loaders V13, V13, V9 and V9.1. V3.1 of the F40xxx uses fewer pins than V9.1.
+//! The table of the F412 was not available. So the F412 is assumed to use the pins of both the F411 and the F446.
 
 use crate::wiring::{Way, Wire, groups};
 use oxmill_tables::Board;
@@ -29,8 +29,8 @@ fn loader(board: &Board) -> &'static Loader {
     }
 }
 
-/// Returns two cells for a board in the table of boot loaders: the outputs on which the boot loader switches a pull-up
-/// on, and the pins that it may drive.
+/// Returns the two cells of a board in the table of boot loaders. The first lists the outputs on which the boot loader
+/// switches a pull-up on, the second the pins that it may drive.
 pub fn cells(board: &Board) -> [String; 2] {
     let loader = loader(board);
     let groups = groups(board);
@@ -43,8 +43,8 @@ pub fn cells(board: &Board) -> [String; 2] {
     [listed(&is_pulled_up), listed(&|wire| loader.driven.contains(&wire.pin.as_str()))]
 }
 
-/// Returns the function of a pin in words. The words are bold if a high pin may start a spindle, coolant or another
-/// load.
+/// Returns the function of a pin in words. The words are bold if a high level at the pin may start a spindle, coolant
+/// or another load.
 fn short(wire: &Wire) -> String {
     let text = wire.text.split(',').next().unwrap_or_default();
     let starts =

@@ -45,9 +45,9 @@ fn time(words: &[&str]) -> String {
     time.trim().to_owned()
 }
 
-/// Returns a page with the durations in its tables measured again. The first head cell of such a table is a command,
-/// `oxmill check JOB ...`. In each row, the first cell has the words to add to the command, and the second cell the
-/// duration.
+/// Measures the durations in the tables of a page again, and returns the page with these durations. The first head cell
+/// of such a table is a command, `oxmill check JOB ...`. In each row, the first cell has words that are added to the
+/// command, and the second cell has the duration.
 fn measured(text: &str, seen: &mut usize) -> String {
     let mut common: Vec<&str> = Vec::new();
     let mut now = String::new();

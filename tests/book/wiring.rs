@@ -40,9 +40,9 @@ pub struct Wire {
 }
 
 impl Wire {
-    /// Returns `true` if the connector has a MOSFET that switches the ground of a load. On control boards, the names
-    /// printed beside such outputs begin with FAN, HE or HB, or are E0 and E1. But a socket of a driver may be called
-    /// E0, too.
+    /// Returns `true` if the connector has a MOSFET that switches the ground of a load. On control boards, the name
+    /// printed beside such an output begins with FAN, HE or HB, or it is E0 or E1. But the socket of a stepper driver
+    /// may be called E0, too. So the outputs of motors never count.
     pub fn has_mosfet(&self) -> bool {
         let is_slow = !["step_", "direction_", "enable"].iter().any(|part| self.key.contains(part));
         let label = self.label.as_str();
@@ -179,7 +179,7 @@ fn links(board: &Board) -> Vec<Wire> {
     links
 }
 
-/// Rows of a board's table. The functions of a row share its cells.
+/// Rows of a board's table: the title of the row, and the functions that it shows together.
 const ROWS: [(&str, &[&str]); 18] = [
     ("X motor: step, direction, enable", &["step_x", "direction_x", "enable"]),
     ("Y motor: step, direction, enable", &["step_y", "direction_y", "second_enable"]),

@@ -110,7 +110,8 @@ fn written(letter: char, hundredths: u16) -> String {
     }
 }
 
-/// Returns for each G and M word from 0 to 255.99 its group, or the error of the firmware.
+/// Asks the firmware for the group of each G and M word from 0 to 255.99. Returns each word with its group, or with the
+/// firmware's error.
 fn asked(dialect: Dialect) -> impl Iterator<Item = (String, Result<Group, Error>)> {
     let all = ['G', 'M'].into_iter().flat_map(|letter| (0..25_600_u16).map(move |hundredths| (letter, hundredths)));
     all.map(move |(letter, hundredths)| {
@@ -206,7 +207,7 @@ fn the_page_of_words_has_those_of_the_firmware() {
     keep(&root().join("docs/gcode.md"), |text| with_table(&with_table(text, "words", &table), "letters", &letters));
 }
 
-/// Returns the words that the section of unsupported words lists for an error.
+/// Returns the words that the page lists for an error in its section of unsupported words.
 fn refused_on_the_page(text: &str, error: Error) -> BTreeSet<String> {
     let section = text.split("## Not supported").nth(1).expect("a section");
     let list = section.split(&format!("`error:{}` for `", error.code())).nth(1).expect("a list").split('`').next();

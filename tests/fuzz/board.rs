@@ -23,8 +23,8 @@ use std::collections::{BTreeMap, VecDeque};
 
 pub const AXES: usize = 3;
 const BLOCKS: usize = 16;
-/// Maximum number of outputs in a round (one pass of the pump), in addition to [`REPLIES_DEPTH`] texts for the host.
-/// Such an additional output changes, for example, a pin or the wiring of the pins.
+/// Maximum number of outputs in a round (one pass of the pump), not counting the [`REPLIES_DEPTH`] texts for the host.
+/// Such an output changes, for example, a pin or the wiring of the pins.
 const MOST_QUIET_OUTPUTS: usize = 8;
 /// Maximum number of rounds without time passing. A program can loop for ever without a move, so the board runs no
 /// more rounds than this.
@@ -34,8 +34,8 @@ const MOST_WORK: u64 = 100_000;
 /// Maximum number of ticks and wake-ups in a session. After these, time no longer advances.
 const MOST_MOMENTS: u32 = 60_000;
 
-/// Bits of [`Board::late`], one for each source of events. While a bit is set, the controller gets no events of that
-/// source.
+/// Bits of [`Board::late`], one for each source of events. While the bit of a source is set, its events do not reach
+/// the controller.
 pub mod late {
     pub const STEP: u8 = 1;
     pub const COMMANDS: u8 = 2;
@@ -140,7 +140,7 @@ impl Book {
             HOST_CHANGED => self.is_sure = true,
             b'\n' | b'\r' => {
                 // After a CR, an LF is either the second half of the line end, or the end of an empty line. The
-                // controller answers only the empty line. Both are allowed, so this LF raises only `most`.
+                // controller answers it only in the second case. The model accepts both, so this LF raises only `most`.
                 let merged = byte.byte == b'\n' && self.last_byte == b'\r';
                 self.most += 1;
                 self.least += usize::from(self.is_sure && !merged);
@@ -328,8 +328,8 @@ impl Board {
         self.load();
     }
 
-    /// Simulates wrong pulses during motion: the motor of an axis makes `steps` steps more (if negative, fewer) than
-    /// ordered. The step task then stops and reports the error. At rest, nothing happens.
+    /// Simulates wrong pulses during motion: the motor of an axis makes `steps` steps too many, or too few if `steps`
+    /// is negative. The step task then stops and reports the error. At rest, nothing happens.
     pub fn miscount(&mut self, axis: usize, steps: i32) {
         if self.due.is_some()
             && let StepEvent::Stopped { stops, position, .. } = self.stepper.stop([0; AXES])
@@ -443,15 +443,17 @@ impl Board {
                     self.book.settle();
                 }
                 let wakeup = self.controller.next_wakeup();
-                // A wake-up may be in the past in two cases. While a stop is pending: on a real board the stop arrives
-                // before the next instruction. After false events: the controller may wait for a stop that never comes.
+                // A wake-up may be in the past in two cases. First, while a stop is pending, because a real board would
+                // receive it before the next instruction. Second, after false events, because the controller may wait
+                // for a stop that never comes.
                 let is_owed = !self.is_true || self.late & late::STEP != 0 && !self.reports.is_empty();
                 assert!(is_owed || wakeup.is_none_or(|at| at > self.now()), "{wakeup:?} is past at {}", self.now);
                 return;
             }
             assert_eq!(begun, self.stepper.segments_begun(), "time stands still in a round");
         }
-        // After so many rounds the controller must be running a loop of a program, during which it accepts no line.
+        // The controller still has work after so many rounds. So it must be running a loop of a program: during a loop
+        // it accepts no line.
         self.unended += 1;
         assert!(!self.controller.wants_line(), "rounds without end");
     }

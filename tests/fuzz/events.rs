@@ -2,8 +2,8 @@
 //! inputs, contacts, stops, late segments, miscounted steps, replies of a store that works or fails, hosts that
 //! connect and disconnect, and jumps in time. Most sources of events can be delayed.
 //!
-//! The first byte of the input chooses whether there are also false events. Examples are a stop that nobody
-//! requested, with any number and position, and a reply of the store to no request.
+//! The first byte of the input chooses whether there are also false events. One example is a stop that nobody
+//! requested, with any number and position. Another is a reply of the store when nothing was requested.
 //!
 //! Invariants, in addition to those of `board.rs`:
 //! - `?` is answered by one report.
@@ -45,7 +45,7 @@ enum Action<'a> {
     Pass(u8),
     Stall(u8),
     Leap(u32),
-    /// From now on delays the events of the sources whose bits (see [`late`]) are set, and of no other source.
+    /// Sets the sources of events that are late from now on: those whose bits (see [`late`]) are set.
     Late(u8),
     Miscount(u8, i8),
     StoreFails(bool),
@@ -283,8 +283,8 @@ fn back_to_idle(mut board: Board) {
         return;
     }
     board.inputs(0);
-    // A reset runs the startup lines. One of them can keep the machine moving for long, at once or after a dwell. So
-    // a second reset follows: a reset during motion locks the machine, and then the startup lines do not run.
+    // A reset runs the startup lines. One of them can start a long motion, at once or after a dwell. So a second reset
+    // follows: a reset during motion locks the machine, and then the startup lines do not run.
     let is_restored = (0..4).any(|_| {
         for time in [20_000, 200_000] {
             board.command(Realtime::Reset);

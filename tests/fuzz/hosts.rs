@@ -74,8 +74,9 @@ enum Action {
 struct Reader {
     half: Vec<LineByte>,
     epoch: u16,
-    /// Lines that each host has sent and the controller has not read. A line is stored as two numbers of letters: of
-    /// the whole line, and of the part after a reset in its middle. Without a reset, both numbers are equal.
+    /// Lines that each host has sent and the controller has not read. A line is stored as two numbers of letters. The
+    /// first is the number of letters in the whole line. The second counts only the letters after a reset, stop or jog
+    /// cancel in the middle of the line. Without such a command both numbers are equal.
     sent: [VecDeque<[usize; 2]>; 2],
     /// Realtime commands that were sent and have not been read.
     commands: Vec<Realtime>,

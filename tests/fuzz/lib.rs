@@ -1,9 +1,10 @@
 //! Fuzz targets for all code that parses data from outside. Each target is a function of some bytes; its invariants
 //! must hold for any bytes.
 //!
-//! A target panics when an invariant is violated. `cargo xtask fuzz` lets libFuzzer look for such bytes, guided by code
-//! coverage. `corpus/` has a small set of inputs that reaches most of the code (one input per line, escaped); `finds/`
-//! has inputs that once showed a fault, since corrected. `cargo test` runs all of them.
+//! A target panics when an invariant is violated. `cargo xtask fuzz` lets libFuzzer look for bytes that cause this,
+//! guided by code coverage. `corpus/` has a small set of inputs that reaches most of the code. `finds/` has inputs that
+//! once showed a fault; these faults have been corrected. Their files have one input per line, escaped. `cargo test`
+//! runs all of them.
 
 mod board;
 pub mod events;

@@ -24,8 +24,8 @@ const SETTINGS: &str = "$100=4 $101=4 $102=4 $110=30000 $111=30000 $112=30000 $1
     $132=60 $24=3000 $25=6000 $26=1 $27=1 $22=1 $20=1";
 /// Position at which the limit switch of each axis closes, in steps of its motor from power-up.
 const SWITCHES: i32 = 20;
-/// Number of times that the target waits for an answer before it abandons the program, which can contain an endless
-/// loop.
+/// Number of times that the target waits for an answer. Then it abandons the program, because a program can contain an
+/// endless loop.
 const MOST_WAITS: usize = 40;
 /// Maximum number of rounds (passes of the pump) without time passing. A line that needs more counts as an endless
 /// loop.
@@ -34,7 +34,8 @@ const MOST_ROUNDS: usize = 600;
 const MOST_UNENDED: usize = 2;
 /// Maximum number of lines of an input.
 const MOST_LINES: usize = 48;
-/// Delay before a realtime command, in us per byte after the start of its line or after the previous command.
+/// Delay of a realtime command, us per byte of the line. The bytes are counted from the start of the line or from the
+/// previous command.
 const TIME_A_PLACE: u64 = 3_000;
 
 thread_local! {

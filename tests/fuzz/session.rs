@@ -169,8 +169,8 @@ fn act(mill: &mut Simulator, action: &Action) {
     }
 }
 
-/// Sends bytes only if there is room for them, as a sender that counts characters does. So no realtime command has to
-/// wait behind a line that does not fit.
+/// Sends bytes only if the machine has room for them, as a sender that counts characters does. So no line has to wait
+/// for room, and no realtime command has to wait behind a line.
 fn send(mill: &mut Simulator, bytes: &[u8]) {
     if mill.unread() + bytes.len() <= mill.board().received_bytes {
         mill.send(bytes);

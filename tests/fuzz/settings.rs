@@ -239,8 +239,8 @@ impl Machine {
     /// No other line of the listings may change, except lines that depend on this setting.
     fn set(&mut self, number: u16, text: &str) {
         let name = format!("${number}=");
-        // Lines that depend on this setting: without homing there are no soft limits, inches change the units of
-        // listings, and another dialect has other listings.
+        // Other lines can depend on the setting. Without homing there are no soft limits. Inches change the units of
+        // listings. Another dialect has other listings.
         let is_grblhal = self.board.controller.speaks_grblhal();
         let follows = |line: &str| match number {
             22 => line.starts_with("$20=") || is_grblhal && line.starts_with("$932="),
@@ -263,8 +263,8 @@ impl Machine {
             let whole = !entry.contains('.');
             let switched = listed == 1.0 && set.trunc() != 0.0;
             if is_grblhal && matches!(number, 10 | 22) {
-                // `$10` and `$22` are masks in which some bits are always set. If homing is off (bit 0 of `$22` is 0),
-                // no bit of `$22` is set.
+                // `$10` and `$22` are masks. Some of their bits are listed as set whatever is written. But while homing
+                // is off (bit 0 of `$22` is 0), `$22` is listed without any bit.
                 let written = if number == 22 && set as u32 & 1 == 0 { 0 } else { set as u32 };
                 assert!(set.is_nan() || listed as u32 & written == written, "${number}={text} is {entry}");
                 return;

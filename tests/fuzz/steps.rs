@@ -117,7 +117,7 @@ impl Run {
             }
             flags = 0;
         }
-        // The rest of the block, in segments with as few ticks per step as possible.
+        // Send the rest of the block, in segments with as few ticks per step as possible.
         let rest =
             Cut { level: 0, ticks: 0, interval: 1 << 20, ramp: 0, wait: false, last: cuts.len().is_multiple_of(2) };
         while units < total {
@@ -129,8 +129,9 @@ impl Run {
         }
     }
 
-    /// Returns how many path units ([`UNITS_PER_STEP`] to a step) one tick of a segment advances. `units`: path units
-    /// before the segment. `level` gives the maximum. The value is halved until `units` is a multiple of it.
+    /// Returns how many path units ([`UNITS_PER_STEP`] make a step) the path advances in one tick of a segment.
+    /// `units`: path units before the segment. `level` gives the maximum. The result is this maximum, halved until
+    /// `units` is a multiple of it.
     fn units_per_tick(&self, units: u32, level: u8) -> u32 {
         let mut per_tick = UNITS_PER_STEP >> (level % 5);
         while !units.is_multiple_of(per_tick) {

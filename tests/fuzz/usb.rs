@@ -1,7 +1,7 @@
 //! Fuzz target: programs that open and close the USB port, with or without DTR. The cable is pulled, packets arrive
-//! after their sender has closed the port, and the controller reads at any time. Tests how the boards track the
-//! connected host (`boards/usb_host.rs`), and the link behind that. Code that uses registers or the driver library is
-//! tested on the virtual board.
+//! after their sender has closed the port, and the controller reads at any time. The target tests two parts: the code
+//! with which the boards track the connected host (`boards/usb_host.rs`), and the link to the controller. Code that
+//! uses registers or the driver library is tested on the virtual board.
 //!
 //! Invariants:
 //! - A line that is read is a whole line of one host.
@@ -91,7 +91,7 @@ struct Bus {
     dtr: bool,
     plugged: bool,
     /// Letter of which the lines of the current host consist. Each new host gets another letter. After a close the
-    /// letter stays for a while, because late packets of the host that has closed the port can arrive.
+    /// letter stays for a while, because late packets of the previous host can still arrive.
     letter: u8,
     closed_at: Option<u32>,
     /// Number of letters of this host's unfinished line.
@@ -171,8 +171,8 @@ fn all(input: &mut Unstructured) -> arbitrary::Result<()> {
         board.act(&action);
         board.task();
     }
-    // Reads everything that earlier hosts have sent. The three reads fetch more bytes than the links and the queue to
-    // the controller hold.
+    // Reads everything that earlier hosts have sent. These bytes are in the links and in the queue to the controller.
+    // Three reads are enough to empty both.
     for _ in 0..3 {
         board.act(&Action::Read(255));
         board.task();

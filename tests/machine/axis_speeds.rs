@@ -10,34 +10,36 @@
 //! changes of speed over the same times τ. If the speed jumps at t+T, D is the whole jump.
 //!
 //! **Allowed.** Between the times τ and τ+T the path turns by the angle φ (rad), in any number of vertices. From here
-//! on, v is the speed along the path.
+//! on, v is the speed along the path. An axis may change its speed by the sum of two terms: acceleration, and one jump
+//! by the junction rule.
 //! - Acceleration: an axis with the acceleration a may change its speed by `a T`. This covers the acceleration along
-//!   and across the path together. The share [`RAMP`] may be added.
+//!   and across the path together, which may be larger by the share [`RAMP`].
 //! - Junction rule: a single vertex of turn φ is passed at `v² = a d s / (1 - s)`. Here a is the acceleration across
-//!   the path, d the junction deviation and s = cos(φ / 2). The axis speed then jumps by v times the difference of
-//!   the axis' two direction cosines.
-//! - Several vertices: the jump of the *whole* turn is granted once, not a jump per vertex. For the motor, several
-//!   vertices are no different from one. A jump per vertex would grant a multiple of the controller's rule. That rule
-//!   is `v² <= a (L / φ + d s / (1 - s))` for a part of the path of length L that turns by φ. With L <= v T it
-//!   follows that `v φ <= a T + v_j φ`, where v_j is the speed at a single vertex of turn φ. So the terms here,
-//!   acceleration and one jump, are this rule for a path of any form.
-//! - The granted jump falls to zero for a reversal. For small turns it has a limit: v_j φ → √(8 a d). The feed also
-//!   bounds v.
-//! - Directions are taken from the intended chords, before they are rounded to the program's digits, so they have no
+//!   the path, d the junction deviation and s = cos(φ / 2). The direction cosine of the axis changes at the vertex. So
+//!   the speed of the axis jumps by v times this change.
+//! - Several vertices: one jump is granted for the *whole* turn, because the motor cannot tell several vertices from
+//!   one. One jump per vertex would grant a multiple of the controller's rule, which is
+//!   `v² <= a (L / φ + d s / (1 - s))` for a part of the path of length L that turns by φ. With L <= v T it follows
+//!   that `v φ <= a T + v_j φ`, where v_j is the speed at a single vertex of turn φ. So the two terms here are this
+//!   rule for a path of any form.
+//! - Bounds: the granted jump falls to zero for a reversal. For small turns it has the limit v_j φ → √(8 a d). The feed
+//!   also bounds v.
+//! - Directions: they are taken from the intended chords, before the rounding to the program's digits, so they have no
 //!   noise. The position error due to rounding is a term of its own.
 //!
 //! **Uncertain.** D has the weights 1, -2 and 1. So if positions are off by up to u, D is off by up to `4 u / T`.
 //! - Steps ([`STEPS`]): an axis steps half way between two positions, so its position is well known between two
-//!   consecutive steps. But a block starts and ends at whole steps, which adds half a step. If two steps are far
-//!   apart, the axis can rest or reverse between them, which adds another half.
+//!   consecutive steps. But a block starts and ends at whole steps. This adds half a step to the uncertainty. If two
+//!   steps are far apart, the axis can rest or reverse between them. This adds another half step.
 //! - Digits ([`DIGITS`]): each coordinate is off by up to half of a digit (the value of the program's last decimal
-//!   place). The machine drives this noisy path. A controller sees only these points and can take a curve to be
-//!   flatter by half a digit in each coordinate, √3 times that in all three together.
+//!   place). The machine drives this noisy path. A controller sees only the noisy points. It can take a curve for a
+//!   flatter one that is off by half a digit in each coordinate. In all three coordinates together that is √3 half
+//!   digits.
 //! - Directions: the direction of a chord of length l is off by up to 2 [`POINT`] / l, because both of its ends are
-//!   off. A turn can be underestimated by the errors of its two directions together. So between two chords that are
-//!   not much longer than a digit, a controller can mistake a reversal for a corner.
-//! - Bends: a controller cannot distinguish a vertex from a bend as wide as the noise of the points on both sides.
-//!   Such a bend of radius R is taken at v² = a R.
+//!   off. A controller can underestimate a turn by the errors of its two directions together. So between two chords
+//!   that are not much longer than a digit, it can mistake a reversal for a corner.
+//! - Bends: a controller cannot distinguish a vertex from a bend as wide as the noise of the points on both sides. It
+//!   takes such a bend of radius R at v² = a R.
 
 use super::estimator::Limits;
 use super::oracle::{AXES, Place, Pulse};
@@ -47,17 +49,18 @@ pub const RAMP: f64 = 0.05;
 /// Uncertainty of a position, in steps. The first value is for a position interpolated between two steps that follow
 /// each other quickly. The second is for all other positions, where the axis can rest or reverse.
 const STEPS: [f64; 2] = [0.6, 1.0];
-/// Uncertainty of a position, in half digits of the program's coordinates. It is the sum of two parts: 1 for the
-/// rounding of the coordinate, and √3 because a controller can take the curve to be flatter by half a digit in each
-/// of three coordinates.
+/// Uncertainty of a position, in half digits of the program's coordinates. It is the sum of two parts. The first is 1,
+/// for the rounding of the coordinate. The second is √3, because a controller can take the curve for a flatter one that
+/// is off by half a digit in each of three coordinates.
 const DIGITS: f64 = 2.75;
-/// Uncertainty of a point, in half digits: about √3, because a point has three coordinates.
+/// Uncertainty of a point, in half digits. A point has three coordinates, each off by up to half a digit, which makes
+/// about √3.
 const POINT: f64 = 1.75;
-/// Largest turn, rad, through which the path still counts as keeping its direction.
+/// Maximum angle, rad, between two chords that still count as one straight part of the path.
 const STRAIGHT: f64 = 0.25;
 /// Minimum change of direction, rad, that counts as a corner of a smooth curve.
 const CORNER: f64 = 0.3;
-/// Number of readings per window: positions are read at intervals of a window divided by this number.
+/// Number of times per window that the positions are read.
 const READINGS: usize = 8;
 
 /// A program of straight feed moves.
@@ -71,8 +74,8 @@ pub struct Course {
     pub digit: f64,
     /// mm/s.
     pub feed: f64,
-    /// `true` if the chords approximate a smooth curve. Then a jump is granted only at vertices that turn by more
-    /// than [`CORNER`], one for each of them.
+    /// `true` if the chords approximate a smooth curve. Then the rule grants a jump at each vertex that turns by more
+    /// than [`CORNER`], and no jump at other vertices.
     pub smooth: bool,
 }
 
@@ -82,7 +85,7 @@ pub struct Change {
     /// `seen` / `allowed`; a value above 1 is a fault.
     pub ratio: f64,
     pub axis: usize,
-    /// Time of the change since the first step, s.
+    /// Time of the change, s, counted from the first step.
     pub at: f64,
     /// Window, s.
     pub window: f64,
@@ -117,8 +120,8 @@ fn norm(v: [f64; AXES]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// Effects of noise on a turn. `turn`: angle by which a controller can underestimate the turn, rad. `radius`: radius
-/// of a bend that a controller can take the vertex for, mm.
+/// Effects of noise on a turn. `turn`: the angle by which a controller can underestimate the turn, rad. `radius`: a
+/// controller can mistake the vertex for a bend of this radius, mm.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Unsure {
     turn: f64,
@@ -174,8 +177,8 @@ fn passed(places: &[(f64, Place)], course: &Course, limits: &Limits) -> Result<V
         times.push(0.5 * (time(first) + time(last)));
         from = first;
     }
-    // The machine arrives at the vertices in order. The middles need not be in order, because a stay near one vertex
-    // can outlast a stay near the next.
+    // The machine arrives at the vertices in order. The middles of its stays need not be in order, because the stay
+    // near one vertex can last longer than the stay near the next.
     for index in 1..times.len() {
         times[index] = times[index].max(times[index - 1]);
     }
@@ -256,8 +259,8 @@ fn unsure(course: &Course, chords: &[[f64; AXES]]) -> [Vec<f64>; 2] {
     ]
 }
 
-/// Returns for each reading the speed jump of each axis, mm/s, that the junction rule allows within the following
-/// window. The rule is applied to the turn between the reading and the one a window later.
+/// Returns the speed jumps that the junction rule allows, for each reading and axis, mm/s. The rule is applied to the
+/// turn between the reading and the one a window later.
 fn grants(course: &Course, chords: &[[f64; AXES]], directions: &[usize], limits: &Limits) -> Vec<[f64; AXES]> {
     let [behind, ahead] = unsure(course, chords);
     let grant = |before: usize, after: usize| {

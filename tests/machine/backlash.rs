@@ -16,8 +16,8 @@ const STEPS: f64 = 400.0;
 const PLAY: [f64; AXES] = [0.05, 0.03, 0.0];
 const RATE: [f64; AXES] = [6000.0, 5000.0, 3000.0];
 const ACCELERATION: [f64; AXES] = [600.0, 500.0, 300.0];
-/// Edge of the cubes in which nearby positions are looked up, mm. It is longer than the distance that a carriage may
-/// be off its path.
+/// Edge of the cubes in which nearby positions are looked up, mm. It is longer than the maximum distance of a carriage
+/// from its path.
 const CELL: f64 = 0.1;
 const JUNCTION_DEVIATION: f64 = 0.01;
 
@@ -93,7 +93,7 @@ fn a_plunge_drags_no_drill() {
     assert!((places[plunge.start][0] - 19.5).abs() < 1e-9, "{:?}", places[plunge.start]);
 }
 
-/// A profile in X and Z does not stop to take up backlash: its circles take as long as without compensation.
+/// A profile in X and Z does not stop to take up backlash. So its circles take as long as without compensation.
 #[test]
 fn a_profile_is_not_interrupted() {
     let mut seconds = Vec::new();
@@ -187,7 +187,8 @@ fn within_limits(mill: &Simulator, acceleration: [f64; AXES]) -> Result<(), Stri
         }
         let speeds: Vec<f64> = places.windows(2).map(|w| f64::from(w[1] - w[0]) / STEPS * 100.0).collect();
         let rate = RATE[axis] / 60.0;
-        // The junction rule lets an axis jump by at most √(8 a d) at a corner. Twice that is allowed.
+        // The junction rule lets the speed of an axis jump by at most √(8 a d) at a corner. The test allows twice this
+        // jump.
         let jump = 2.0 * (8.0 * acceleration[axis] * JUNCTION_DEVIATION).sqrt();
         let allowed = acceleration[axis] * 0.01 * 1.01 + jump + 0.5;
         for pair in speeds.windows(2) {
@@ -277,8 +278,8 @@ fn a_motor_that_takes_up_backlash_is_not_too_fast() {
     assert!(fastest > 0.99 * least, "{fastest} of {least}");
 }
 
-/// In a relief, X is fast, and the slow Z reverses while X moves. No axis may exceed its limits while Z takes up its
-/// backlash.
+/// The tool follows a relief (a curved surface): X moves fast, and the slow Z reverses while X moves. No axis may
+/// exceed its limits while Z takes up its backlash.
 #[test]
 fn a_slow_axis_takes_up_its_backlash_no_faster_than_its_own_corners() {
     let acceleration = [2000.0, 500.0, 20.0];
@@ -293,9 +294,9 @@ fn a_slow_axis_takes_up_its_backlash_no_faster_than_its_own_corners() {
 
 #[test]
 fn what_follows_the_last_of_the_backlash_begins_at_rest() {
-    // The second move reverses X but is too short to take up the backlash, so the rest of it is taken up after the
-    // move, while the other axes stand still. With some of these delays the third move arrives while the rest of the
-    // backlash is being taken up.
+    // The second move reverses X, but it is too short to take up all of the backlash. So the motor takes up the rest
+    // after this move, while the other axes stand still. The third move is sent after various delays. With some of them
+    // it arrives while the motor takes up that rest.
     let mut found = 0;
     for milliseconds in (70..190).step_by(2) {
         let mut mill = mill("$160=0.3\n", "");
@@ -359,7 +360,7 @@ fn a_reset_after_parking_finds_the_tool_where_it_is() {
             mill.run_for(Duration::from_millis(100));
             assert_eq!(mill.machine_position(), before);
         }
-        // The switches are 4 mm from the position at power-up, and machine zero is still at the switches.
+        // The switches are 4 mm from the position at power-up. Machine zero must still be at the switches.
         let reported = mill.machine_position();
         let place = mill.fittings().driven_mm();
         let home = [2.0 + 2.0; AXES];

@@ -14,17 +14,18 @@ use std::collections::HashMap;
 
 type Point = [f64; AXES];
 
-/// Maximum distance of step positions from the driven path, in steps of each motor. It is half a step, and 1/14 of a
-/// step for the rounding of the path's ends (docs/motion.md). If the run without a tolerance is farther off the path,
-/// its distance is allowed instead.
+/// Maximum distance of step positions from the driven path, in steps of each motor. It has two parts: half a step, and
+/// 1/14 of a step because the ends of the path are rounded (docs/motion.md). If the run without a tolerance is farther
+/// off the path, its distance is allowed instead.
 const STEP: f64 = 0.5 + 1.0 / 14.0;
-/// Factor by which a job with a tolerance may take longer than without. A longer job is a fault only if the
-/// difference also exceeds [`NOTICEABLE_S`].
+/// Factor by which a tolerance may make a job longer. A longer job is a fault only if its additional time also exceeds
+/// [`NOTICEABLE_S`].
 const SLOWER: f64 = 1.005;
 /// Difference of duration, s, that is ignored: it also occurs between runs of short jobs without a tolerance.
 const NOTICEABLE_S: f64 = 0.012;
-/// Maximum ratio of a change of speed read by [`super::axis_speeds`] to the change that is allowed on the programmed
-/// path. The ratio is above 1 because the tool drives a rounded corner, which lies beside the programmed one.
+/// Maximum of the ratio that [`super::axis_speeds`] computes: a measured change of speed, divided by the change that is
+/// allowed on the programmed path. It may be above 1, because the tool drives a rounded corner beside the programmed
+/// one.
 const CHANGE: f64 = 1.1;
 /// Spacing of the path points that the tool must come near, mm.
 const SPACING: f64 = 0.02;
@@ -103,7 +104,7 @@ struct Outcome {
     /// Duration, s, and its ratio to the duration without a tolerance.
     seconds: f64,
     share: f64,
-    /// Largest change of an axis' speed, as a ratio to the allowed one.
+    /// Largest change of an axis' speed, divided by the allowed change.
     change: f64,
 }
 
@@ -144,7 +145,7 @@ impl Job<'_> {
                 let changes: Result<Vec<_>, String> = [0.005, 0.020].into_iter().map(of).collect();
                 match changes {
                     Ok(changes) => changes.iter().map(|change| change.ratio).fold(0.0, f64::max),
-                    // The tool does not pass the vertices that `greatest_change` needs: compare with the exact run
+                    // The tool does not pass the vertices that `greatest_change` needs. So compare with the exact run
                     // instead.
                     Err(_) => against(&rig, &exact, self.steps_per_mm),
                 }
@@ -443,7 +444,7 @@ fn the_relief_of_the_examples_takes_less_time_and_stays_within_the_tolerance() {
         seconds(&blended)
     );
     assert!(steps_exact.max(path_exact) <= 1.5 / CARVER_STEPS * 2.0_f64.sqrt(), "exact: {steps_exact} {path_exact}");
-    // P is compared without an allowance for the rounding to steps: moves this short never use all of P.
+    // The rounding to steps is not added to P here, because moves this short never use all of P.
     assert!(steps.max(path_off) <= P, "{steps} and {path_off} mm, allowed {P}");
     assert!(seconds(&blended) < 0.99 * seconds(&exact), "{} s, exact {} s", seconds(&blended), seconds(&exact));
 }
@@ -459,7 +460,7 @@ fn run_late(settings: &str, text: &str, line_s: f64) -> Rig {
     rig
 }
 
-/// Length of the windows whose mean speeds `greatest_jump` compares, s. This comparison replaces [`greatest_change`]
+/// Length of a window, s. `greatest_jump` compares the mean speeds of two such windows. It replaces [`greatest_change`]
 /// if the tool does not pass the vertices.
 const WINDOW: f64 = 0.02;
 
@@ -494,15 +495,16 @@ fn greatest_jump(trace: &[Pulse], steps_per_mm: f64) -> f64 {
     most
 }
 
-/// Returns the largest change of an axis' mean speed with a tolerance (`rig`), divided by the largest change without
-/// (`exact`). Two steps per window are added to the divisor, because a step can fall into either of two windows.
+/// Compares a run with a tolerance (`rig`) and a run without one (`exact`). Returns the ratio of the largest changes of
+/// an axis' mean speed. Two steps per window are added to the divisor, because a step can fall into either of two
+/// windows.
 fn against(rig: &Rig, exact: &Rig, steps_per_mm: f64) -> f64 {
     greatest_jump(&rig.trace, steps_per_mm) / (greatest_jump(&exact.trace, steps_per_mm) + 2.0 / steps_per_mm / WINDOW)
 }
 
-/// The machine brakes for a bend even if the bend's lines arrive late. Without a tolerance no axis changes its speed
-/// by more than allowed. With a tolerance the tool misses the vertices that `greatest_change` needs. So its change of
-/// speed is compared with the one without a tolerance, over the same link.
+/// The machine brakes for a bend even if the bend's lines arrive late. Without a tolerance no axis changes its speed by
+/// more than allowed. With a tolerance the tool misses the vertices that `greatest_change` needs. So this run is
+/// compared with the run without a tolerance over the same link.
 #[test]
 fn over_a_late_link_no_axis_changes_its_speed_faster() {
     let cases = std::env::var("OXMILL_BLENDED").ok().and_then(|cases| cases.parse().ok()).unwrap_or(25);

@@ -7,9 +7,9 @@ use std::fmt::Write;
 use std::io::Cursor;
 
 /// A circle: radius in 0.01 mm, `true` for clockwise, and feed in mm/min. The radius has no more than two decimals,
-/// because the controller derives the precision of a line from the decimals of its axis words. The precision is 0.01
-/// mm for up to two decimals, and for G12, which has no axis word. With more decimals, the written-out line from the
-/// centre would count as more precise than G12.
+/// because the controller derives the precision of a line from the decimals of its axis words. Up to two decimals give
+/// a precision of 0.01 mm. G12 has no axis word, so its precision is also 0.01 mm. With more decimals, the written-out
+/// line from the centre would count as more precise than G12.
 type Circle = (u32, bool, u32);
 
 /// Writes a program of circles, each at another place, with G12 and G13 or with the same moves written out.

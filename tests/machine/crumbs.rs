@@ -61,8 +61,9 @@ fn inverse_time_of_a_hairs_breadth() {
     assert!(seconds > 2.0 && seconds < 3.5, "{seconds} s");
 }
 
-/// Between two long moves of X, Y moves back and forth by less than a step. Meanwhile X stands still. So X must brake
-/// to the speed allowed at a corner before these moves, and accelerate from that speed after them.
+/// A long move of X is followed by moves of Y, back and forth by less than a step, and then by another long move of X.
+/// X stands still during the moves of Y. So X must brake before them to the speed allowed at a corner, and accelerate
+/// from that speed after them.
 #[test]
 fn a_wait_for_crumbs_is_a_corner() {
     let mut rig = machine(80.0, 100.0, 500.0);

@@ -10,8 +10,8 @@ use super::turns::{Style, program, run, seconds, settings};
 use oxmill_controller::messages::Realtime;
 use std::f64::consts::{PI, TAU};
 
-/// Length of the windows whose mean speeds are compared, s. In so long a window, steps and digits contribute only 1 %
-/// of the change due to acceleration.
+/// Length of a window, s. The tests compare the mean speeds of two such windows. A window is so long that the errors
+/// due to steps and digits are only 1 % of the change due to acceleration.
 const WINDOW: f64 = 0.020;
 /// Length of the chords of the programs, mm.
 const CHORD: f64 = 0.1;
@@ -150,8 +150,8 @@ fn pieces(shape: &[Part]) -> Vec<Piece> {
         let mut entry2 = f64::INFINITY;
         if let Some(before) = pieces.last() {
             let turn = minus(tangents[0], before.tangent);
-            // Where two parts join smoothly, the tangents differ by no more than the path turns within one piece. A
-            // larger difference is a corner.
+            // Where two parts join smoothly, their tangents differ little: at most by the turn of the path within one
+            // piece. A larger difference is a corner.
             if norm(turn) > 0.02 {
                 let jump = granted(before.tangent, tangents[0], Unsure::default(), &LIMITS, f64::INFINITY);
                 entry2 = (norm(jump) / norm(turn)).powi(2);
@@ -173,8 +173,8 @@ fn pieces(shape: &[Part]) -> Vec<Piece> {
     pieces
 }
 
-/// Returns a program that drives a shape in chords, starting at the origin. Also returns the course (the intended
-/// points), with which the steps are compared.
+/// Returns a program that drives a shape in chords, starting at the origin. Also returns the course. It has the
+/// intended points, with which the steps are compared.
 fn in_chords(shape: &[Part]) -> (String, Course) {
     let start = (shape[0].curve)(0.0);
     let (mut points, mut feeds) = (Vec::new(), Vec::new());
@@ -273,8 +273,9 @@ fn ramps_on_curves_stay_within_the_acceleration_of_each_axis() {
 /// Percent by which a shape may take longer than the shortest time.
 const MOST_MORE: f64 = 15.0;
 
-/// Drives a circle so fast that the bend uses all of the acceleration. After `after` seconds, brakes by `commands`.
-/// Returns the largest change of speed, and the time from the commands until the path speed is below 15 mm/s, s.
+/// Drives a circle so fast that the bend uses all of the acceleration. After `after` seconds, sends `commands`, which
+/// make the machine brake. Returns the largest change of speed, and the time, s, from the commands until the path speed
+/// is below 15 mm/s.
 fn braked_on_a_circle(jerk: f64, after: f64, commands: &[Realtime]) -> (Change, f64) {
     let (text, course) = in_chords(&[arc(100.0, [0.0, 0.0], 20.0, [0.0, 2.0 * TAU])]);
     let mut rig = Rig::with(&settings(&LIMITS, jerk));

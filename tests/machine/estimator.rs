@@ -1,41 +1,52 @@
 //! Measures speed and acceleration on a step trace, and compares them with the machine's limits.
 //!
-//! How limits are measured, with every allowance:
-//! - Path speed comes from the intervals between steps of a block's dominant axis (the axis with the most steps).
-//!   Only intervals shorter than 1 ms count. A step time is rounded to a tick of the step clock, so a speed can be
-//!   off by one tick of its interval. In addition a limit may be exceeded by 1 % ([`TOLERANCE`]).
-//! - Below 8000 steps/s the generator works on a finer grid. There a step comes up to 7/16 of a step earlier in the
-//!   path than at higher rates. Where the grid changes, an interval is longer or shorter by up to this share. So
-//!   below this rate a speed is measured over 16 steps, with an allowance of 7/16 of a step.
-//! - Acceleration is the change of speed between two intervals, divided by the time between their middles. Under
-//!   constant acceleration, the mean speed of an interval is the speed at its middle. Otherwise the quotient is a
-//!   mean of accelerations, all of which must be allowed. Each interval is compared with the intervals 1, 2, 4, 8,
-//!   ... later. So both a jump and a small lasting excess are found.
-//! - A change of acceleration shows only at the next whole step of the dominant axis, and then in full. So an
-//!   acceleration can seem to have acted for one step longer than the time between two intervals.
-//! - The ends of a move are rounded to steps, so its length, and with it its speeds, can be off by half a step.
-//! - Below one step per millisecond a single interval says little. There only a start from rest is checked. Within a
-//!   time t after its first step, the machine moves by at most one step more than `v t + a t² / 2`. Here v is the
-//!   speed that the acceleration a reaches within one step: `v² = 2 a` × the length of a step.
-//! - At a corner the junction rule bounds the path speed. It allows the speed of a circle that cuts the corner and
-//!   passes within the junction deviation of it, at the acceleration that the axes allow across the path. The two
-//!   intervals next to the corner may be faster by what the block's acceleration adds in the time between them. That
-//!   time is longer than the time from either of them to the corner.
-//! - On a chain of moves without a sharp corner v² is at most a·R: R is the radius of the bend, and a the
-//!   acceleration that the axes allow towards its centre. R comes from three points: the corner and one point on each
-//!   side. These two are the ends of the neighbouring moves, or points about one of [`REACHES`] away. Points that far
-//!   away are used only if the path turns by less than [`GENTLE`] between them. The junction deviation also grants a
-//!   jump for the whole turn.
-//! - Every point of a bend can be half a digit off. The part of the bend that this can explain is subtracted. A
-//!   planner that uses other points can see a bend start half a reach later and still brake within the bend. So v²
-//!   may be larger by a·reach.
-//! - Short lines that continue each other can have been joined to one move ([`Joins`]). Then the trace follows the
-//!   straight line from the start of the first to the end of the last. Every point between is within half a step of
-//!   this line. The trace does not show which lines were joined. The last few lines can have been a separate move,
-//!   half a step longer or shorter than the lines are. So the speed of joined lines is also measured over 16 steps,
-//!   with an allowance of half a step.
-//! - Coordinates of programs are off by up to half a digit. So the path counts as straight if the directions of two
-//!   moves differ by no more than one digit over the length of the shorter move.
+//! The paragraphs below explain how each limit is measured, and by how much a measured value may exceed it.
+//!
+//! **Speed.** The path speed comes from the intervals between steps of a block's dominant axis (the axis with the most
+//! steps). Only intervals shorter than 1 ms count. A step time is rounded to a tick of the step clock, so each interval
+//! can be off by one tick. In addition each limit may be exceeded by 1 % ([`TOLERANCE`]).
+//!
+//! **Slow steps.** Below 8000 steps/s the step generator works on a finer grid. There a step comes up to 7/16 of a step
+//! earlier in the path than at higher rates. Where the grid changes, an interval is longer or shorter by up to this
+//! share. So below this rate a speed is measured over 16 steps, and the length of these steps may be off by 7/16 of a
+//! step.
+//!
+//! **Acceleration.** It is the change of speed between two intervals, divided by the time between their middles. Under
+//! constant acceleration, the mean speed of an interval is the speed at its middle. Otherwise the quotient is a mean of
+//! accelerations, and each of these must keep the limit. Each interval is compared with the intervals 1, 2, 4, 8, ...
+//! later. So the test finds both a jump of speed and a small lasting excess. A change of acceleration shows only at the
+//! next whole step of the dominant axis, and then in full. So an acceleration can seem to have acted for one step
+//! longer than the time between two intervals.
+//!
+//! **Ends of a move.** They are rounded to steps. So the length of a move can be off by half a step, and its speeds by
+//! the same share.
+//!
+//! **Very slow motion.** Below one step per millisecond a single interval says little. Only the mean speed of a whole
+//! move is checked there, and the motion near rest, at the start and the end of the trace. Within a time t after its
+//! first step, the machine moves by at most one step more than `v t + a t² / 2`. Here v is the speed that the
+//! acceleration a reaches within one step: `v² = 2 a` × the length of a step.
+//!
+//! **Corners.** At a corner the junction rule bounds the path speed. It takes a circle that cuts the corner and passes
+//! within the junction deviation of it. It allows the speed at which this circle needs the acceleration that the axes
+//! allow across the path. The two intervals next to the corner may be faster by what the block's acceleration adds in
+//! the time between them. That time is longer than the time from either interval to the corner.
+//!
+//! **Bends.** On a chain of moves without a sharp corner v² is at most a·R. Here R is the radius of the bend, and a the
+//! acceleration that the axes allow towards its centre. R comes from three points: the corner and one point on each
+//! side. The side points are the ends of the neighbouring moves, or points about one of [`REACHES`] away. Points that
+//! far away are used only if the path turns by less than [`GENTLE`] between them. The junction deviation also grants a
+//! jump for the whole turn. Every point of a bend can be half a digit off. The part of the turn that this can explain
+//! is subtracted. A planner that uses other points can see a bend start half a reach later and still brake within the
+//! bend. So v² may be larger by a·reach.
+//!
+//! **Joined lines.** The machine can have joined short lines that continue each other to one move ([`Joins`]). Then the
+//! trace follows the straight line from the start of the first line to the end of the last one. All points between them
+//! are within half a step of this line. The trace does not show which lines were joined. The machine can have driven
+//! the last few lines as a separate move, half a step longer or shorter than these lines. So the speed of joined lines
+//! is also measured over 16 steps, and their length may be off by half a step.
+//!
+//! **Straight lines.** Coordinates of programs are off by up to half a digit. So the path counts as straight if the
+//! directions of two moves differ by no more than one digit over the length of the shorter move.
 
 use super::oracle::{AXES, Place, Pulse, dominant, follow_line};
 use std::collections::BTreeSet;
@@ -45,16 +56,16 @@ pub const TOLERANCE: f64 = 0.01;
 /// Resolution of the coordinates of the programs in these tests, mm.
 pub const DIGIT: f64 = 0.001;
 
-/// Distances along the path from a corner, mm. A point about this far away on each side is used to measure how tight
-/// the bend is.
+/// Distances along the path, mm. To measure how tight the bend at a corner is, a point about this far from the corner
+/// is used on each side.
 const REACHES: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
 /// Maximum turn of the path, rad, between the two points that are about one of [`REACHES`] away from the corner. If
 /// the path turns more, they are not used.
 const GENTLE: f64 = 0.35;
 /// Maximum turn at a single point that still counts as a bend, rad.
 const SHARP: f64 = 0.6;
-/// Minimum ratio of two distances from a corner to a point: straight, and along the path. With a lower ratio, the
-/// point is not used to measure the bend.
+/// Minimum ratio of a point's straight distance from a corner to its distance along the path. A point with a lower
+/// ratio is not used to measure the bend.
 const STRAIGHTNESS: f64 = 0.95;
 
 /// Maximum distance of a point from its intended position, mm: half a digit in two axes at once, rounded up.
@@ -101,7 +112,7 @@ struct Move {
     acceleration: f64,
     /// mm of path for each step of the dominant axis.
     pitch: f64,
-    /// Half a step as a share of the length: rounding of the ends to steps can change the length by this share.
+    /// Half a step, as a share of the length. The ends are rounded to steps, so the length can be off by this share.
     slack: f64,
     /// `true` if several lines of the program can have been joined to this move.
     is_joined: bool,
@@ -125,10 +136,10 @@ struct Reading {
 }
 
 impl Reading {
-    /// Returns the time, s, for which an acceleration can act between two readings. This time × the acceleration is
-    /// the largest difference between the two mean speeds. The time is a sum of three parts: the distance between the
-    /// middles of the intervals; a quarter of the difference of their lengths; and one step, because a change of
-    /// acceleration can show one step late.
+    /// Returns the time, s, for which an acceleration can act between two readings. The two mean speeds can differ by
+    /// at most the acceleration × this time. The time is a sum of three parts: the time between the middles of the
+    /// intervals; a quarter of the difference of their lengths; and one step, because a change of acceleration can show
+    /// one step late.
     fn apart(&self, other: &Reading) -> f64 {
         (self.at - other.at).abs() + (self.span - other.span).abs() / 4.0 + self.step.max(other.step)
     }
@@ -331,8 +342,8 @@ pub fn check(trace: &[Pulse], hz: f64, lines: &[Line], limits: &Limits) -> Resul
 }
 
 /// Returns the mean speed in each interval between two steps of the dominant axis; `None` for intervals longer than a
-/// millisecond. In a joined move and at low step rates, the mean covers up to [`WINDOW`] intervals: this one and
-/// those that follow, but none from the next interval longer than a millisecond on.
+/// millisecond. In a joined move and at low step rates, the mean covers up to [`WINDOW`] intervals from this one on. It
+/// ends before the first interval longer than a millisecond.
 fn readings(m: &Move, hz: f64) -> Vec<Option<Reading>> {
     (1..m.times.len())
         .map(|i| {
@@ -419,9 +430,9 @@ fn check_corner(before: &Move, after: &Move, hz: f64, limits: &Limits) -> Result
     Ok(())
 }
 
-/// Returns the maximum speed², (mm/s)², at a bend that is given by three points: a·R on the circle through them, plus
-/// what the junction deviation allows. The part of the turn that noise can explain is subtracted first. Returns
-/// infinity if nothing of the turn is left, or if the turn is not less than `greatest_turn`.
+/// Returns the maximum speed², (mm/s)², at a bend that is given by three points. It is a·R on the circle through them,
+/// plus what the junction deviation allows. The part of the turn that noise can explain is subtracted first. Returns
+/// infinity if nothing of the turn is left, or if the turn is at least `greatest_turn`.
 fn bend(points: [[f64; AXES]; 3], greatest_turn: f64, limits: &Limits) -> f64 {
     let [a, b, c] = points;
     let first: [f64; AXES] = std::array::from_fn(|i| b[i] - a[i]);
@@ -437,16 +448,16 @@ fn bend(points: [[f64; AXES]; 3], greatest_turn: f64, limits: &Limits) -> f64 {
     limits.along(limits.acceleration, turn.map(|t| t / norm(turn))) * (l1 + l2) / 2.0 / sure + junction * junction
 }
 
-/// Checks the speeds just before and just after a corner: they must not exceed the maximum for the bend that the moves
-/// around the corner form.
+/// Checks the speeds just before and just after a corner. They must not exceed the maximum for the bend that the corner
+/// and the moves around it form.
 fn check_bend(moves: &[Move], corner: usize, hz: f64, limits: &Limits) -> Result<(), String> {
     let (before, after) = (&moves[corner - 1], &moves[corner]);
     let readings = [readings(before, hz).last().copied(), readings(after, hz).first().copied()];
     let here = after.from;
     let mut allowed2 = bend([before.from, here, after.to], SHARP, limits);
     for reach in REACHES {
-        // Finds the nearest end of a move that is at least `reach` away from the corner, along the path. Returns this
-        // end and its distance along the path.
+        // Finds the first end of a move that is at least `reach` away from the corner, measured along the path. Returns
+        // this end and its distance.
         let reached = |mut corners: Box<dyn Iterator<Item = usize> + '_>, far: fn(&Move) -> [f64; AXES]| {
             let mut path = 0.0;
             corners.find_map(|i| {
@@ -467,7 +478,8 @@ fn check_bend(moves: &[Move], corner: usize, hz: f64, limits: &Limits) -> Result
     }
     let slack = TOLERANCE + before.slack + after.slack;
     for (reading, m) in readings.iter().flatten().flatten().zip([before, after]) {
-        // The reading is a mean over its span, and the corner lies at one end of the span.
+        // The reading is a mean speed over its span. The corner lies at one end of the span. So the acceleration can
+        // have changed the speed for half a span, and for one step more.
         let most = allowed2.sqrt() * (1.0 + slack) + m.acceleration * (reading.span / 2.0 + reading.step);
         if reading.speed > most + reading.rounding {
             return Err(format!("{} mm/s on a bend for {}", reading.speed, allowed2.sqrt()));
@@ -631,9 +643,9 @@ mod tests {
         assert!(run(50.0, a * 1.03).unwrap_err().contains("mm/s²"));
     }
 
-    /// Thirty lines of 14 um that the machine can join. Driven as one move, they pass. Driven as one move that is too
-    /// fast, they fail. Driven as one move in which a few lines in the middle are a separate move, which rounding has
-    /// made longer, they pass.
+    /// Thirty lines of 14 um that the machine can join to one move. The check accepts this move, and rejects it if it
+    /// is too fast. The machine can also have driven a few lines in the middle as a separate move, which rounding has
+    /// made longer. The check accepts this, too.
     #[test]
     fn joined_lines_are_measured_over_several_steps() {
         let limits = Limits { steps_per_mm: [250.0; 3], acceleration: [9000.0; 3], ..limits() };

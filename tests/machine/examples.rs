@@ -47,7 +47,7 @@ fn run(name: &str, end: [f64; AXES], reach: [[f64; AXES]; 2]) -> Rig {
     assert_near(rig.place_mm(CARVER_STEPS), end, HALF_STEP);
     assert_near(rig.reported("MPos"), end, HALF_STEP + 0.0005);
     let [low, high] = extents(&places(&rig.trace, [0.0; AXES], [CARVER_STEPS; AXES]));
-    // On an arc, the extent can be off by a step plus the arc tolerance.
+    // The extent of an arc can be off by a step plus the arc tolerance.
     assert_near(low, reach[0], 0.02);
     assert_near(high, reach[1], 0.02);
     rig

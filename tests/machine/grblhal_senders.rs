@@ -17,7 +17,8 @@ const PATIENCE: f64 = 60.0;
 /// What a sender knows about the machine.
 #[derive(Default)]
 struct Known {
-    /// The name of the firmware: in the greeting, in `[FIRMWARE:..]`, and in a full status report.
+    /// The name of the firmware as the machine sends it in three places: in the greeting, in `[FIRMWARE:..]`, and in a
+    /// full status report.
     greeted: String,
     firmware: String,
     reported: String,
@@ -250,7 +251,7 @@ impl Session {
         }
     }
 
-    /// Sends lines and waits for as many `ok`.
+    /// Sends lines and waits until each of them is answered with `ok`.
     fn carry_out(&mut self, lines: &[&str]) {
         let wanted = self.known.oks + lines.len();
         for line in lines {

@@ -18,8 +18,8 @@ impl Rig {
         let mut rig = Rig::new();
         assert_eq!(rig.read_lines(), ["", "Grbl 1.1h ['$' for help]"]);
         for line in settings.lines() {
-            // Only the first line is compared. While the settings so far are still unusable together, a message
-            // follows the `ok`.
+            // Only the first line of the answer is compared. Settings are sent one by one, so together they can be
+            // unusable for a while. Then a message follows the `ok`.
             assert_eq!(rig.ask(line).first().map(String::as_str), Some("ok"), "{line}");
         }
         rig

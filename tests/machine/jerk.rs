@@ -112,7 +112,7 @@ fn of_steps() -> f64 {
 }
 
 /// Compares the durations of five jobs with the shortest possible ones. At a corner or a change of feed, the controller
-/// lets the acceleration along the path fall to zero; so does the reference.
+/// lets the acceleration along the path fall to zero. The computed shortest time does the same.
 #[test]
 fn jobs_take_little_more_than_the_shortest_time() {
     let a = MACHINE.acceleration[0];
@@ -177,8 +177,8 @@ fn borders_of_blocks_cost_no_time() {
     assert!((seconds / ideal - 1.0).abs() < 0.01, "{seconds} of {ideal} s");
 }
 
-/// With a jerk limit, corners are passed no faster than the junction rule allows without one. So the job takes
-/// longer.
+/// The junction rule allows no higher speed at a corner if the jerk is limited. So a job with a jerk limit takes longer
+/// than the same job without one.
 #[test]
 fn corners_are_passed_no_faster() {
     for turn in [10.0_f64, 35.0, 90.0, 150.0] {
@@ -195,8 +195,8 @@ fn corners_are_passed_no_faster() {
     }
 }
 
-/// Before the corner only X moves. After it Z moves, too, and Z has lower limits of jerk and acceleration. These must
-/// be kept even if a hold or a lower feed override acts shortly before the corner.
+/// Before the corner only X moves. After the corner Z moves, too, and Z has lower limits of jerk and acceleration than
+/// X. The limits of Z must be kept even if a hold or a lower feed override acts shortly before the corner.
 #[test]
 fn a_corner_is_minded_by_what_brakes_before_it() {
     let limits = Limits { acceleration: [500.0, 400.0, 60.0], ..MACHINE };
@@ -241,8 +241,8 @@ fn a_late_ramp_lands_at_the_end() {
     }
 }
 
-/// The steps of X are so coarse that a ramp has only a few of them. Still, the corner after the ramp must be passed
-/// no faster than planned.
+/// The steps of X are so coarse that a ramp has only a few steps. Still, the machine must pass the corner after the
+/// ramp no faster than planned.
 #[test]
 fn corners_behind_coarse_steps_are_minded() {
     for (scale, steps, jerk) in [(2000.0, 5.0, [500_000.0, 0.0, 10_000.0]), (3000.0, 20.0, [100_000.0, 0.0, 1000.0])] {
@@ -268,8 +268,8 @@ fn corners_behind_coarse_steps_are_minded() {
     }
 }
 
-/// The jerk limit is kept if a cycle start comes around the end of a hold, at any time. A hold always completes the
-/// ramp that it has started.
+/// The jerk limit is kept if a cycle start arrives shortly before or after the end of a hold, at any moment. A hold
+/// always completes the ramp that it has started.
 #[test]
 fn a_start_right_behind_a_hold_keeps_the_limit() {
     for (feed, jerk) in [(8.0, 8000.0), (5.6, 8000.0), (8.0, 1500.0), (2.0, 1500.0), (40.0, 5000.0)] {

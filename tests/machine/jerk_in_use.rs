@@ -93,8 +93,8 @@ fn check(course: &[(f64, f64)], bounds: impl Fn(f64) -> [f64; 3], exempt: impl F
     if compared > 0 { Ok(()) } else { Err("nothing was compared".into()) }
 }
 
-/// Checks that each axis that moves keeps [`RATE`], [`ACCELERATION`] and [`JERK`], except where `exempt` (axis,
-/// position in mm) returns true.
+/// Checks that each axis that moves keeps [`RATE`], [`ACCELERATION`] and [`JERK`]. `exempt` gets an axis and its
+/// position in mm. Where it returns `true`, nothing is checked.
 #[track_caller]
 fn check_axes(places: &[(f64, [f64; AXES])], exempt: impl Fn(usize, f64) -> bool) {
     for axis in 0..AXES {
@@ -175,8 +175,8 @@ proptest! {
         }
         course.remove(0);
         prop_assert!((whole - angle).abs() < 2.0 * PITCH / radius, "{} of {} rad", whole, angle);
-        // Only the acceleration along the path is checked, not the centripetal one. It is limited by the axis with
-        // the largest share in the path.
+        // Only the acceleration along the path is checked, not the centripetal one. The axis with the largest share in
+        // the path limits it.
         let most = |place: f64| {
             let angle = place / path;
             let share = angle.cos().abs().max(angle.sin().abs()) * plane;

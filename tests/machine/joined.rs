@@ -19,7 +19,7 @@ fn run(scale: f64, job: &str) -> (f64, [i64; AXES]) {
     mill.take_output();
     mill.begin_job();
     mill.load_job(JobText::new(Cursor::new(job.as_bytes().to_vec())));
-    // Read the answers promptly: the machine waits when its output is full.
+    // Read the answers promptly, because the machine waits when its output is full.
     while !mill.is_idle() {
         mill.run_for(Duration::from_millis(20));
         assert!(!mill.take_output().contains("error"));
@@ -28,7 +28,7 @@ fn run(scale: f64, job: &str) -> (f64, [i64; AXES]) {
     ((steps[steps.len() - 1].at - steps[0].at) as f64 / HZ as f64, mill.machine().position().map(i64::from))
 }
 
-/// Returns the program of a line of 60 mm at an angle (in degrees), and of the same line in chords, both with
+/// Returns two programs for a line of 60 mm at an angle (in degrees): as one move, and in chords. Coordinates have
 /// `decimals` decimals.
 fn line(angle: f64, chord: f64, decimals: usize) -> [String; 2] {
     let (y, x) = angle.to_radians().sin_cos();

@@ -61,8 +61,8 @@ fn belts_draw_the_same_picture() {
         assert!(off(&path[near]) < 1.5, "{place:?} is off by {}", off(&path[near]));
     }
     assert!(near + 2 >= path.len(), "the whole path was followed");
-    // The speed along the path is the same on both machines. So the time is the same, too, except for the rounding of
-    // corners to steps.
+    // The speed along the path is the same on both machines. So the times are the same, too. They differ only by the
+    // rounding of corners to steps.
     let (one, other) = (cartesian.busy_ticks() as f64, belts.busy_ticks() as f64);
     assert!((one / other - 1.0).abs() < 0.01, "{one} {other}");
 }
@@ -152,7 +152,7 @@ fn a_crooked_gantry_comes_home_square() {
 
 #[test]
 fn a_gantry_is_not_pulled_apart() {
-    // 5 % of 100 mm of travel: one motor moves by at most 5 mm without the other.
+    // One motor may move at most 5 % of the travel of 100 mm without the other, which is 5 mm.
     let mut mill = machine(&gantry(0.0, 30.0), &format!("{CARVER}{SQUARED}"));
     let said = run(&mut mill, "$H");
     assert!(said.contains("ALARM:10\r\n"), "{said}");

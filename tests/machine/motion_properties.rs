@@ -176,8 +176,8 @@ fn a_remnant_hides_no_corner() {
     for job in ["X10.002 F500\nX10.0016\nX0", "X10.0018 F500\nX10.0022 Y0.0005\nY10"] {
         let mut rig = Rig::with("");
         rig.run_clean(&format!("G21 G90\nG1 {job}\n"));
-        // The machine brakes at 10 mm/s². So the last 20 steps before a right angle take 80 ms, and before a reversal
-        // longer; at full feed they would take 10 ms.
+        // The machine brakes at 10 mm/s². So the last 20 steps before a right angle take 80 ms, and those before a
+        // reversal even longer. At full feed 20 steps would take only 10 ms.
         let corner = rig.trace.iter().rposition(|p| p.steps & 1 != 0 && p.directions & 1 == 0).unwrap();
         let at = |n: usize| rig.trace[n].at as f64 / HZ as f64;
         let time = at(corner) - at(corner - 20);
@@ -206,7 +206,8 @@ proptest! {
         }
     }
 
-    /// Overrides and holds at any time change neither the path nor the end of such jobs, and the limits are kept.
+    /// Overrides and holds at any time change neither the path nor the end of a job of straight moves. The limits are
+    /// kept.
     #[test]
     fn overrides_and_holds_keep_path_and_limits(
         limits in machines(),
@@ -229,7 +230,7 @@ proptest! {
             }
             rig.send(&[touch]);
             if held && touch == b'!' {
-                // In this time any ramp of these machines ends, so nothing moves afterwards until the cycle start.
+                // Any ramp of these machines ends within this time. So nothing moves afterwards until the cycle start.
                 rig.run_for(1.2);
                 let place = rig.place;
                 rig.run_for(0.2);
@@ -302,9 +303,9 @@ proptest! {
         let step = limits.steps_per_mm.iter().map(|s| 1.0 / s).fold(0.0, f64::max);
         let places = places(&rig.trace, [0.0; AXES], limits.steps_per_mm);
         // The radial allowance has three parts: the arc tolerance (0.002 mm), the steps, and the resolution of start
-        // and end (0.001 mm). An axis is within half a step of its position on the chord. The ends of the chord are
-        // rounded to 1/7 of a step, which adds 1/14. That makes 4/7 of a step, times √2 because both axes can be at
-        // their worst at once.
+        // and end (0.001 mm). The second part: an axis is within half a step of its position on the chord. The ends of
+        // the chord are rounded to 1/7 of a step, which adds 1/14 of a step. Half a step and 1/14 make 4/7 of a step.
+        // Both axes can be off by this at once, so it is multiplied by √2.
         let radial = 0.002 + std::f64::consts::SQRT_2 * 4.0 / 7.0 * step + 0.001;
         if let Err(fault) = circle.follows(&places, radial, 2.0 * step + 0.002) {
             return Err(TestCaseError::fail(format!("{fault}\n{text}")));
@@ -317,8 +318,7 @@ proptest! {
         }
     }
 
-    /// A single move takes no longer than the ideal trapezoid (ramp up, constant speed, ramp down), with 1 % and 2 ms
-    /// in addition.
+    /// A single move takes at most 1 % and 2 ms longer than the ideal trapezoid (ramp up, constant speed, ramp down).
     #[test]
     fn a_single_move_takes_no_longer_than_it_must(
         limits in machines(),

@@ -35,8 +35,8 @@ pub struct Piece {
 pub enum Bound {
     /// Each axis keeps its own acceleration limit.
     EachAxis,
-    /// The acceleration of all axes together is bounded, in any direction by the limit of the weakest axis. On a
-    /// circle this gives a constant speed.
+    /// The accelerations of all axes together form a vector. In every direction this vector is at most as long as the
+    /// limit of the weakest axis. So the speed on a circle is constant.
     Resultant,
 }
 
@@ -192,8 +192,8 @@ fn parts(length: f64) -> u32 {
 }
 
 /// Returns the steps of a machine that follows a course at the maximum speed of the rule for turns (see
-/// `speeds2_of_turns`). `excess`: factor on the v² that the rule allows. With more than 1 the machine breaks the
-/// rule.
+/// `speeds2_of_turns`). The maximum v² of the rule is multiplied by `excess`. If `excess` is above 1, the machine
+/// breaks the rule.
 pub fn by_the_rule(course: &Course, limits: &Limits, excess: f64, hz: f64) -> Vec<Pulse> {
     let (chords, lengths) = chords(course);
     let most = speeds2_of_turns(&chords, &lengths, limits, course.feed);
@@ -209,8 +209,8 @@ pub fn by_the_rule(course: &Course, limits: &Limits, excess: f64, hz: f64) -> Ve
         for part in 0..count {
             let mut curvature = [0.0; AXES];
             if count == 2 {
-                // A chord cut into only two parts is short: it can belong to a bend. In a bend taken at its maximum
-                // speed no acceleration is left for a ramp.
+                // A chord cut into only two parts is short, so it can belong to a bend. In a bend at its maximum speed
+                // no acceleration is left for a ramp. So the two parts get the curvature of the bend.
                 let used = bend(k + part as usize);
                 let across = (0..AXES).map(|i| used[i].abs() / limits.acceleration[i]).fold(0.0, f64::max);
                 curvature = used.map(|x| x / excess / (across * most[k].max(most[k + 1])).max(1.0));

@@ -154,8 +154,8 @@ impl Circle {
 
     /// Compares the positions of a trace (mm) with the arc.
     ///
-    /// `radial`: maximum distance from the circle, mm. `lag`: maximum distance from the expected position, mm, along
-    /// the circle or the third axis. One or two steps are usual for `lag`, because the machine moves in whole steps.
+    /// `radial`: maximum distance from the circle, mm. `lag`: maximum distance from the expected position, along the
+    /// circle or along the third axis, mm. A usual `lag` is one or two steps, because the machine moves in whole steps.
     ///
     /// # Errors
     /// The first difference.
@@ -166,7 +166,8 @@ impl Circle {
         let mut farthest = 0.0_f64;
         for &place in places {
             let mut angle = self.progress(place);
-            // Just before the start, the angle is nearly a full turn; just past the end of a full turn, it is nearly 0.
+            // A position just before the start has nearly a full turn as its angle, so subtract a turn. A position just
+            // past the end of a full turn has nearly 0, so add a turn.
             if angle > whole + slack && angle > std::f64::consts::TAU - slack {
                 angle -= std::f64::consts::TAU;
             } else if angle < slack && farthest > std::f64::consts::TAU - 2.0 * slack {

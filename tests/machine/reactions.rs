@@ -165,7 +165,7 @@ impl State {
         mill.run_for(Duration::from_millis(300));
         for command in then.chars() {
             match command {
-                // A space is no command: it waits for the next phase.
+                // A space is no command. It only lets a second pass, so that the next phase begins.
                 ' ' => mill.run_for(Duration::from_secs(1)),
                 command => mill.send([command as u32 as u8]),
             }
@@ -300,7 +300,7 @@ struct Case {
     reaction: u8,
     state: State,
     mill: Simulator,
-    /// Step counts of the motors, and the position in mm, when the machine had been homed.
+    /// Step counts of the motors, and the position in mm, right after homing.
     origin: ([i32; 3], [f64; 3]),
     at_fault: [f64; 3],
     trusted: bool,
@@ -423,8 +423,8 @@ impl Case {
         assert!((travelled - wanted).abs() < 0.003, "X has moved by {travelled}: {name}");
     }
 
-    /// Clears the faults and resets: the machine must be usable without homing exactly if the controller trusts the
-    /// position.
+    /// Clears the faults and resets. After that, the machine must be usable without homing if the controller trusts the
+    /// position, and only then.
     fn check_reset(mut self) {
         let trusted = self.mill.controller().is_trusted();
         for line in ["limit y 0", "estop 0", "fault 0", "at_speed 1"] {
@@ -637,8 +637,8 @@ fn no_beam_is_left_while_the_machine_brakes() {
             assert!(mill.power() != 0 && mill.is_stepping(), "{}", mill.take_output());
             fault.happen(&mut mill);
             mill.run_for(Duration::from_millis(5));
-            // The enable output is off at once, but segments that are already queued for the step task still run with
-            // their power.
+            // The enable output is off at once. But the segments that are already queued for the step task still carry
+            // their power. So the power is 0 only after these segments.
             mill.run_for(Duration::from_millis(25));
             assert!(mill.power() == 0 && mill.is_stepping(), "{fault:?} {beam}: {}", mill.take_output());
             mill.run_for(Duration::from_secs(2));
@@ -719,7 +719,7 @@ fn the_heavier_of_two_faults_is_told_and_acts() {
     assert!(said.contains("ALARM:101\r") && !said.contains("ALARM:102"), "{said}");
     assert!(!mill.controller().is_trusted(), "a driver may have lost steps: {said}");
     // The machine brakes because the spindle is too slow, and the spindle may stay on. A limit switch, which stops the
-    // machine at once, must still act during this.
+    // machine at once, must still act while the machine brakes.
     let mut mill = milling("$927=4\n");
     pin(&mut mill, "at_speed 0");
     mill.run_for(Duration::from_millis(55));

@@ -9,7 +9,7 @@ use proptest::test_runner::RngSeed;
 const HZ: f64 = boards::DESK.step_clock_hz as f64;
 /// Steps per mm of X, Y and Z, and per degree of A.
 const STEPS: [f64; 4] = [400.0, 320.0, 450.0, 100.0];
-/// mm/s²; large, so that ramps take almost no time.
+/// Acceleration of all axes, mm/s² (degrees/s² for A). It is so large that ramps take almost no time.
 const ACCELERATION: f64 = 100_000.0;
 
 fn mill() -> Simulator {
@@ -71,7 +71,7 @@ fn f_is_along_x_y_and_z_or_degrees_per_minute() {
     near(time_of("$J=A90 F600"), 9.0);
 }
 
-/// If A turns during an arc or helix, the arc still takes the time that F gives along X, Y and Z. Tested are a
+/// If A turns during an arc or helix, the arc still takes the time that F gives along X, Y and Z. The test drives a
 /// quarter of a circle of radius 20 mm, and a helix of three turns, 5 mm each, in two planes. F is 600 mm/min.
 #[test]
 fn an_arc_takes_it_along_and_keeps_its_feed() {
@@ -103,7 +103,7 @@ fn it_turns_evenly_along_an_arc() {
     for (_, [x, y, _, a]) in course(&mill) {
         let (x, y) = (20.0 - x / STEPS[0], y / STEPS[1]);
         let turned = y.atan2(x) / core::f64::consts::PI;
-        // The allowance is two steps on the circle, as an angle from its centre, and one step of A.
+        // A may be off by the sum of two angles: two steps of Y on the circle, seen from its centre, and one step of A.
         let slack = 2.0 / STEPS[1] / 20.0 / core::f64::consts::PI + 1.0 / STEPS[3] / 300.0;
         assert!((turned - a / STEPS[3] / 300.0).abs() < slack, "{turned} {a}");
     }
@@ -219,9 +219,9 @@ fn links(feed: core::ops::Range<u32>, most_y: i32) -> impl Strategy<Value = Vec<
     prop::collection::vec((way, feed), 2..7)
 }
 
-/// Returns two ratios for a chain of moves. The first is its duration divided by the time that its F words prescribe.
-/// The second is a tolerance for the first: one step of X divided by the chain's length along X. Durations are
-/// measured from the first to the last step, so the time before and after them is missing.
+/// Returns two ratios for a chain of moves. The first is the duration of the chain divided by the time that its F words
+/// prescribe. The second is the tolerance of the first ratio: one step of X divided by the chain's length along X. A
+/// tolerance is needed because durations are measured from the first to the last step only.
 fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> (f64, f64) {
     let (text, meant) = chain(links, inverse_time);
     let mut mill = mill();
@@ -233,15 +233,15 @@ fn time_in_terms_of_meant(links: &[Link], inverse_time: bool) -> (f64, f64) {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, rng_seed: RngSeed::Fixed(931), ..ProptestConfig::default() })]
 
-    /// Some moves are too short for a step. Together with the next move that makes a step, they take the time that F
-    /// gives them. This holds whatever A does, and with equal or different feeds. Y does not move, because the
-    /// controller would join lines that go back and forth in Y to one straight line, which is shorter.
+    /// Some moves are too short to make a step. Such moves, together with the next move that makes a step, take the
+    /// time that F gives them. This holds whatever A does, and with equal or different feeds. Y does not move here.
+    /// Otherwise the controller would join lines that go back and forth in Y to one straight line, which is shorter.
     #[test]
     fn chains_of_moves_shorter_than_a_step_take_their_time(even in links(30..31, 0), odd in links(30..120, 0)) {
         for links in [even, odd] {
             let (ratio, step) = time_in_terms_of_meant(&links, false);
             // A step is made at the feed of the move that completes it, even if moves with other feeds have contributed
-            // to it. So a chain can take longer than its F words say, but not less time.
+            // to the step. So a chain can take longer than its F words say, but not less time.
             let slowest = links.iter().map(|(_, feed)| *feed).min().unwrap_or(1);
             let all_slow: Vec<Link> = links.iter().map(|(way, _)| (*way, slowest)).collect();
             let most = chain(&all_slow, false).1 / chain(&links, false).1;

@@ -140,8 +140,8 @@ fn chapter_2_2_3_example_3_g10_l20_then_incremental() {
     assert_near(work(&mut rig), [40.0, 82.0, 0.0], 0.0);
 }
 
-/// The document takes the second G92 for the inverse of the first. In Grbl, and here, it sets the position to its
-/// values; G92.1 undoes both.
+/// The document takes the second G92 for the inverse of the first. In Grbl, and here, the second G92 sets the position
+/// to its own values, like the first. G92.1 undoes both.
 #[test]
 fn chapter_2_2_3_example_4_g92_sets_the_place() {
     let mut rig = Rig::with(CARVER);
@@ -211,7 +211,7 @@ fn chapter_2_7_work_is_machine_less_system_less_g92() {
     assert_near(work(&mut rig), [1.5, 17.2, 0.0], 0.0);
 }
 
-/// The document says that G10 L2 has no effect in G91; in Grbl and in the NIST standard it has.
+/// The document says that G10 L2 has no effect in G91. But in Grbl and in the NIST standard it has an effect.
 #[test]
 fn chapter_2_7_g10_l2_works_in_g91() {
     let mut rig = Rig::with(CARVER);
@@ -228,7 +228,7 @@ fn chapter_2_3_14_after_g92_the_place_reads_its_values() {
 }
 
 /// First lines of the listing in 2.10.1, as printed, with comments in Japanese. `ONE_CIRCLE` has the lines for a
-/// circle; the feed there is raised from 1 mm/min.
+/// circle. Its feed is raised: the document has 1 mm/min.
 const FIVE_CIRCLES: &str = "G10 L2 P1 X0 Y0 Z0 (座標 G54 の原点をマシン原点に設定)
 G10 L2 P2 X10 (G55 を X=10mm オフセット)
 G10 L2 P3 X-10 (G56 を X= -10mm オフセット)
@@ -280,7 +280,7 @@ fn chapter_2_10_1_five_circles_as_printed_are_refused_by_the_other_dialects() {
     for dialect in ["$900=0", "$900=1"] {
         let mut rig = Rig::with(CARVER);
         rig.carry_out(dialect);
-        // Without the comments, because they contain nested parentheses.
+        // Leave out the comments, because they contain nested parentheses.
         let text: String = format!("{FIVE_CIRCLES}G54{ONE_CIRCLE}")
             .lines()
             .map(|line| line.split('(').next().unwrap_or_default().to_string() + "\n")

@@ -130,8 +130,8 @@ fn follows(places: &[[f64; AXES]], chain: &[[Point; 4]]) -> Result<(), String> {
     let mut piece = 0;
     for place in places {
         let off = |k: usize| from_piece([place[0], place[1]], points[k], points[k + 1]);
-        // Search forward for the first piece of the polygon that is near enough. Start 20 pieces (about a step) before
-        // the last one found.
+        // Search forward for the first piece of the polygon that is near enough. The search starts 20 pieces (about a
+        // step) before the piece found last.
         let first = piece - piece.min(20);
         match (first..points.len() - 1).find(|k| off(*k) <= MOST_OFF) {
             Some(found) => piece = piece.max(found),
@@ -215,7 +215,7 @@ fn a_circle_of_splines_takes_the_time_of_an_arc() {
     }
 }
 
-/// With G93 the whole curve takes the time given by F; the ramps add to it.
+/// With G93 the whole curve takes the time given by F. The ramps at its ends add some time.
 #[test]
 fn inverse_time() {
     let found = seconds("G93\nG5 X30 Y0 I10 J20 P-10 Q20 F6\n");

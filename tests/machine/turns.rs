@@ -104,7 +104,8 @@ fn seconds_of(points: &[[f64; AXES]], style: Style) -> f64 {
     seconds(&run(&settings(&limits(250.0), 0.0), &program(points, style, 100.0).0))
 }
 
-/// Returns the change of an axis' speed with the largest ratio to the allowed change, over all [`WINDOWS`].
+/// Returns the worst change of an axis' speed over all [`WINDOWS`]: the one with the largest ratio to the allowed
+/// change.
 fn worst(trace: &[Pulse], course: &Course, limits: &Limits) -> Result<Change, String> {
     let mut worst: Option<Change> = None;
     for window in WINDOWS {
@@ -442,8 +443,8 @@ impl Drawn {
     }
 }
 
-/// Returns the case numbers of a run. `OXMILL_FUZZ=N` sets their number instead of `default`; `OXMILL_FUZZ_SEED` sets
-/// the first, otherwise 1.
+/// Returns the case numbers of a run. `OXMILL_FUZZ=N` runs N cases instead of `default`. `OXMILL_FUZZ_SEED` sets the
+/// number of the first case; without it the first case is 1.
 fn cases(default: u64) -> Range<u64> {
     let (cases, first) = (number("OXMILL_FUZZ", default), number("OXMILL_FUZZ_SEED", 1));
     first..first + cases
@@ -482,7 +483,8 @@ fn no_axis_changes_its_speed_by_more_than_a_whole_turn_is_granted() {
 /// every run of consecutive vertices, which takes long if there are many vertices.
 const MOST_VERTICES: usize = 300;
 
-/// A job takes no longer in its turns than the rule for turns requires ([`by_the_rule`]): rounding noise costs no time.
+/// In its turns a job takes no longer than the rule for turns requires ([`by_the_rule`]). So rounding noise costs no
+/// time.
 #[test]
 fn no_turn_takes_longer_than_the_rule_needs() {
     let mut faults = Vec::new();
@@ -510,8 +512,8 @@ const SLOWER: f64 = 1.15;
 const UNSEEN: f64 = 0.01;
 
 /// Tests the measurement itself (`worst`) with motion computed by [`by_the_rule`]. The measurement must accept motion
-/// at the maximum speed that the rule for turns allows, in any shape. It must reject motion at 1.5 times this speed
-/// on some jobs (those with fine steps and digits), and at 2 times on most.
+/// at the maximum speed that the rule for turns allows, in any shape. At 1.5 times this speed it must reject some jobs,
+/// namely those with fine steps and digits. At 2 times this speed it must reject most jobs.
 #[test]
 fn the_measure_accepts_the_rule_and_sees_a_broken_one() {
     let (mut compared, mut seen) = (0, [0, 0]);

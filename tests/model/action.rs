@@ -259,7 +259,7 @@ impl Setup {
     }
 }
 
-/// Host timeout during a job, s. No sum of the times of actions, dwells and delays has this value. So the timeout
+/// Host timeout during a job, s. The times of actions, dwells and delays never add up to this value. So the timeout
 /// never expires together with one of them.
 pub const JOB_SILENCE: f64 = 1.13;
 /// Host timeout during a jog, s. Like [`JOB_SILENCE`], it never expires together with an action, dwell or delay.
@@ -341,7 +341,7 @@ fn one() -> impl Strategy<Value = Action> {
     ]
 }
 
-/// Durations of [`Action::Pass`], s. No sum of a few of them equals the duration of a dwell or a delay, so nothing ends
+/// Durations of [`Action::Pass`], s. A few of them never add up to the duration of a dwell or a delay. So nothing ends
 /// exactly at a report.
 const PASSES: [f64; 6] = [0.0023, 0.0317, 0.2129, 0.6151, 2.0377, 7.1213];
 
@@ -442,8 +442,8 @@ fn job_with_a_fault() -> impl Strategy<Value = Vec<Action>> {
     })
 }
 
-/// Generates a job whose spindle loses its speed twice. Before each loss comes an event or a pause, after which the
-/// controller may give the spindle time to reach its speed.
+/// Generates a job whose spindle loses its speed twice. An event or a pause precedes each loss. After some of these
+/// events the controller gives the spindle time to reach its speed.
 fn job_with_a_slow_spindle() -> impl Strategy<Value = Vec<Action>> {
     let slow =
         || prop::sample::select(vec![0.0317, 0.1601, 0.1799, 0.2601, 0.2901, 2.0377]).prop_map(Action::SlowSpindle);

@@ -1,6 +1,7 @@
-//! Compares the protocol's state machine with a plain reference model, in random conversations. Compared are the
-//! answers and error numbers, which lines wait, and the status report; and no step may occur where the model forbids
-//! motion. A disagreement is shrunk to the shortest conversation and printed in the format of `tests/conversations`.
+//! Compares the protocol's state machine with a plain reference model, in random conversations. The test compares the
+//! answers and error numbers, which lines wait, and the status report. It also checks that no step occurs where the
+//! model forbids motion. A disagreement is shrunk to the shortest conversation and printed in the format of
+//! `tests/conversations`.
 //!
 //! `OXMILL_MODEL=N` plays N conversations instead of the default number; `OXMILL_MODEL_SEED` sets the first seed.
 

@@ -111,8 +111,8 @@ impl Seen {
         self.report.trim_matches(['<', '>']).split('|').find_map(|field| field.strip_prefix(name)?.strip_prefix(':'))
     }
 
-    /// Compares what the machine did with the model. Returns what the model expects at the first difference; `None`
-    /// if both agree.
+    /// Compares what the machine did with the model. At the first difference, returns what the model expects; `None` if
+    /// both agree.
     fn differs(&self, model: &Model) -> Option<String> {
         if !is_said(&model.said, &self.said, !model.setup.grbl) {
             return Some(format!("the answers {:?}", model.said));
@@ -146,8 +146,8 @@ impl Seen {
     }
 }
 
-/// Returns whether lines match a list of patterns. `*` stands for any text, and [`MANY`] for any number of lines that
-/// are not answers. `reasons`: `true` if an error may follow a message with its reason, for which there is no
+/// Returns whether lines match a list of patterns. `*` stands for any text. [`MANY`] stands for any number of lines
+/// that are not answers. `reasons`: `true` if a message with the reason may precede an error; this message has no
 /// pattern.
 fn is_said(patterns: &[String], lines: &[String], reasons: bool) -> bool {
     let Some((pattern, rest)) = patterns.split_first() else { return lines.is_empty() };

@@ -45,9 +45,10 @@ pub struct Action<const N: usize> {
     pub store: Option<StoredOffset>,
     /// Motion of the line; [`MotionCommand::None`] if nothing moves.
     pub motion: MotionCommand<N>,
-    /// Value of the last decimal place of the axis words, in mm: 0.001 for `X1.234`. `motion` estimates from it by how
-    /// much the program has rounded its points. Programs often omit trailing zeros, so the value is at most 0.01 mm or
-    /// 0.001 inch, before scaling by G51. It is 0 for canned cycles and splines, whose points count as exact.
+    /// Value of the last decimal place of the axis words, in mm: 0.001 for `X1.234`. From this value, `motion`
+    /// estimates by how much the program has rounded its points. The value is at most 0.01 mm or 0.001 inch, before
+    /// scaling by G51, because programs often omit trailing zeros. It is 0 for canned cycles and splines, whose points
+    /// count as exact.
     pub digit: f32,
     /// What the program does after the motion.
     pub flow: Flow,
@@ -266,8 +267,8 @@ impl<const N: usize> Action<N> {
         unused: [Letters::of(b""); REASONS as usize],
     };
 
-    /// Resets this action: afterwards it changes nothing of `state`. Works in place, because a returned action would
-    /// be copied with all its bytes, even those that only an arc needs.
+    /// Resets this action, so that it changes nothing of `state`. Works in place, because a returned action would be
+    /// copied with all its bytes, even those that only an arc needs.
     pub(super) fn begin(&mut self, state: &Interpreter<N>) {
         self.line_number = 0;
         self.uses_machine_place = false;
@@ -344,8 +345,8 @@ pub enum ProgramPins {
 }
 
 impl ProgramPins {
-    /// Returns whether the line waits until the previous motion has ended. Then M64 and M65 switch the output, and M66
-    /// P reads the input, where that motion ends.
+    /// Returns whether the line waits until the previous motion has ended. At the place where that motion ends, M64
+    /// and M65 then switch the output, and M66 P reads the input.
     pub fn act_at_rest(self) -> bool {
         matches!(self, ProgramPins::Wait { .. } | ProgramPins::Digital { with_motion: false, .. })
     }

@@ -65,8 +65,8 @@ fn square(value: u64) -> u128 {
     u128::from(value) * u128::from(value)
 }
 
-/// Returns the square roots of both values, multiplied by the same power of two, which a quotient of the two cancels.
-/// The greater root then has about 62 bits.
+/// Returns the square roots of both values, each multiplied by the same power of two. This factor cancels out when one
+/// root is divided by the other. The greater result has about 62 bits.
 fn roots(a: u128, b: u128) -> (i128, i128) {
     // The greater square keeps two leading zero bits, so its root stays below 2^63.
     let shift = (a.max(b).leading_zeros().saturating_sub(2)) & !1;
@@ -173,7 +173,8 @@ mod tests {
 
     #[test]
     fn quarter_circles() {
-        // G2 from (0,0) to (10,10): with R10 the centre is to the right of the chord, at (10,0), with R-10 to the left.
+        // G2 from (0,0) to (10,10). With R10 the centre is to the right of the chord, at (10,0). With R-10 it is to
+        // the left.
         assert_eq!(centre_by_radius(mm(10.0, 10.0), radius(10.0), true), Ok(mm(10.0, 0.0)));
         assert_eq!(centre_by_radius(mm(10.0, 10.0), radius(-10.0), true), Ok(mm(0.0, 10.0)));
         assert_eq!(centre_by_radius(mm(10.0, 10.0), radius(10.0), false), Ok(mm(0.0, 10.0)));

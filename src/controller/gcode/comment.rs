@@ -1,5 +1,5 @@
-//! Message comments of programs (`(MSG, ...)`, `(PRINT, ...)`, `(DEBUG, ...)`), as they are stored after the words of a
-//! line.
+//! Message comments of programs (`(MSG, ...)`, `(PRINT, ...)`, `(DEBUG, ...)`). They are stored after the words of
+//! their line.
 //!
 //! A mark before the text of the message tells whether the text is sent as written, or with the values of parameters
 //! inserted. [`split_comment`] splits a line at the mark. The words before the mark contain neither `(` nor `;`,

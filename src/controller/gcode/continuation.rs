@@ -35,9 +35,9 @@ impl<const N: usize> Interpreter<N> {
         parts.into_iter().find_map(|(differs, part)| differs.then_some(part))
     }
 
-    /// Whether the program is at `place` and has no state except the modal state, the stored offsets and the tool
-    /// table: no G92, open block, saved state, rotation or scaling. A recording that can be replayed begins only in
-    /// this state.
+    /// Returns whether the program is at `place` and has no state except the modal state, the stored offsets and the
+    /// tool table: no G92, open block, saved state, rotation or scaling. A recording that can be replayed begins only
+    /// in such a state.
     pub fn is_plain(&self, place: &PerAxis<Coordinate, N>) -> bool {
         let offsets = [&self.offsets.g92, &self.offsets.g92_kept, &self.offsets.tool_length];
         self.position == *place
@@ -68,8 +68,8 @@ impl<const N: usize> Interpreter<N> {
     }
 }
 
-/// Returns the modal state without the parts that affect no later line. While G93 is active or F is undefined, this
-/// removes the speed that an earlier F has set.
+/// Returns the modal state without the parts that affect no later line: removes the speed of an earlier F while G93 is
+/// active or F is undefined.
 fn meant(modal: &Modal) -> Modal {
     let is_speed = modal.feed_mode != FeedMode::InverseTime && modal.feed > Decimal::ZERO;
     let feed_per_second = if is_speed { modal.feed_per_second } else { 0.0 };

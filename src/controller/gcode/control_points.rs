@@ -39,7 +39,7 @@ impl ControlPoints {
         Self { points, order: ORDER }
     }
 
-    /// Whether the curve starts at `place`, in X and Y of the machine; `false` without control points.
+    /// Returns whether the curve starts at `place`, in X and Y of the machine; `false` without control points.
     pub fn begin_at(&self, place: [Coordinate; 2]) -> bool {
         self.points.first().is_some_and(|first| first.place == place)
     }

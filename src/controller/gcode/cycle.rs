@@ -75,17 +75,17 @@ impl CycleKind {
         }
     }
 
-    /// Whether Q gives the depth of a peck.
+    /// Returns whether Q gives the depth of a peck.
     pub const fn pecks(self) -> bool {
         matches!(self, CycleKind::ChipBreak | CycleKind::Peck)
     }
 
-    /// Whether P gives the dwell at the bottom.
+    /// Returns whether P gives the dwell at the bottom.
     pub const fn dwells(self) -> bool {
         matches!(self, CycleKind::DrillDwell | CycleKind::BoreStop | CycleKind::BoreManual | CycleKind::BoreDwell)
     }
 
-    /// Whether the spindle stops at the bottom.
+    /// Returns whether the spindle stops at the bottom.
     pub const fn stops_spindle(self) -> bool {
         matches!(self, CycleKind::BoreStop | CycleKind::BoreManual)
     }
@@ -186,7 +186,8 @@ impl<const N: usize> Cycle<N> {
         ]
     }
 
-    /// Whether the machine must stand still before the next step: a dwell, a pause, or a change of the spindle.
+    /// Returns whether the machine must stand still before the next step: a dwell, a pause, or a change of the
+    /// spindle.
     pub fn next_rests(&self) -> bool {
         let CyclePhase::After(done) = self.next else { return false };
         matches!(
@@ -196,8 +197,8 @@ impl<const N: usize> Cycle<N> {
     }
 
     /// Returns the next step; `None` at the end of the cycle. `clearance`: with G73, the distance by which the tool
-    /// backs off after a peck; with G83, the height above the bottom of the previous peck at which the rapid down ends.
-    /// Both moves end at R at the highest.
+    /// backs off after a peck; with G83, the height above the bottom of the previous peck at which the rapid down
+    /// ends. Neither move ends above R.
     pub fn step(&mut self, clearance: Coordinate) -> Option<CycleStep<N>> {
         let r = self.r;
         let (next, depth, is_feed) = match self.next {

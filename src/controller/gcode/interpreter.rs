@@ -66,8 +66,8 @@ impl<const N: usize> Interpreter<N> {
         self.offsets = before.unwrap_or(self.offsets);
     }
 
-    /// Prepares for another dialect: ends the modal states for which the new dialect may lack the word that would end
-    /// them. Abandons the present program, and drops saved states and the measured length of the tool.
+    /// Prepares for another dialect, which may lack the words that end some modal states of this dialect. Ends these
+    /// modal states, abandons the present program, and drops saved states and the measured length of the tool.
     pub fn change_dialect(&mut self) {
         self.end_cycles();
         if matches!(self.modal.motion, MotionMode::Spline(_)) {

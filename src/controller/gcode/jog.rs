@@ -9,8 +9,8 @@ use super::state::Interpreter;
 use super::word::{Groups, NonModal};
 use crate::error::Error;
 
-/// Checks a jog, which is a G1 with G94, whatever modes the program has set. A word that is not allowed in a jog is
-/// reported last: if the line also has an error that it would have in a program, that error is reported.
+/// Checks a jog. A jog is a G1 with G94, whatever modes the program has set. A line can have both a word that jogs do
+/// not allow and an error that it would also have in a program. In this case the error of the program is returned.
 pub(super) fn check<const N: usize>(
     state: &mut Interpreter<N>,
     line: &[u8],

@@ -96,7 +96,8 @@ impl CycleKind {
     }
 }
 
-/// How a probing move ends: at contact or at the loss of contact, and with or without an alarm if that does not happen.
+/// How a probing move ends: at contact or at the loss of contact. Also whether an alarm occurs if the move reaches its
+/// target first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProbeMode {
     /// Whether the move ends at the loss of contact (G38.4, G38.5) instead of at contact.

@@ -135,7 +135,8 @@ impl<const N: usize> Offsets<N> {
 
 impl<const N: usize> Offsets<N> {
     /// Returns the plane in which `system` is rotated with the given G92, tool length offset and G68; `None` without a
-    /// rotation. Fails if the system has an angle, which always rotates X and Y, and G68 rotates another plane.
+    /// rotation. An angle of the system always rotates X and Y. So the function fails if the system has an angle and
+    /// G68 rotates another plane.
     #[inline]
     pub(super) fn rotated_plane(
         &self,

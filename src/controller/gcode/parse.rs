@@ -183,8 +183,8 @@ impl<const N: usize> Parsed<N> {
         self.read(line, dialect, state)
     }
 
-    /// Whether all words of the line only determine where and how it moves, as in most lines of a program. For such a
-    /// line the check skips the steps that only other words need.
+    /// Returns whether all words of the line only determine where and how the line moves. Most lines of a program are
+    /// of this kind. For such a line the check skips the steps that only other words need.
     #[inline]
     pub fn is_move(&self) -> bool {
         !self.extended.any && self.groups.within(Groups::OF_MOVES) && !self.values.has_any(Letters::of(b"DST"))

@@ -30,8 +30,8 @@ use crate::error::Error;
 use crate::image::FULL_IMAGE;
 
 impl<const N: usize> Interpreter<N> {
-    /// Whether [`Interpreter::look_behind_end`] has to examine the host's next line. This is so after the end of a
-    /// program until another one begins, and while a program is held until its subprogram has been received.
+    /// Returns whether [`Interpreter::look_behind_end`] has to examine the host's next line. This is so after the end
+    /// of a program until another one begins, and while a program is held until its subprogram has been received.
     #[inline]
     pub fn is_behind_end(&self) -> bool {
         self.place != ProgramPlace::Program || self.is_holding()
@@ -59,8 +59,8 @@ impl<const N: usize> Interpreter<N> {
 
     /// Executes `$X`: the next line begins a program. But if the host is still sending a held program or its
     /// subprograms, the lines that follow are refused, up to another `$X`. `is_locked`: `true` if the `$X` ends an
-    /// alarm; it then does not end a refusal. `rested`: `true` if the machine was idle before the `$X` and the host
-    /// sent no line for a while; then no more subprograms are expected.
+    /// alarm; such a `$X` does not end a refusal. `rested`: `true` if the machine was idle before the `$X` and the
+    /// host sent no line for a while. In this case no more subprograms are expected.
     #[cfg_attr(not(feature = "full"), allow(unused_variables, reason = "there are no subprograms"))]
     pub fn unlock(&mut self, is_locked: bool, rested: bool) {
         self.computed.end_modal_call();
@@ -116,8 +116,9 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Records that block delete (`/`) has skipped a line. An M2 or M30 in the line ends the program all the same.
-    /// After the end of a program, an O number in the line begins a subprogram, whose lines are refused. With `rested`
-    /// (the machine was idle before the line, and the host sent nothing for a while), such an O number has no effect.
+    /// After the end of a program, an O number in the line begins a subprogram, whose lines are refused. `rested`:
+    /// `true` if the machine was idle before the line and the host sent nothing for a while; the O number then has no
+    /// effect.
     pub fn skipped_line(&mut self, line: &[u8], rested: bool) {
         if may_end_program(line) {
             self.note_end();
@@ -141,9 +142,10 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Records that a line was refused. An M2 or M30 in the line, even a computed one, ends the program all the same.
-    /// After the end of a program, an O number anywhere in the line begins a subprogram, which is refused; so does a
-    /// line with unknown text (`None`: too long, damaged, or with an open comment). An M99 in the line means that a
-    /// subprogram was taken for the program, unless a subroutine or loop is being recorded.
+    /// After the end of a program, an O number anywhere in the line begins a subprogram, which is refused. A line with
+    /// unknown text (`None`: too long, damaged, or with an open comment) could contain an O number, so it has the same
+    /// effect. An M99 in the line shows that the lines before it may have been a subprogram that was executed as the
+    /// program. So all lines that follow are refused, unless lines are being recorded.
     #[cold]
     #[inline(never)]
     pub fn refused_line(&mut self, line: Option<&[u8]>) {
@@ -161,12 +163,12 @@ impl<const N: usize> Interpreter<N> {
     }
 }
 
-/// Whether a line only switches spindle and coolant off.
+/// Returns whether a line only switches spindle and coolant off.
 fn switches_off(line: &[u8]) -> bool {
     matches!(line, b"M5" | b"M05" | b"M9" | b"M09" | b"M5M9" | b"M9M5")
 }
 
-/// Whether a line has, or may have, an M2 or M30. It may have one if the number of an M word is computed.
+/// Returns whether a line has an M2 or M30, or may have one because the number of an M word is computed.
 fn may_end_program(line: &[u8]) -> bool {
     may_have_m_word(line, &[2, 30])
 }

@@ -15,14 +15,14 @@ pub(super) fn behind_digits(text: &[u8]) -> &[u8] {
     text.get(digits..).unwrap_or_default()
 }
 
-/// Whether a line begins with the number of a program or subprogram; a line number (N) may precede it. Further words
-/// may follow, and the numbers need not be valid: `N10O1001G0` has one.
+/// Returns whether a line begins with the number of a program or subprogram; a line number (N) may precede it. Further
+/// words may follow, and the numbers need not be valid: `N10O1001G0` has one.
 pub(super) fn has_program_number(line: &[u8]) -> bool {
     is_program_number(line.strip_prefix(b"N").map_or(line, from_next_word))
 }
 
 /// Returns the number of a subprogram as digits without leading zeros: `1` for `N5O0001`. Returns `None` if the line
-/// has any other word than the number and a line number before it.
+/// has any word besides this number and a line number before it.
 #[inline(never)]
 #[cfg(feature = "full")]
 pub(super) fn subprogram_number(line: &[u8]) -> Option<&[u8]> {
@@ -40,8 +40,8 @@ pub(super) fn number_of(line: &[u8]) -> u32 {
     digits.iter().fold(0, |value, digit| value * 10 + u32::from(digit - b'0'))
 }
 
-/// Whether a refused line may be the first line of a program or subprogram: it has an O number anywhere in it, or
-/// begins with a name instead of a number (`<SUB1>`).
+/// Returns whether a refused line may be the first line of a program or subprogram: it has an O number anywhere in it,
+/// or begins with a name instead of a number (`<SUB1>`).
 pub(super) fn may_have_program_number(line: &[u8]) -> bool {
     let mut before = b' ';
     line.first() == Some(&b'<')
@@ -53,8 +53,8 @@ pub(super) fn may_have_program_number(line: &[u8]) -> bool {
         })
 }
 
-/// Whether a text begins with a program number: O or a colon, and after the number no keyword of an O word. `O1X5`
-/// begins with a program number, `O1SUB` does not.
+/// Returns whether a text begins with a program number: O or a colon, then a number, and no keyword of an O word after
+/// it. `O1X5` begins with a program number, `O1SUB` does not.
 fn is_program_number(text: &[u8]) -> bool {
     let Some((b'O' | b':', number)) = text.split_first() else { return false };
     let word = from_next_word(number);
@@ -62,7 +62,7 @@ fn is_program_number(text: &[u8]) -> bool {
     !word.get(..letters).is_some_and(|word| O_WORDS.contains(&word))
 }
 
-/// Whether a line has M99, outside of names and expressions.
+/// Returns whether a line has M99, outside of names and expressions.
 pub(super) fn has_return(line: &[u8]) -> bool {
     let mut rest = line;
     while let Some((letter, number)) = from_next_word(rest).split_first() {

@@ -9,7 +9,8 @@ use crate::units::Coordinate;
 
 /// Maximum number of saved states. A build without subroutines needs only one.
 const MOST: usize = if FULL_IMAGE { 8 } else { 1 };
-/// Stands in place of the level if the call of a saved state has returned: the M72 that runs next restores this state.
+/// Replaces the level of a saved state after the call in which the state was saved has returned. The M72 that runs
+/// next restores this state.
 const RETURNED: u8 = u8::MAX;
 
 /// A state that M70 or M73 has saved.
@@ -46,13 +47,13 @@ impl<const N: usize> SavedStates<N> {
         Self(room)
     }
 
-    /// Whether there is no state that M72 could restore, at any level.
+    /// Returns whether nothing is saved that M72 could restore, at any level.
     pub fn is_empty(&self) -> bool {
         self.0.iter().all(|saved| saved.is_forgotten)
     }
 
-    /// Returns the state that M72 restores at this level of calls. If a call has just returned, the state of that call
-    /// is first.
+    /// Returns the state that M72 restores at this level of calls. If a call has just returned and M73 has saved a
+    /// state in it, returns that state.
     pub fn of(&self, level: u8) -> Option<&Saved<N>> {
         let at = |level| self.saved_at(level).filter(|saved| !saved.is_forgotten);
         at(RETURNED).or_else(|| at(level))
@@ -62,13 +63,13 @@ impl<const N: usize> SavedStates<N> {
         self.0.iter().find(|saved| saved.level == level)
     }
 
-    /// Whether a state of this level can be saved.
+    /// Returns whether a state of this level can be saved.
     pub fn has_room(&self, level: u8) -> bool {
         !self.0.is_full() || self.saved_at(level).is_some()
     }
 
-    /// Saves a state. It replaces the state that was saved at the same level. If that one was saved by M73, the end of
-    /// the call restores the new state.
+    /// Saves a state, which replaces the state that was saved at the same level. If M73 saved the old state, the end
+    /// of the call restores the new one.
     pub fn save(&mut self, mut saved: Saved<N>) {
         saved.until_return |= self.saved_at(saved.level).is_some_and(|before| before.until_return);
         self.0.retain(|before| before.level != saved.level);

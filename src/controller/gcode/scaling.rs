@@ -49,8 +49,7 @@ fn divided(numerator: Fine, denominator: i64) -> Coordinate {
 #[inline(never)]
 fn rounded(length: Fine) -> (Coordinate, i32) {
     let coordinate = divided(length, DECIMAL_ONE);
-    // The remainder is at most 0.05 nm, that is 5,000,000 units. It is larger only if the coordinate was limited to its
-    // type.
+    // The remainder is at most 0.05 nm (5,000,000 units). It is larger only if the coordinate was limited to its type.
     (coordinate, i32::try_from(length - fine(coordinate)).unwrap_or(0))
 }
 
@@ -67,7 +66,7 @@ impl Scaling {
         self.factors.get(axis.index()).copied().unwrap_or(Decimal::from_int(1))
     }
 
-    /// Whether G51 changes the size along an axis: its factor is not 1.
+    /// Returns whether G51 changes the size along an axis: its factor is not 1.
     pub(super) fn scales(&self, axis: Axis) -> bool {
         self.factor(axis) != Decimal::from_int(1)
     }

@@ -33,7 +33,7 @@ pub struct Interpreter<const N: usize> {
     pub(super) tools: Lent<ToolTable<N>>,
     /// Number of the tool in the spindle; 0 if none is known.
     pub(super) spindle_tool: u32,
-    /// The state from before check mode, while check mode is active. It is still the state of the machine.
+    /// While check mode is active: the state from before check mode, which is still the state of the machine.
     pub(super) before_check: Option<BeforeCheck<N>>,
     pub(super) computed: Computed<N>,
     pub(super) measured: Measured,
@@ -221,8 +221,8 @@ impl<const N: usize> Interpreter<N> {
         self.measured.reference()
     }
 
-    /// Assumes, in check mode, that M6 has measured the tool. For the first measured tool, Z is then at the height of
-    /// G30, or at its present height if that is higher.
+    /// Assumes, in check mode, that M6 has measured the tool. If no tool was measured before, the function also moves
+    /// the position in Z to the height of G30, unless it is already higher.
     pub fn assume_measured(&mut self) {
         if !self.measured.assumed && self.measured.is_first() {
             let height = self.offsets.stored(StoredOffset::G30).get(TOOL_AXIS);
@@ -241,8 +241,8 @@ impl<const N: usize> Interpreter<N> {
         Some(offset)
     }
 
-    /// Whether no length of any tool is known: the tool table is empty, no tool has been measured, and the tool length
-    /// offset is 0.
+    /// Returns whether no length of any tool is known: the tool table is empty, no tool has been measured, and the
+    /// tool length offset is 0.
     pub(super) fn knows_no_length(&self) -> bool {
         self.tools.is_empty()
             && self.measured == Measured::NOTHING
@@ -333,7 +333,7 @@ impl<const N: usize> Interpreter<N> {
         self.rotation.as_ref()
     }
 
-    /// Whether G66 is active.
+    /// Returns whether G66 is active.
     pub fn has_modal_call(&self) -> bool {
         self.computed.has_modal_call()
     }

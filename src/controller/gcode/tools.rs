@@ -23,7 +23,7 @@ pub struct Tool<const N: usize> {
 }
 
 impl<const N: usize> Tool<N> {
-    /// Whether the entry is kept over power-off: it is not free, and was not set in check mode.
+    /// Returns whether the entry is kept over power-off: it is not free, and was not set in check mode.
     pub fn is_stored(&self) -> bool {
         self.number != 0 && self.number & CHECKED == 0
     }
@@ -43,7 +43,7 @@ impl<const N: usize> ToolTable<N> {
         &self.0
     }
 
-    /// Whether all entries are free.
+    /// Returns whether all entries are free.
     pub(super) fn is_empty(&self) -> bool {
         self.0.iter().all(|tool| tool.number == 0)
     }
@@ -109,7 +109,7 @@ impl Measured {
         self.offset
     }
 
-    /// Whether no tool has been measured yet.
+    /// Returns whether no tool has been measured yet.
     pub(super) fn is_first(&self) -> bool {
         self.reference.is_none()
     }
@@ -128,10 +128,10 @@ impl Measured {
         self.offset = None;
     }
 
-    /// Records that a tool touched the setter at the machine coordinate `place` while the offset `active` was in force.
-    /// Returns the offset of the tool, and `true` for the first measured tool. The first tool gets the offset `active`.
-    /// Later tools get offsets with which the tips of all measured tools have the same work coordinates at the same
-    /// point.
+    /// Records that a tool touched the setter at the machine coordinate `place` while the offset `active` was in
+    /// force. Returns the offset of the tool, and `true` for the first measured tool. The first tool gets the offset
+    /// `active`. The offset of each later tool gives its tip, at any point, the same work coordinates as the first
+    /// tool's tip at that point.
     pub(super) fn touched(&mut self, place: Coordinate, active: Coordinate) -> (Coordinate, bool) {
         let is_first = self.is_first();
         let reference = *self.reference.get_or_insert(place - active);
@@ -141,14 +141,14 @@ impl Measured {
     }
 }
 
-/// Whether a refused line has an M6, or may have one. It may have one if its text is unknown (`None`: too long,
-/// damaged, or with an open comment).
+/// Returns whether a refused line has an M6, or may have one because its text is unknown (`None`: too long, damaged,
+/// or with an open comment).
 pub fn asks_for_tool(line: Option<&[u8]>) -> bool {
     line.is_none_or(|line| may_have_m_word(line, &[6]))
 }
 
-/// Whether a line has, or may have, one of these M words. It may have one if the number of an M word is computed
-/// (`M[6]`), or if the line has an M and a bracket that is not closed.
+/// Returns whether a line has one of these M words, or may have one. It may have one if the number of an M word is
+/// computed (`M[6]`), or if the line has an M and a bracket that is not closed.
 #[inline(never)]
 pub(super) fn may_have_m_word(line: &[u8], wanted: &[u8]) -> bool {
     let mut depth = 0_usize;
@@ -164,7 +164,7 @@ pub(super) fn may_have_m_word(line: &[u8], wanted: &[u8]) -> bool {
     has || depth > 0 && line.contains(&b'M')
 }
 
-/// Whether the number or expression at the start of the text can give one of the `wanted` numbers.
+/// Returns whether the number or expression at the start of the text can give one of the `wanted` numbers.
 fn may_be_one_of(number: &[u8], wanted: &[u8]) -> bool {
     match number::read(number, Digits::Exact) {
         Some(read) => {

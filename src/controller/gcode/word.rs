@@ -114,7 +114,7 @@ impl Letters {
         self.0 & Self::bit(letter) != 0
     }
 
-    /// Whether the two sets have a letter in common.
+    /// Returns whether the two sets have a letter in common.
     pub const fn has_any(self, others: Letters) -> bool {
         self.0 & others.0 != 0
     }
@@ -246,7 +246,7 @@ impl Groups {
         self.0 & (1 << group as u32) != 0
     }
 
-    /// Whether every group of this set is in the other.
+    /// Returns whether every group of this set is in the other.
     pub const fn within(self, other: Groups) -> bool {
         self.0 & !other.0 == 0
     }

@@ -93,10 +93,10 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Sends the error of a line of which nothing, or only a part, is executed.
+    /// Sends the error of a line that is not executed, or not to its end.
     pub(crate) fn refuse(&mut self, error: Error) {
         // With line checksums, an error makes all later lines of the host fail. A startup line does not come from the
-        // host, so its error must not do that.
+        // host, so its error must not have this effect.
         if !self.m.replies.is_echoing() {
             self.m.lines.fail(error);
         }
@@ -189,8 +189,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Sends the welcome line. A new host has not received the messages that each host gets only once, such as that of
-    /// damaged settings, so they are due again.
+    /// Sends the welcome line. Each host gets some messages only once, such as the one about damaged settings. These
+    /// messages become due again, because a new host has not received them.
     pub(crate) fn greet(&mut self) {
         self.m.records.host_greeted();
         if self.speaks_grblhal() {
@@ -311,8 +311,8 @@ impl<const N: usize> Controller<N> {
         let of_grblhal = if self.speaks_grblhal() {
             let full = self.m.replies.take_full_status();
             let mut fields = self.grblhal_fields(full, spindle);
-            // Between the reports with these fields, a host shows the old values. So the first report after a change
-            // must have the fields.
+            // A host shows the old values until the next report that has these fields. So the first report after a
+            // change must have them.
             let (place, wait) = self.m.replies.note_fields(&mut fields);
             (show_offset, show_overrides) = (show_offset | full | place, show_overrides | full | wait);
             [Some(fields); FULL_IMAGE as usize]

@@ -303,9 +303,9 @@ impl<const N: usize> Controller<N> {
         self.m.records.save_setting(number, &self.m.settings);
     }
 
-    /// Marks the position as untrusted after the change of setting `number`, so that the machine must be homed again.
-    /// That is done if the change has switched homing on, or has given the present position of the machine other
-    /// coordinates. After a change of resolution or kinematics, also ends a series of canned cycles.
+    /// Marks the position as untrusted if the change of setting `number` has switched homing on, or has given the
+    /// present position of the machine other coordinates. The machine must then be homed again. After a change of
+    /// resolution or kinematics, also ends a series of canned cycles.
     fn rename_places(&mut self, number: u16) {
         let to_negative = AxisMask(self.m.settings.whole(Key::HomingDirection) as u8);
         let moves_places = AxisKey::Resolution.axis(number).is_some() || number == KINEMATICS;
@@ -364,8 +364,8 @@ impl<const N: usize> Controller<N> {
             let unlocked = "Caution: Unlocked";
             let lost = "The position may be lost: home before using machine coordinates";
             let is_lost = !self.m.reference.is_trusted() && self.dialect() != Dialect::Grbl;
-            // ioSender shows the message that follows `Caution: Unlocked` as the reason of the alarm. So with `$900=3`,
-            // that text is sent last.
+            // ioSender takes the message that follows `Caution: Unlocked` for the reason of the alarm. So with
+            // `$900=3`, `Caution: Unlocked` is sent last.
             let told = if self.speaks_grblhal() { [lost, unlocked] } else { [unlocked, lost] };
             for text in told.into_iter().filter(|text| is_lost || *text != lost) {
                 self.say(|out| reply_texts::message(out, text));

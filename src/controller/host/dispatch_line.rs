@@ -17,8 +17,9 @@ use crate::units::Instant;
 use crate::view::dialect;
 use crate::work::task::{Answer, Caller, Task};
 
-/// The message in a line's comment, such as `(MSG, text)`, after one byte, the mark. The mark is [`WITH_VALUES`] if
-/// parameters in the message are replaced by their values, as in `(PRINT, #1)`. Otherwise the mark is [`AS_WRITTEN`].
+/// A mark of one byte, followed by the message in a line's comment, such as `(MSG, text)`. The mark is [`WITH_VALUES`]
+/// if parameters in the message are replaced by their values, as in `(PRINT, #1)`. Otherwise the mark is
+/// [`AS_WRITTEN`].
 type Comment = heapless::Vec<u8, { line_filter::MESSAGE_LENGTH + 1 }>;
 
 impl<const N: usize> Controller<N> {
@@ -145,8 +146,8 @@ impl<const N: usize> Controller<N> {
             self.say(|out| reply_texts::message(out, "Received bytes lost"));
         }
         if taken.pushed != Pushed::More {
-            // The report of a `?` that came before the end of this line precedes the answer to the line, because
-            // realtime commands take effect before later lines.
+            // Realtime commands take effect before later lines. So if a `?` came before the end of this line, its
+            // report is sent before the answer to the line.
             self.answer_status();
         }
         match taken.pushed {
@@ -190,7 +191,7 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Answers a line with a checksum that is not executed. Such a line is damaged or empty, was received before, or
+    /// Answers a line that is not executed because of line checksums: it is damaged or empty, was received before, or
     /// follows a line that was refused for its content. The host sends the line again if necessary.
     fn answer_invalid(&mut self, verdict: Verdict) {
         self.m.lines.clear();
@@ -298,9 +299,9 @@ impl<const N: usize> Controller<N> {
         self.line.explain(&mut self.m.interpreter, words, dialect, error, is_jog);
     }
 
-    /// Refuses a line of a program, and reports the error. If a subroutine or loop is being recorded, it lacks this
-    /// line now, so it is refused, too. Stops the job if `$901` is on, or if the line would have asked the operator for
-    /// another tool (`asks_for_tool`).
+    /// Refuses a line of a program, and reports the error. If a subroutine or loop is being recorded, it now lacks
+    /// this line, so the whole subroutine or loop is refused, too. Stops the job if `$901` is on, or if the line would
+    /// have asked the operator for another tool (`asks_for_tool`).
     fn refuse_program_line(&mut self, error: Error, asks_for_tool: bool) {
         self.refuse(error);
         self.m.interpreter.line_refused(error);

@@ -116,9 +116,10 @@ impl<const N: usize> Controller<N> {
         self.say(|out| reply_texts::message(out, if is_on { on } else { off }));
     }
 
-    /// Converts `value`, which a host with `$900=3` writes to setting `number`. Two settings are masks of bits in
-    /// grblHAL, but single values here; for any other setting, the value stays as it is. Returns the value of the
-    /// setting here. Also returns the value of `$932` if the mask has a bit for it, as the mask of `$22` has.
+    /// Converts `value`, which a host with `$900=3` writes to setting `number`, to the value that the setting has
+    /// here. Two settings are masks of bits in grblHAL, but single values here; the value of any other setting stays
+    /// as it is. The mask of `$22` also has a bit for `$932`. If this mask switches homing on, returns the value of
+    /// `$932`, too.
     ///
     /// Some functions are always on here, so their bits are read back as set. For example, after `$22=1` a host reads
     /// `$22=199`. While homing is off, only the lowest bit of `$22` has an effect. If a host will read another value

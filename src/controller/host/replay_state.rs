@@ -96,8 +96,8 @@ impl<const N: usize> Controller<N> {
     }
 }
 
-/// Returns the modal state as a line of G-code, in mm; `None` if such a line cannot express it, for example another
-/// motion mode than G0 and G1.
+/// Returns the modal state as a line of G-code, in mm. Returns `None` if no line can express it, for example because
+/// the motion mode is neither G0 nor G1.
 fn words(modal: &Modal) -> Option<heapless::Vec<u8, 64>> {
     let said = Modal {
         motion: modal.motion,

@@ -1,10 +1,10 @@
 //! Settings that make motion impossible on this board, such as a rate beyond its step rate. After each change of a
-//! setting, this file searches for such a setting and names it to the host.
+//! setting, this file searches for a setting of this kind and names it to the host.
 //!
-//! Such a setting locks motion. Its name is sent to the host twice: after the `ok` to the change that caused the lock,
-//! and before the first `error:9` to a line that would move. If there are several such settings, the first one that
-//! [`Settings::unrunnable`] finds is named. Later lines do not repeat the name, because a sender that streams a job
-//! into a locked machine, or restores its settings one by one, would get it after each line.
+//! A setting that makes motion impossible locks motion. Its name is sent to the host twice: after the `ok` to the
+//! change that caused the lock, and before the first `error:9` to a line that would move. If there are several such
+//! settings, the first one that [`Settings::unrunnable`] finds is named. Later lines do not repeat the name, because a
+//! sender that streams a job into a locked machine, or restores its settings one by one, would get it after each line.
 
 use crate::dispatch::Profile;
 use crate::settings::{Key, Settings};
@@ -16,7 +16,7 @@ use crate::step_rates::StepRates;
 pub(crate) struct SettingsLock {
     /// Name of the board.
     board: &'static str,
-    /// Frequency of the board's oscillator, MHz; 0 if it has none.
+    /// Frequency of the board's oscillator in MHz; 0 if it has none.
     oscillator_mhz: u8,
     /// The board has a fault: motion stays locked until the next start.
     has_board_fault: bool,
@@ -82,7 +82,7 @@ impl SettingsLock {
         self.has_board_fault
     }
 
-    /// Returns the frequency of the board's oscillator, MHz, for the answer to `$I+`; 0 if it has none.
+    /// Returns the frequency of the board's oscillator in MHz, for the answer to `$I+`; 0 if it has none.
     pub(crate) fn oscillator_mhz(&self) -> u8 {
         self.oscillator_mhz
     }

@@ -83,7 +83,8 @@ impl Records {
         }
     }
 
-    /// Restores a record at power-up. Invalid records are ignored.
+    /// Restores a record at power-up. An invalid record is ignored; an invalid record of a setting also counts as
+    /// damage.
     pub(crate) fn restore<const N: usize>(
         &mut self,
         record: &Record,

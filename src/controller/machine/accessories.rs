@@ -28,7 +28,7 @@ pub struct Accessories {
     suspended: bool,
     /// The operator has requested a spindle stop in a hold that is still braking.
     stops_at_rest: bool,
-    /// S of the line executed last, rpm.
+    /// S of the line executed last, in rpm.
     speed: f32,
     watch: SpeedWatch,
     digital: DigitalOutputs,
@@ -146,7 +146,7 @@ impl Accessories {
         self.coolant
     }
 
-    /// Sets the speed (S of a line), rpm.
+    /// Sets the speed in rpm (S of a line).
     pub fn set_speed(&mut self, rpm: f32) {
         self.speed = rpm;
     }

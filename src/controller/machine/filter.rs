@@ -23,8 +23,8 @@ impl Filter {
     pub fn sample(&mut self, raw: u32) -> u32 {
         let differs = raw ^ self.level;
         let [a, b, c] = self.count;
-        // Inputs whose counter is 7 and that differ again: this is the eighth sample in a row that differs from the
-        // level.
+        // If the counter of an input is 7 and the input differs again, this is the eighth sample in a row that differs
+        // from the level.
         let enough = a & b & c & differs;
         let carry = a & b;
         self.rejected = (a | b | c) & !differs;

@@ -14,7 +14,7 @@ pub struct Overrides {
     pub spindle: u8,
 }
 
-/// Limits of the feed override and of the spindle override, percent (Grbl: 10 to 200).
+/// Limits of the feed override and of the spindle override in percent, as in Grbl.
 const RANGE: core::ops::RangeInclusive<i16> = 10..=200;
 
 impl Default for Overrides {

@@ -38,8 +38,8 @@ impl Reference {
         *self = Reference { trusted: false, homed: AxisMask::NONE };
     }
 
-    /// Sets whether the position is trusted, as a replay finds it in a recording. No axis counts as homed, because a
-    /// recording does not list the homed axes.
+    /// Sets whether the position is trusted, for a replay. A recording contains this fact, but not which axes were
+    /// homed, so no axis counts as homed.
     pub fn assume(&mut self, trusted: bool) {
         *self = Reference { trusted, homed: AxisMask::NONE };
     }

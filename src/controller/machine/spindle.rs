@@ -10,9 +10,9 @@ const FULL_POWER: f32 = 65_535.0;
 /// Speed range of the spindle: `$30` (maximum) and `$31` (minimum).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpindleRange {
-    /// Speed at full power, rpm.
+    /// Speed at full power, in rpm.
     pub maximum: f32,
-    /// Speed at minimum power, rpm.
+    /// Speed at minimum power, in rpm.
     pub minimum: f32,
 }
 

@@ -16,19 +16,19 @@ use crate::units::Duration;
 
 /// Maximum time between two calls of the controller while something moves: 2 ms. Each call refills the step queue.
 const MOVING_WAKEUP: Duration = Duration::from_ticks(2_000);
-/// Minimum time between two such calls: 0.1 ms. It applies when the queue is full of very short segments, or runs empty
-/// at the end of a motion.
+/// Minimum time between two calls of the controller while something moves: 0.1 ms. It applies when the queue is full
+/// of very short segments, or runs empty at the end of a motion.
 const LEAST_WAKEUP: Duration = Duration::from_ticks(100);
-/// Queued step time, microseconds, from which the queue counts as well filled. Planning then comes before cutting
+/// Queued step time in microseconds from which the queue counts as well filled. Planning then comes before cutting
 /// segments.
 const WELL_FILLED_US: u32 = 12_000;
-/// Queued step time, microseconds, below which cutting segments comes before planning again.
+/// If the queued step time falls below this value, in microseconds, cutting segments comes before planning again.
 const LOW_WATER_US: u32 = 6_000;
 
 /// How well the step queue is filled, and the counters of the step task and of the received bytes.
 #[derive(Clone, Debug)]
 pub(crate) struct StepSupply {
-    /// [`WELL_FILLED_US`] of step time have been in the step queue at least once since motion began.
+    /// Since motion began, the step queue has contained [`WELL_FILLED_US`] of step time at least once.
     well_filled: bool,
     /// Motion has been started and has not ended.
     running: bool,
@@ -96,8 +96,9 @@ impl StepSupply {
 }
 
 /// Returns how long the controller may wait before it refills the step queue: half of the queued step time, within
-/// limits. The number of queued messages would not do as a measure: a queue full of single-step blocks is only a
-/// millisecond or two of motion. `queued`: step time of the parking motion and of the program's motion, microseconds.
+/// limits. The number of queued messages is no measure of this time, because a queue full of single-step blocks is
+/// only a millisecond or two of motion. `queued`: step time of the parking motion and of the program's motion, in
+/// microseconds.
 pub(crate) fn refill_delay(queued: [u32; 2]) -> Duration {
     let queued = match queued {
         [0, 0] => return MOVING_WAKEUP,

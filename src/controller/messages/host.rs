@@ -50,10 +50,11 @@ impl Realtime {
     }
 }
 
-/// Value of a [`LineByte`] that marks a change of hosts and belongs to no line. The unfinished line before it is void:
-/// its host has disconnected, or is no longer the active host, whose lines are read (`protocol::active_host`). No host
-/// can send this value in a line, because 0x18 is a command. The mark's `epoch` is the count (wrapping) of hosts that
-/// have disconnected so far, as in [`Event::Disconnected`](super::Event::Disconnected).
+/// Value of a [`LineByte`] that marks a change of hosts and belongs to no line. The unfinished line before it is void,
+/// because its host has disconnected or is no longer the active host (the one whose lines are read: see
+/// `protocol::active_host`). No host can send this value in a line, because 0x18 is a command. The mark's `epoch` is
+/// the count (wrapping) of hosts that have disconnected so far, as in
+/// [`Event::Disconnected`](super::Event::Disconnected).
 pub const HOST_CHANGED: u8 = 0x18;
 
 /// A byte of a line and its epoch: the count (wrapping) of resets, stops and jog cancels that were passed to `control`

@@ -36,8 +36,9 @@ pub const REALTIME_DEPTH: usize = 64;
 /// marked ([`LineByte::damaged`]).
 pub const LINES_DEPTH: usize = 255;
 /// Depth of the queue serial -> control for line bytes, in messages ([`LineBytes`]). [`LINES_DEPTH`] bytes always fit
-/// (see `protocol::byte_channel`). In the worst case, a jog cancel after each line cuts the messages short, to 8 bytes
-/// each: the shortest jog is `$J=X1F9` with its end. One more slot is for a message that is about to be sent.
+/// (see `protocol::byte_channel`). In the worst case, a jog cancel after each line cuts the messages short. Then each
+/// message has 8 bytes: the shortest jog, `$J=X1F9`, with its line end. One more slot is for a message that is about
+/// to be sent.
 pub const LINE_MESSAGES: usize = LINES_DEPTH.div_ceil(8) + MOST_PARTIAL + 1;
 /// Maximum number of messages that are sent before they are full, counted since the queue was last empty. Messages that
 /// a new epoch (see [`LineByte`]) cuts short do not count.

@@ -62,7 +62,7 @@ pub struct Wiring {
     /// Inputs ([`input`](super::input)) that stop the step task as soon as they become active, before `control` gets a
     /// message.
     pub armed: u32,
-    /// `$905`, the axis whose steps also go to the second motor, bit 0 for X; 0 = none.
+    /// `$905`, mask with one bit set: the axis whose steps also go to the second motor, bit 0 for X. 0 = no such axis.
     pub ganged: u8,
     /// `$906`, direction of the second motor inverted.
     pub ganged_invert: bool,
@@ -70,7 +70,8 @@ pub struct Wiring {
     pub ganged_motors: GangedMotors,
 }
 
-/// Polarity and pull resistors of the inputs, words as in [`input`](super::input).
+/// Polarity and pull resistors of the inputs. Each field is a word with one bit per input, as in
+/// [`input`](super::input).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct InputWiring {
     /// Inputs that are active while their pin is high. The others are active while it is low, as with a switch to

@@ -58,7 +58,8 @@ pub enum Noted {
     /// Bytes of a line: all of them, or a part of a long line. The time of the entry is the time at which the line
     /// ended.
     Host(heapless::Vec<u8, { Noted::HOST_BYTES }>),
-    /// When the end of the previous line was taken from the queue, more bytes were waiting.
+    /// More bytes were already waiting when the controller took the end of the previous line. This is recorded because
+    /// the machine can treat a line differently if another line waits.
     More,
     /// A realtime command, by its byte.
     Command(u8),

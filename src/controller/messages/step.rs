@@ -39,7 +39,8 @@ pub enum ToStep {
         braking: f32,
     },
     /// Lets the step task run again after a stop. Everything queued before this message is discarded. If the step task
-    /// has been stopped again in the meantime, its count differs from `stops`, and it stays stopped.
+    /// has been stopped again in the meantime, its own count of stops differs from `stops`. The step task then stays
+    /// stopped.
     Resume {
         /// Number of the latest stop known to `control`: [`StepEvent::Stopped::stops`].
         stops: u16,
@@ -69,8 +70,8 @@ pub struct AxisSteps(u32);
 impl AxisSteps {
     /// The number of steps of an axis in a block is less than 2^26.
     pub const STEP_BITS: u32 = 26;
-    /// A step has 7 parts, and [`AxisSteps::start`] and [`AxisSteps::end`] are numbers of these parts. The number is
-    /// odd, so that 0 is in the middle of the values -3 to 3.
+    /// Number of parts of a step, the unit of [`AxisSteps::start`] and [`AxisSteps::end`]. It is an odd number, so that
+    /// the values from -3 to 3 have 0 in the middle.
     pub const PARTS: u32 = 7;
     /// Maximum distance of the true start or end of a move from a whole step, in sevenths of a step.
     pub const FARTHEST: i32 = 3;

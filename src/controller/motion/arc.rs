@@ -79,7 +79,7 @@ pub struct Arc<const N: usize> {
     turn_share: f32,
     /// Angle of the plain arc, rad.
     sweep: f32,
-    /// Number of chords in the present turn, or in the plain arc.
+    /// Number of chords in the present full turn. After the full turns: number of chords in the plain arc.
     present: u32,
     /// Number of chords completed in the present turn, or in the plain arc.
     done: u32,
@@ -150,8 +150,8 @@ fn sine(angle: f32) -> f32 {
     /// Fraction bits of x² (`square`) and of sin x / x (`factor`).
     const BITS: u32 = 61;
     const ONE: u64 = 1 << BITS;
-    /// The factor keeps this number of fraction bits for the last multiplication. More would make its product with the
-    /// mantissa too large for an `i64`.
+    /// Fraction bits of the factor in the last multiplication. With more bits, the product of the factor and the
+    /// mantissa would be too large for an `i64`.
     const FACTOR_BITS: u32 = 39;
     let product = |a: u64, b: u64| ((u128::from(a) * u128::from(b)) >> BITS) as u64;
     let bits = angle.abs().to_bits().min(QUARTER_BITS);
@@ -388,8 +388,8 @@ impl<const N: usize> Arc<N> {
         u64::from(self.turns_left) * u64::from(self.chords_of_turn) + u64::from(self.chords) - u64::from(self.done)
     }
 
-    /// Returns the curvature in space. On a helix, the radius is greater than that of the circle. On a spiral, it is
-    /// the mean of the radii at both ends. If the arc has only one chord, the radius is infinite.
+    /// Returns the curvature in space. On a helix, its radius is greater than the radius of the circle. On a spiral,
+    /// its radius is the mean of the radii at both ends. If the arc has only one chord, the radius is infinite.
     pub fn curvature(&self) -> Curvature {
         Curvature { radius: self.curve_radius, axes: [self.geometry.axis_0, self.geometry.axis_1] }
     }

@@ -1,4 +1,4 @@
-//! The limits of the axes (rate, acceleration, jerk). From them, for a direction of motion: the maximum speed,
+//! The limits of the axes (rate, acceleration, jerk). Computes from them, for a direction of motion, the maximum speed,
 //! acceleration and jerk at which no axis exceeds its own limit.
 
 use super::MotionSettings;
@@ -24,8 +24,8 @@ const GREATEST_DEVIATION: f32 = 1.0e3;
 const LEAST_JERK: f32 = 1.0;
 /// Upper bound of an axis' jerk setting, mm/s³; also the value for an axis without a limit.
 const GREATEST_JERK: f32 = 1.0e10;
-/// Minimum time, s, in which the maximum acceleration is built up. It spans several segments, because the acceleration
-/// is constant within a segment.
+/// Minimum time, s, in which the maximum acceleration is built up. This time spans several segments, because the
+/// acceleration can only change from one segment to the next.
 const LEAST_EASE: f32 = 0.004;
 
 /// Limits `value` to a range; NaN becomes `least`.

@@ -1,7 +1,7 @@
 //! Backlash compensation. After a reversal, a motor must turn through the backlash of its drive (in steps) before the
 //! tool follows. This module tracks the *lead* of each motor: the number of steps by which the motor is ahead of the
-//! tool. After a reversal, it adds extra steps to the moves until the motor has turned through the backlash: the motor
-//! *takes up* the backlash.
+//! tool. After a reversal, the module adds extra steps to the moves until the motor has turned through the backlash:
+//! the motor *takes up* the backlash.
 //!
 //! ```text
 //!   - ◀───▶ +    The motor M moves in a gap of the tool's drive. The gap is as wide as the backlash.
@@ -25,8 +25,8 @@ use crate::axes::PerAxis;
 /// length (2 mm in a move of 100 mm). With a smaller share, the tool would be off its position for a long distance (for
 /// ever, if the junction deviation is 0).
 const LEAST_SHARE: f32 = 0.02;
-/// Maximum of [`share`]: in a move, a motor takes up at most as much backlash as the move is long. With more, the motor
-/// would exceed twice the tool's speed.
+/// Maximum of [`share`]: the backlash that a motor takes up in a move is at most the length of the move. With more
+/// backlash in a move, the motor would exceed twice the tool's speed.
 const GREATEST_SHARE: f32 = 1.0;
 
 /// The backlash of each motor's drive, and the state of its compensation at the end of the queue.
@@ -103,8 +103,9 @@ impl<const N: usize> Backlash<N> {
         self.is_on
     }
 
-    /// Sets the wanted lead of each motor from the direction in which a move of the tool turns the motor. `moved`:
-    /// signed steps of that move. A motor that does not turn keeps its wanted lead.
+    /// Sets the wanted lead of each motor for a move of the tool. The wanted lead is the backlash if the move turns the
+    /// motor to positive, and 0 if it turns the motor to negative. A motor that does not turn keeps its wanted lead.
+    /// `moved`: signed steps of the move.
     pub(super) fn turn(&mut self, moved: &[i32; N]) {
         for ((wanted, moved), backlash) in self.wanted.iter_mut().zip(moved).zip(self.steps) {
             match *moved {
@@ -141,9 +142,9 @@ impl<const N: usize> Backlash<N> {
     }
 
     /// Returns the signed steps that each motor must still make at the end of the queue, and counts them as made.
-    /// `short`: for each motor, the signed steps that the tool still lacks to its programmed position. The tool lacks
-    /// steps if a move after a reversal ended before the motor had turned through the backlash. The returned steps then
-    /// move the tool to its position.
+    /// `short`: for each motor, the signed steps from the tool's position to its programmed position. The tool has not
+    /// reached its programmed position if a move after a reversal ended before the motor had turned through the
+    /// backlash. The returned steps then move the tool to that position.
     pub(super) fn finish(&mut self, short: &[i32; N]) -> [i32; N] {
         let mut taken = [0; N];
         let wanted = self.wanted.into_iter().zip(self.steps).zip(short);
@@ -159,8 +160,8 @@ impl<const N: usize> Backlash<N> {
         taken
     }
 
-    /// Returns the lead of motors that had the lead `lead` and have turned by `turned` signed steps, each in one
-    /// direction.
+    /// Returns the lead of the motors after they have turned by `turned` signed steps, each in one direction. `lead`:
+    /// their lead before that.
     pub(super) fn follow(&self, lead: &Lead<N>, turned: &[i32; N]) -> Lead<N> {
         let mut after = *lead;
         for ((lead, turned), backlash) in after.iter_mut().zip(turned).zip(self.steps) {
@@ -169,8 +170,8 @@ impl<const N: usize> Backlash<N> {
         after
     }
 
-    /// Returns the position and lead of motors that have turned from `from` to the position `steps`, each in one
-    /// direction.
+    /// Returns the position and lead of the motors after they have turned from `from` to the position `steps`, each in
+    /// one direction.
     pub(super) fn followed(&self, from: &Motors<N>, steps: PerAxis<i32, N>) -> Motors<N> {
         let turned = steps.zip(&from.steps, i32::wrapping_sub);
         Motors { steps, lead: self.follow(&from.lead, &turned.0) }
@@ -182,9 +183,9 @@ impl<const N: usize> Backlash<N> {
 /// corner rule allows at `speed` (mm/s). The other half is left for changes of direction in the tool's path, as between
 /// the chords of an arc.
 ///
-/// For a small angle φ, the rule is v² = 8·a·d/φ² (`TurnRule::junction2`), with the speed v, the acceleration a (mm/s²)
-/// and the junction deviation d (mm). Example: with 500 mm/s², 0.01 mm and 50 mm/s, φ is 0.126 rad, so the share is
-/// 0.063.
+/// For a small angle φ, the corner rule is v² = 8·a·d/φ² (`TurnRule::junction2`), with the speed v, the acceleration a
+/// (mm/s²) and the junction deviation d (mm). Example: with 500 mm/s², 0.01 mm and 50 mm/s, φ is 0.126 rad, so the
+/// share is 0.063.
 pub(super) fn share(acceleration: f32, deviation: f32, speed: f32) -> f32 {
     let angle = 0.5 * square_root(8.0 * acceleration * deviation) / speed;
     // If `angle` is NaN, the comparison is false, and the share is the minimum.

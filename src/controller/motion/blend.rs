@@ -11,11 +11,11 @@
 //!         A         B
 //!     a corner cut off         a merged move
 //! ```
-//! A merged move (A to M') passes all points between its ends, such as M, at a distance of at most Q, half of P, or the
-//! junction deviation, whichever is least. The main axis is the one with the longest displacement. Each point is
-//! compared with the point of the line that has the same position on the main axis, so it allows a range of slopes for
-//! each of the other axes. Only the intersection of these ranges is stored: two numbers per axis for any number of
-//! points.
+//! A merged move (A to M') passes all points between its ends, such as M. The distance from each point is at most the
+//! least of three lengths: Q, half of P, and the junction deviation. The main axis is the one with the longest
+//! displacement. Each point is compared with the point of the line that has the same position on the main axis. So each
+//! point allows a range of slopes for each of the other axes. Only the intersection of these ranges is stored: two
+//! numbers per axis for any number of points.
 //!
 //! A corner C, where the path turns by t, is cut off by a straight piece. This piece and both moves touch a circle of
 //! radius r. So C has the distance e = r·(1/cos(t/2) - 1) from the piece, and d = e / sin(t/2) from the ends of the
@@ -24,16 +24,17 @@
 //! programmed path stay within P of each other.
 //!
 //! Instead of one turn by t, the path makes two turns by t/2. For these, the rule for turns ([`super::junction`])
-//! allows a higher speed v. The axes need a piece of the length L between the two turns: v² - v·J = a·L/t. Here a is
-//! the acceleration, and J is the speed that the rule allows at the unchanged corner. The radius r follows from L,
-//! because L = 2·r·tan(t/4). A smaller radius is used if the maximum e or d requires it.
+//! allows a higher speed v. At the speed v, the axes can make both turns only if the piece between them has a certain
+//! length L. This length follows from v² - v·J = a·L/t. Here a is the acceleration, and J is the speed that the rule
+//! allows at the unchanged corner. The radius r follows from L, because L = 2·r·tan(t/4). A smaller radius is used if
+//! the maximum e or d requires it.
 //!
 //! Four turns by t/4 replace the two turns if t exceeds 1.2 rad and the turns by t/2 limit the speed more than the
 //! maximum e and d do.
 //!
 //! Two kinds of turns are not cut off:
-//! * Turns of 0.25 to 0.6 rad: the two halves would count as a bend ([`super::curvature`]), for which the speed J of a
-//!   corner is not granted.
+//! * Turns of 0.25 to 0.6 rad: the two halves would count as a bend ([`super::curvature`]). On a bend, the machine is
+//!   not allowed the speed J that it is allowed at a corner.
 //! * Turns of more than two radians: cutting off the corner would take longer than it saves. Cutting off raises the
 //!   speed at the corner by a·L/(t·v), with the acceleration a. The higher speed saves the time 2·L/(t·v) of braking
 //!   and speeding up. But the piece of length L takes the time L/v, which is more if t exceeds 2.
@@ -88,8 +89,8 @@ impl Tolerance {
     }
 }
 
-/// Slopes that a merged move may have. For each axis, the range of its slope relative to the main axis (the one with
-/// the longest displacement) in which the line passes all merged points closely enough.
+/// Slopes that a merged move may have, relative to the main axis (the one with the longest displacement). For each
+/// axis, this is the range of slopes with which the line passes all merged points closely enough.
 #[derive(Clone, Copy, Debug)]
 struct Slopes<const N: usize> {
     main: usize,
@@ -140,7 +141,8 @@ impl<const N: usize> Slopes<N> {
     }
 }
 
-/// A move that is not queued yet, because the next move may be merged with it, or the corner between the two cut off.
+/// A move that is not queued yet, because the next move may be merged with it, or because the corner between the two
+/// moves may be cut off.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HeldMove<const N: usize> {
     /// Programmed start.
@@ -167,7 +169,7 @@ struct Corner {
     turn: f32,
     /// cos(t/2) for a turn by t.
     cosine: f32,
-    /// 1/t, the radius of a bend with this turn per unit of the bend's length.
+    /// 1/t. A bend that makes this turn has a radius of this factor times the length of the bend.
     per_angle: f32,
     /// J, the speed that the rule for turns allows at the unchanged corner, mm/s.
     jump: f32,
@@ -177,8 +179,8 @@ struct Corner {
     bend: f32,
 }
 
-/// The circle that touches both moves of a corner and the pieces that cut off the corner. The ends of these pieces are
-/// called vertices.
+/// The circle for cutting off a corner. Both moves touch the circle, and so do the pieces that replace the corner. The
+/// ends of these pieces are called vertices.
 struct Fillet {
     radius: f32,
     /// tan(t/2n) for a turn by t that is divided among n vertices.
@@ -217,7 +219,8 @@ impl Corner {
         let sine = 0.5 * self.turn;
         let fourth = sine / (1.0 + self.cosine);
         let two = self.with(fourth, 1.0, fast, deviation, back, rule);
-        // Four turns of less than 0.3 rad each would count as a bend, for which the speed J of a corner is not granted.
+        // Four turns of less than 0.3 rad each would count as a bend. On a bend, the machine is not allowed the speed J
+        // that it is allowed at a corner.
         if two.1 || self.turn * self.turn < LARGE_FOR_FOUR2 {
             return Some(two.0);
         }
@@ -226,9 +229,9 @@ impl Corner {
         Some(Fillet { four: true, ..self.with(eighth, 3.0, fast, deviation, back, rule).0 })
     }
 
-    /// Returns the circle, and whether its radius is limited by `deviation` and `back`. If it is, they limit the speed
-    /// more than the turns at the vertices do. `tangent`: tangent of half the turn at a vertex. `pieces`: number of
-    /// pieces between the vertices.
+    /// Returns the circle. Also returns `true` if `deviation` and `back` limit its radius. In that case, these two
+    /// limit the speed more than the turns at the vertices do. `tangent`: tangent of half the turn at a vertex.
+    /// `pieces`: number of pieces between the vertices.
     fn with<const N: usize>(
         &self,
         tangent: f32,
@@ -300,7 +303,7 @@ impl<const N: usize> HeldMove<N> {
     }
 
     /// Returns whether a move has the same speed, power, line number and tolerance as this one. Only such moves are
-    /// merged, because reports and outputs must not change by merging.
+    /// merged, so that merging changes neither reports nor outputs.
     fn is_like(&self, m: &Move<N>) -> bool {
         self.m.speed == m.speed
             && self.m.power == m.power
@@ -402,8 +405,8 @@ impl<const N: usize> Blend<N> {
     }
 
     /// Returns the vertices (ends of straight pieces) that replace the corner between two moves; `None` if the corner
-    /// stays. `least_mm`: minimum length of such a piece; `limit`: returns the axes' maximum speed on a path with a
-    /// displacement and length.
+    /// stays. `least_mm`: minimum length of a straight piece. `limit`: function that returns the axes' maximum speed on
+    /// a path; its arguments are the displacement and the length of the path.
     pub(super) fn cut(
         before: &HeldMove<N>,
         after: &HeldMove<N>,

@@ -82,7 +82,8 @@ const INFINITY: u16 = 0x7F80;
 /// acceleration a. At a lower speed, it takes the share r = v²/(a·R). The rest is left for speeding up and braking.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CurveLoad {
-    /// [`INFINITY`] minus the upper half (16 bits) of the bend's maximum speed², an `f32`. So 0 means no bend.
+    /// The upper half (16 bits) of the bend's maximum speed² as an `f32`, subtracted from [`INFINITY`]. So 0 means no
+    /// bend.
     below: u16,
     acceleration: u16,
 }
@@ -165,7 +166,7 @@ impl CurveLoad {
     /// * a·√(1 - r²), because the two accelerations are perpendicular; the root counts as at least [`LEAST_BRAKING`];
     /// * along·(1 - r), because the shares r and 1 - r of an axis' limit add up to 1.
     ///
-    /// Returns the larger result, at most `along`.
+    /// Returns the result of the formula that leaves more acceleration, at most `along`.
     #[inline]
     pub(super) fn left(self, along: f32, speed2: f32) -> f32 {
         if self.is_none() { along } else { self.left_in_bend(along, speed2) }
@@ -271,22 +272,23 @@ impl<const N: usize> Block<N> {
         exit2 + 2.0 * left * self.length
     }
 
-    /// Returns [`Block::braking_entry2`], limited to the entry's cap.
+    /// Returns [`Block::braking_entry2`], at most `max_entry2`.
     #[cfg(test)]
     pub(super) fn entry_before(&self, exit2: f32) -> f32 {
         lesser(self.max_entry2, self.braking_entry2(exit2))
     }
 
-    /// Returns whether the entry speed² stays at `max_entry2` when the exit speed rises, in spite of rounding errors.
-    /// `reach2`: the current [`Block::braking_entry2`].
+    /// Returns `true` if the entry speed² certainly stays at `max_entry2` when the exit speed rises, even with rounding
+    /// errors. `reach2`: the current [`Block::braking_entry2`].
     #[inline]
     pub(super) fn is_surely_capped(&self, reach2: f32) -> bool {
         CAP_MARGIN * reach2 >= self.max_entry2
     }
 
-    /// Returns whether a higher exit speed can lower the possible entry speed. In a bend, less deceleration is left at
-    /// a higher exit speed, so the entry speed² can fall by more than the exit speed² rises. The test assumes the
-    /// steepest slope of [`CurveLoad::left`], which is where the share falls to [`LEAST_BRAKING`].
+    /// Returns whether a higher exit speed can lower the possible entry speed. A bend leaves less deceleration at a
+    /// higher exit speed. So the speed² that braking takes off within the block can fall by more than the exit speed²
+    /// rises. The check assumes the steepest slope of [`CurveLoad::left`]. This slope occurs where the share left for
+    /// braking falls to [`LEAST_BRAKING`].
     #[inline]
     pub(super) fn is_steep(&self) -> bool {
         let acceleration = greater(self.acceleration, self.curve.acceleration());

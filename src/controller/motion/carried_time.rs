@@ -8,8 +8,8 @@
 use super::Speed;
 use super::trapezoid::{greater, lesser};
 
-/// Limit, s, of the time that moves without a step add to the feed move after them. The limit is this value or the
-/// feed move's own duration, whichever is longer.
+/// Moves without a step add their time to the feed move after them. They add at most this time, s, or the feed move's
+/// own duration, whichever is longer.
 const MOST_SLOWED_S: f32 = 0.05;
 
 /// Programmed time of the moves that have made no step since the last block. Their length is carried over to the next

@@ -6,8 +6,8 @@ use crate::axes::PerAxis;
 use crate::messages::INTERVAL_FRACTION_BITS;
 
 /// Upper limit of the tick interval during braking, in fixed point (2^18 step-clock ticks, a few milliseconds). If the
-/// next interval would reach it, the motion is negligibly slow and braking ends. The limit also keeps sums of intervals
-/// within 32 bits.
+/// next interval would reach this limit, the motion is negligibly slow and braking ends. The limit also keeps sums of
+/// intervals within 32 bits.
 const LONGEST_BRAKING: f32 = (1_u32 << 30) as f32;
 
 /// Catches the first contact of a watched probe.
@@ -74,6 +74,7 @@ pub(super) fn braked_interval(interval: u32, units_per_tick: u32, braking: f32) 
     let ticks = interval as f32 / (1 << INTERVAL_FRACTION_BITS) as f32;
     let k = braking * ticks * ticks / units_per_tick as f32;
     let next = interval as f32 * (1.0 + k * (1.0 + k * (1.5 + k * 2.5)));
-    // `k` is infinite or NaN if the tick advances no units (a wait): such a slow motion stops at once.
+    // A tick that advances no units is a wait. It occurs only in a very slow motion. There `k` is infinite or NaN, so
+    // the motion stops at once.
     (k < 0.5 && next < LONGEST_BRAKING).then_some(next as u32)
 }

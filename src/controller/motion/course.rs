@@ -54,9 +54,9 @@ impl<const N: usize> Course<N> {
     /// Returns the position after `units` of the block. `left`: each axis' countdown to its next step at that point.
     ///
     /// The number of steps n that an axis has taken satisfies n · threshold = rate · units + `left` - `first`, where
-    /// `first` is the countdown at the start of the block. This division by the threshold leaves no remainder, and n
-    /// is below 2^32. So the code replaces the division: it shifts right by the trailing zeros of the threshold, then
-    /// multiplies by the inverse of the threshold's odd part, modulo 2^32.
+    /// `first` is the countdown at the start of the block. So n is the right side divided by the threshold. The
+    /// division leaves no remainder, and n is below 2^32. Therefore the code needs no division: it shifts right by the
+    /// trailing zeros of the threshold, then multiplies by the inverse of the threshold's odd part, modulo 2^32.
     #[inline(never)]
     pub(super) fn position(&self, left: &[u32; N], units: u32) -> PerAxis<i32, N> {
         let Course { rates, threshold, directions, base, .. } = self;
@@ -110,7 +110,8 @@ impl<const N: usize> Course<N> {
         }
     }
 
-    /// Moves the block, so that it starts at `position`. Needed if the previous block was left before its end.
+    /// Shifts the start and the end of the block, so that it starts at `position`. Needed if the previous block was
+    /// left before its end.
     pub(super) fn begin_from(&mut self, position: [i32; N]) {
         for ((base, end), position) in self.base.iter_mut().zip(self.end.iter_mut()).zip(position) {
             *end = end.wrapping_sub(*base).wrapping_add(position);

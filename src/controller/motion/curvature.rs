@@ -54,8 +54,8 @@ fn scale_length(scale: usize) -> f32 {
     SHORTEST * (1_u32 << scale) as f32
 }
 
-/// Returns the number of scales (the finest ones) on which a straight piece of this length, mm, is long enough to be a
-/// span of its own: 1 from 1/256 mm on, 2 from 1/128 mm on. Compares binary exponents.
+/// Returns the number of scales on which a straight piece of this length, mm, is long enough to be a span of its own.
+/// They are the finest scales: one scale from 1/256 mm on, two scales from 1/128 mm on. Compares binary exponents.
 #[inline]
 fn scales_within(length: f32) -> usize {
     let exponent = |length: f32| (length.to_bits() >> 23) as usize;
@@ -79,14 +79,14 @@ const STRAIGHTNESS: f32 = 0.6;
 /// q² (see the head of this file) of a turn of 0.61 rad. A larger turn need not be a bend: it can be a corner between
 /// straight pieces, where the machine is faster than on a bend.
 const LARGE_TURN2: f32 = 0.36;
-/// Share of q² that decides between bend and corner for a turn above [`LARGE_TURN2`] over several spans. Such a turn
-/// consists of smaller turns from span to span. It counts as a bend only if the first and the last of these each have
-/// at least this share of the q² of the whole turn.
+/// Decides whether a turn above [`LARGE_TURN2`] over several spans is a bend or a corner. The turn consists of smaller
+/// turns from span to span. It counts as a bend only if the first and the last of the smaller turns each have at least
+/// this share of the q² of the whole turn.
 const ENDS2: f32 = 1.0 / 36.0;
-/// Limit of the radius of a large turn, as a multiple of the junction deviation. Below it, [`ENDS2`] alone decides
-/// whether the turn counts as a bend. Above it, the middle turn must be even, too ([`EVEN2`]). The radius is L/t: path
-/// length divided by angle. Above the limit, the J² of the smaller turns from span to span is negligible compared with
-/// a·L/t.
+/// Limit of the radius of a large turn, as a multiple of the junction deviation. The radius is L/t: path length divided
+/// by angle. Below the limit, [`ENDS2`] alone decides whether the turn counts as a bend. Above the limit, the turn must
+/// also consist of exactly three smaller turns from span to span, and the middle one must be no corner ([`EVEN2`]).
+/// Above the limit, the J² of the smaller turns is negligible compared with a·L/t.
 const VAGUE: f32 = 72.0;
 /// Of three consecutive turns, the middle one is no corner if its q² is less than this multiple of the lower q² of the
 /// other two.
@@ -94,17 +94,17 @@ const EVEN2: f32 = 9.0;
 /// Maximum q² (0.25 rad) of a turn between two spans from which a radius of curvature is computed. The radius of a
 /// larger turn would only be a mean over a long distance.
 const LARGEST_FOR_RADIUS2: f32 = 0.0625;
-/// Maximum q² of a turn (0.1 rad) that [`Span::note_turn`] checks in advance: does the turn allow the attainable
-/// speed? [`HISTORY`] such turns in a row have a q of at most 0.1 · [`HISTORY`] in total.
+/// Maximum q² (0.1 rad) of a turn for which [`Span::note_turn`] checks in advance whether the turn allows the
+/// attainable speed. [`HISTORY`] such turns in a row have a q of at most 0.1 · [`HISTORY`] in total.
 const LITTLE_TURN2: f32 = 0.01;
 /// Lower bound of s = cos(t/2) for a turn t that consists of [`HISTORY`] turns of at most 0.1 rad ([`LITTLE_TURN2`]).
 const LITTLE_TURNS_COSINE: f32 = 0.95;
 /// A block counts as steep ([`Chain::since_steep`]) if its acceleration is more than this factor times
-/// [`TurnRule::most`]. A block just below this threshold can still exceed [`TurnRule::most`] by less than 0.5 %; the
-/// margin of [`rise2`] (1 %) covers that.
+/// [`TurnRule::most`]. The acceleration of other blocks can exceed [`TurnRule::most`] by up to 0.5 %. The margin of
+/// [`rise2`] (1 %) covers that.
 const STEEP: f32 = 1.005;
-/// A bend leaves the acceleration along the path unchanged, within 5 %, if the bend's speed² is more than this factor
-/// times the maximum speed² there.
+/// A bend has no noticeable effect if its speed² is more than this factor times the maximum speed² of the machine
+/// there: the bend then leaves the acceleration along the path unchanged, within 5 %.
 pub(super) const NOTICEABLE: f32 = 3.2;
 /// Number of points after which [`LastDigit`] begins a new record of the finest resolution. The result is the finest
 /// resolution of two records, the present one and the one before. One point is not enough, because a number without
@@ -116,10 +116,10 @@ const POINTS: u8 = 32;
 pub(super) struct Bend {
     /// Maximum speed² at the blocks' entries.
     pub speed2: f32,
-    /// Range of blocks (nearest, farthest) that is searched for a corner; `None`: the limit always applies. If the
-    /// corner speed² at one of these entries is already at most `speed2`, the limit does not apply, because most of
-    /// the turn can be that corner. The machine brakes before the corner and speeds up after it, so the whole turn
-    /// takes long enough.
+    /// Range of blocks (nearest, farthest) that is searched for a slow corner; `None`: the limit always applies. A
+    /// corner is slow if its speed² is at most `speed2`. The limit does not apply if there is a slow corner, because
+    /// most of the turn can be at this corner. The machine brakes before the corner and speeds up after it, so the
+    /// whole turn takes long enough.
     pub once: Option<(usize, usize)>,
     /// The acceleration that the bend needs at a given speed, to be set in the blocks; `NONE`: the bend only limits the
     /// speed.
@@ -264,9 +264,9 @@ impl<const N: usize> Span<N> {
         (speed2 < fast2).then_some(Limit { speed2, turn2, radius })
     }
 
-    /// Returns the part of the path, mm, that is assigned to the turn from the span `old` to this one. The parts of
-    /// several consecutive turns add up to at most the length that [`Span::limit_after`] uses for all these turns as
-    /// one.
+    /// Returns the part of the path, mm, that counts for the turn from the span `old` to this one. Several consecutive
+    /// turns can also be treated as one turn, for which [`Span::limit_after`] uses a certain length. The parts of these
+    /// turns add up to at most this length.
     #[inline]
     fn share_of_length(&self, old: &Self) -> f32 {
         match (old.blocks, self.blocks) {
@@ -371,9 +371,9 @@ impl<const N: usize> Finder<'_, N> {
     fn limit(&mut self, bend: Bend, behind: usize, length: f32) {
         let length = if behind > 0 { length + self.newest } else { length };
         if LEAVES_OUT && bend.once.is_none() && length <= self.since_steep {
-            // If the bend is found late, the machine may already be too fast for it. But where the machine reached the
-            // bend, it could still stop within `length`, because the queue ended within this distance. So its speed²
-            // was at most `rise2` there. Up to the end of the newest piece, the speed² can rise by `rise2` once more.
+            // If the bend is found late, the machine may already be too fast for it. But when the machine reached the
+            // bend, the queue ended within `length`, so the machine could still stop within `length`. So its speed² was
+            // at most `rise2` there. Up to the end of the newest piece, the speed² can rise by `rise2` once more.
             let rise2 = rise2(self.rule.most, length);
             self.attainable2 = lesser(self.attainable2, greater(bend.speed2, rise2) + rise2);
         }
@@ -419,8 +419,8 @@ impl<const N: usize> History<N> {
         if !bend.is_none() {
             let own = usize::from(new.blocks);
             let farthest = behind + own - 1 + usize::from(first.blocks) + usize::from(second.blocks);
-            // The bend is part of the programmed shape, not a corner. So the junction deviation grants it no more than
-            // the speed of a square corner.
+            // The bend is part of the programmed shape, not a corner. So the junction deviation does not allow it more
+            // than the speed of a square corner.
             let square = bend.acceleration() * finder.rule.deviation * SQUARE_CORNER;
             let speed2 = greater(bend.speed2(), square);
             let bend = Bend { speed2, once: None, curve: bend, nearest: behind + own, farthest };
@@ -432,10 +432,10 @@ impl<const N: usize> History<N> {
         }
     }
 
-    /// Returns `true` if every turn from a previous span to the new one certainly allows the speed that the machine
-    /// can have there. Then [`History::compare`] is not necessary. The angle of a turn over several spans is at most
-    /// the sum of the turns from span to span, and its path is at least as long as their paths together. So it allows
-    /// any speed that each of these turns allows.
+    /// Returns `true` if every turn from a previous span to the new one certainly allows the speed that the machine can
+    /// have there. Then [`History::compare`] is not necessary. Only the turns from span to span are checked. A turn
+    /// over several spans allows any speed that all of its small turns allow: its angle is at most the sum of their
+    /// angles, and its path is at least as long as their paths together.
     #[inline(always)]
     fn surely_allows(&self, new: &Span<N>) -> bool {
         if !LEAVES_OUT {
@@ -568,8 +568,8 @@ pub(super) struct Chain<const N: usize> {
     /// The last straight pieces, each as a span of its own.
     pieces: History<N>,
     scales: Lent<[Scale<N>]>,
-    /// Number of scales (the finest ones) on which the last piece is long enough to be a span of its own. These scales
-    /// have no unfinished span, and `pieces` serves as their history.
+    /// Number of scales on which the last piece is long enough to be a span of its own. They are the finest scales.
+    /// They have no unfinished span, and `pieces` serves as their history.
     whole: usize,
     digit: LastDigit,
     /// Maximum speed² that the machine can have at the end of the last piece ([`Finder::attainable2`]).
@@ -697,9 +697,9 @@ impl<const N: usize> Chain<N> {
         }
     }
 
-    /// Handles the scales `self.whole` to `whole`: on these the new piece is a whole span, but the last piece was too
-    /// short for one. On each of these scales, ends the unfinished span where the new piece begins, then adds the
-    /// piece as a span. Both are compared with the previous spans.
+    /// Handles the scales `self.whole` to `whole`. On these scales, the new piece is long enough to be a span of its
+    /// own, but the last piece was too short. On each of them, ends the unfinished span where the new piece begins,
+    /// then adds the piece as a span. Both spans are compared with the previous ones.
     #[inline(never)]
     fn end_before(&mut self, piece: &PathPiece<'_, N>, new: &Span<N>, whole: usize, finder: &mut Finder<'_, N>) {
         let (mut path, mut fast2, mut attainable2, mut blocks) = (0.0, 0.0, 0.0, 0);

@@ -54,9 +54,9 @@ pub(super) fn steps_next<const N: usize>(left: &[u32; N], increments: &[u32; N])
     left.iter().zip(increments).any(|(left, increment)| (left.wrapping_sub(*increment) as i32) < 0)
 }
 
-/// Executes one tick per element of `words`, and sets the element to the entry of `table` for the axes that step. Two
-/// kinds of axes need no countdown: those that step at each tick (the dominant axis, if a tick is a whole step) and
-/// those that never step. The loop counts only the others.
+/// Executes one tick per element of `words`. Sets the element to the entry of `table` that belongs to the axes that
+/// step. Two kinds of axes need no countdown: those that step at each tick (the dominant axis, if a tick is a whole
+/// step) and those that never step. The loop counts down only the other axes.
 #[inline(always)]
 pub(super) fn steps_into<const N: usize, const WORDS: usize>(
     left: &mut [u32; N],
@@ -104,8 +104,8 @@ impl Countdown {
     const NONE: Self = Self { axis: MOST_AXES, left: 0, increment: 0 };
 }
 
-/// Counts down `K` axes, one tick per element of `words`, and sets the element to the entry of `table` for the axes
-/// that step. The axes in the mask `always` step at each tick.
+/// Executes one tick per element of `words`: counts down `K` axes. Sets the element to the entry of `table` that
+/// belongs to the axes that step. The axes in the mask `always` step at each tick.
 #[inline(always)]
 fn count_down<const N: usize, const K: usize, const OF_THEM: usize, const WORDS: usize>(
     left: &mut [u32; N],

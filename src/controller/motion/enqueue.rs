@@ -98,8 +98,8 @@ impl<const N: usize> MoveQueue<N> {
         self.queue(m, UNLIMITED2, false)
     }
 
-    /// Queues a chord of a curve like [`MoveQueue::line`], but not faster than the curve allows. The steps follow the
-    /// chord's exact ends instead of the full steps nearest to them.
+    /// Queues a chord of a curve in the same way as [`MoveQueue::line`] queues a move. The chord is at most as fast as
+    /// the curve allows. Its steps follow its exact ends instead of the full steps nearest to them.
     pub(super) fn chord(&mut self, m: &Move<N>, curvature: Curvature) -> bool {
         let mut acceleration = GREATEST_ACCELERATION;
         for (axis, most) in Axis::of_machine::<N>().zip(self.limits.turns.acceleration) {
@@ -156,8 +156,8 @@ impl<const N: usize> MoveQueue<N> {
         self.continue_long_move();
     }
 
-    /// Queues a move with a duration as a feed move. Backlash compensation can divide the move, whereas the duration
-    /// applies to the undivided move.
+    /// Queues a move with a duration as a feed move. Reason: the duration applies to the whole move, but backlash
+    /// compensation can divide the move.
     // Not inlined, so that only a move with a duration is copied.
     #[inline(never)]
     fn put_timed(&mut self, m: &Move<N>, seconds: f32, curve_speed2: f32, chord: bool) {
@@ -313,7 +313,7 @@ impl<const N: usize> MoveQueue<N> {
 
     /// Returns the maximum speed² at the corner before a piece of the path. `coarsest_mm`: step size of the coarsest
     /// motor, mm. Moves without a step can go to and fro before a block ([`Path::leads_nowhere`]). The block then
-    /// includes their time, and the corners before and after it count as square.
+    /// includes their time, and the corners before and after it are at most as fast as a square corner.
     #[inline]
     fn entry_corner2(&mut self, piece: &PathPiece<'_, N>, span: &Span<N>, path: &Path<N>, coarsest_mm: f32) -> f32 {
         if self.end.motors_only {
@@ -354,8 +354,8 @@ impl<const N: usize> MoveQueue<N> {
         Path { way, straight, own, length: own + self.end.length_carry }
     }
 
-    /// Returns the motors' steps from the end of the last block to `target_steps`, and the number and size of these
-    /// steps.
+    /// Returns the steps that the motors must make from the end of the last block to `target_steps`. Also returns the
+    /// sizes that follow from these steps.
     #[inline]
     fn steps_to(&self, target_steps: &PerAxis<i32, N>) -> (MotorSteps<N>, StepSizes) {
         let mut motors = MotorSteps { steps: [0; N], directions: 0 };
@@ -444,8 +444,9 @@ impl<const N: usize> MoveQueue<N> {
         }
     }
 
-    /// Returns how many steps of backlash compensation each motor can make in addition to a move. The corner rule
-    /// ([`backlash::share`]) for the axes that the motor moves sets this number.
+    /// Returns how many steps of backlash compensation each motor can make in addition to the steps of a move. This
+    /// number follows from the corner rule ([`backlash::share`]). The rule uses the lower one of two accelerations:
+    /// `acceleration`, and the acceleration along the direction in which the motor moves the tool.
     fn rooms_for_backlash(&self, length: f32, acceleration: f32, speed: f32) -> [f32; N] {
         let mut rooms = self.kinematics.least_mm;
         for (motor, room) in rooms.iter_mut().enumerate() {
@@ -500,8 +501,8 @@ impl<const N: usize> MoveQueue<N> {
     /// backlash were taken up during the plunge, the drill would be dragged sideways.
     #[inline(never)]
     fn take_up_before_plunge(&mut self, m: &Move<N>) {
-        // Only after a move mainly in X and Y: at the corner to Z the machine is slow anyway, so the additional stop
-        // costs little. Consecutive moves in Z must not be interrupted.
+        // Does this only after a move mainly in X and Y, because the machine is slow at the corner to Z anyway, so the
+        // additional stop costs little. Consecutive moves in Z must not be interrupted.
         let across2 = self.end.direction.iter().take(2).fold(0.0, |sum, part| sum + part * part);
         if self.planner.capacity() < MOST_BLOCKS_OF_A_MOVE || across2 < 0.5 {
             return;

@@ -1,5 +1,5 @@
-//! The bounding box of an arc, for soft limits. It covers the arc's ends, and those of the circle's quarter points (0,
-//! 90, 180, 270 degrees) that lie on the arc.
+//! The bounding box of an arc, for soft limits. The box covers both ends of the arc. It also covers each quarter point
+//! of the circle (0, 90, 180, 270 degrees) that lies on the arc.
 
 use super::arc::{ArcGeometry, integer_length};
 use crate::axes::{Axis, PerAxis};

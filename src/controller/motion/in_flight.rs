@@ -61,8 +61,8 @@ pub(super) struct SegmentsInFlight<const N: usize> {
 }
 
 impl<const N: usize> SegmentsInFlight<N> {
-    /// Creates a record without segments in flight, at position 0. The ring must have [`BEGUN`] more slots than
-    /// segments can be in flight.
+    /// Creates a record without segments in flight, at position 0. The ring must have [`BEGUN`] more slots than the
+    /// maximum number of segments in flight.
     pub(super) fn new(ring: Lent<[InFlightSegment<N>]>) -> Self {
         Self { ring, first: 0, len: 0, queued: 0, begun: 0, moves: false }
     }

@@ -11,7 +11,7 @@
 //!                                         so its mean speed is (from + to) / 2
 //! ```
 //! Units are millimetres and seconds. Only + - * / and the square root are used, so that results are the same on every
-//! machine.
+//! computer.
 
 use super::trapezoid::{greater, lesser, square_root};
 
@@ -84,8 +84,8 @@ pub(super) fn ramp_speed(to: f32, distance: f32, bounds: Bounds) -> f32 {
         }
     }
     // Otherwise the change of speed is x = y², where y³ + 2·to·y = distance·√j, with the jerk j. Newton's method
-    // converges from any y that is too great, because the left side is convex. The solution without one of the two
-    // terms on the left is such a y.
+    // converges from any y that is too great, because the left side is convex. If one of the two terms on the left is
+    // left out, the solution is a y that is too great.
     let wanted = distance * square_root(jerk);
     let mut root = cube_root(wanted);
     if 2.0 * to * root > wanted {

@@ -105,16 +105,16 @@ pub(super) struct Target {
 }
 
 impl Target {
-    /// Returns the speed that the ramp must reach first, and the distance to it: the ceiling if the machine is faster
-    /// than the ceiling, otherwise the anchor. The ceiling is the maximum speed with which a ramp to the anchor can
-    /// begin.
+    /// Returns the next speed that the ramp must come down to, and the distance to the point with that speed. This is
+    /// the ceiling if the machine is faster than the ceiling, otherwise the anchor. The ceiling is the maximum speed
+    /// with which a ramp to the anchor can begin.
     pub(super) fn nearest(&self, speed: f32) -> (f32, f32) {
         self.beyond(speed, f32::NEG_INFINITY)
     }
 
     /// Like [`Target::nearest`], for a segment of length `way`, mm. If the machine reaches the ceiling within the
-    /// segment, returns the anchor instead. So the ramp from the ceiling down to the anchor begins with this segment;
-    /// with the next one it would begin too late.
+    /// segment, returns the anchor instead. The ramp from the ceiling down to the anchor then begins with this segment,
+    /// because it would begin too late with the next one.
     pub(super) fn beyond(&self, speed: f32, way: f32) -> (f32, f32) {
         if speed > self.ceiling {
             let distance = self.distance - ramp_distance(self.ceiling, self.speed, self.bounds);

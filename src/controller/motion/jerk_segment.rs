@@ -94,8 +94,8 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Self { state, way, left, nominal, bounds, guess, change: bounds.jerk * guess, planner }
     }
 
-    /// Returns the first segment of a machine at rest. Normally that is `free`, which has constant jerk. If the
-    /// machine could not slow down for the next anchors after `free`, it is a slower segment.
+    /// Returns the first segment of a machine at rest. Normally this is the segment `free`, which has constant jerk.
+    /// But if the machine could not slow down for the next anchors after `free`, a slower segment is returned.
     fn leave_rest(&self, free: Travelled, ease_off_limit: &mut f32) -> Travelled {
         let Self { way, nominal, bounds, .. } = *self;
         let rest = self.left - way;
@@ -171,7 +171,7 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
     /// the blocks on which the machine would then reduce its acceleration to 0.
     ///
     /// Returns `None` if [`Planner::allows`] forbids the end state. Also returns `None` if the acceleration at the end
-    /// exceeds the bound, unless `best` is below the present acceleration.
+    /// exceeds the bound and `best` is at least the present acceleration.
     #[inline]
     fn to_nominal(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
         let travelled = self.to(best);
@@ -186,9 +186,11 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
         Some((ahead, if arrives { self.at_speed(self.nominal, 0.0) } else { travelled }))
     }
 
-    /// Tries to keep the present acceleration. Returns the same values as [`SegmentStart::to_nominal`]; `None` in
-    /// these cases: the present acceleration is negative, at least `best`, or above the bound of the blocks ahead, or
-    /// [`Planner::allows`] forbids the end state.
+    /// Tries to keep the present acceleration. Returns the same values as [`SegmentStart::to_nominal`]; `None` in these
+    /// cases:
+    /// * The present acceleration is negative, or at least `best`.
+    /// * The present acceleration is above the bound of the blocks ahead.
+    /// * [`Planner::allows`] forbids the end state.
     #[inline]
     fn as_before(&self, best: f32, most: f32) -> Option<(f32, Travelled)> {
         let acceleration = self.state.acceleration;
@@ -224,8 +226,8 @@ impl<'a, const N: usize> SegmentStart<'a, N> {
             wanted = greater(wanted, land);
         }
         let travelled = self.to(lesser(self.within_jerk(wanted), best));
-        // The ticks can be too coarse for a gradual change: the ramp ends in this segment, and more than half of the
-        // speed must be lost in it. Then end at the planned speed regardless of the jerk.
+        // The ticks are too coarse for a gradual change if the ramp ends in this segment and the machine must lose more
+        // than half of its speed in it. Then end at the planned speed regardless of the jerk.
         let even = (speed * speed - aim * aim) / (2.0 * way);
         let coarse = distance <= way && aim < 0.5 * speed && travelled.end.speed > aim && even <= all;
         if coarse { self.at_speed(aim, 0.0) } else { travelled }

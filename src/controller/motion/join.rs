@@ -34,8 +34,8 @@ const LEAST_DIGIT: f32 = 1.0e-4;
 pub(super) struct Join<const N: usize> {
     /// Whether the last block can still be replaced by a longer one that covers the next move, too.
     pub open: bool,
-    /// `true` if the block's piece of the path has not been added to the chain (see the head of this file) yet,
-    /// because the block could be replaced.
+    /// `true` if the block's piece of the path has not been added to the chain (see the head of this file) yet. The
+    /// piece is kept back if the block can be replaced by a longer one.
     pub kept: bool,
     /// `true` as long as no point that the line must pass has been added.
     pub fresh: bool,
@@ -58,8 +58,8 @@ pub(super) struct Join<const N: usize> {
     pub block_path: f32,
     /// Maximum speed² of the block's piece under any override ([`PathPiece::fast2`]).
     pub fast2: f32,
-    /// Resolution of the program's coordinates (value of their last decimal place; the finest one of several moves),
-    /// mm.
+    /// Resolution of the program's coordinates (value of their last decimal place), mm. For a block of several moves,
+    /// this is the finest of their resolutions.
     pub digit: f32,
     /// Speed that the block's moves have in common. The next three fields are common to these moves, too.
     speed: Speed,
@@ -155,8 +155,8 @@ impl<const N: usize> Join<N> {
         let digit = greater(self.digit, LEAST_DIGIT);
         for ((least, most), (part, half)) in self.slopes.iter_mut().zip(way.iter().zip(self.half_mm)) {
             let slope = part * share;
-            // Rounding of the coordinates can shift the point and both ends of the line by half of the resolution
-            // each. That applies to this motor and to the main one.
+            // Rounding of the coordinates can shift the point and each end of the line by half of the resolution. Both
+            // the position of this motor and that of the main motor are shifted.
             let range = lesser(half, digit * (1.0 + slope.abs())) * share.abs();
             *least = greater(*least, slope - range);
             *most = lesser(*most, slope + range);

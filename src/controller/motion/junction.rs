@@ -128,7 +128,8 @@ impl<const N: usize> TurnRule<N> {
     fn in_any_plane(&self, before: &[f32; N], after: &[f32; N], turn2: f32) -> f32 {
         let normal = 1.0 / turn2;
         // On a reversal, the sum of the two directions is too short to define the tangent, so only the normal is used.
-        // The turns between shorter spans are smaller, and their limits include the tangent.
+        // The path is also measured in shorter spans. The turns between those are smaller, so their limits include the
+        // tangent.
         let tangent = if turn2 < NO_TANGENT { 1.0 / (4.0 - turn2) } else { 0.0 };
         // Finds the axis with the lowest ratio of limit to share, as in `across`.
         let (mut least2, mut least_share2) = (UNLIMITED2, 1.0);
@@ -165,9 +166,10 @@ impl<const N: usize> TurnRule<N> {
         bend * bend > 9.0 * turn2 * fast2 * fast2
     }
 
-    /// Returns J² of a turn, the square of the speed that the junction deviation allows (junction velocity): J² = a·d·s
-    /// / (1 - s), with the acceleration a ([`TurnRule::across`], mm/s²) and the junction deviation d (mm). For gentle
-    /// turns 1 - s would be a small difference, so it is computed as q² / (4·(1 + s)), with q² = 4·(1 - s²).
+    /// Returns J² of a turn, the square of the speed that the junction deviation allows (junction velocity). With the
+    /// acceleration a ([`TurnRule::across`], mm/s²) and the junction deviation d (mm), J² is a·d·s / (1 - s). For
+    /// gentle turns, 1 - s would be an inexact difference of nearly equal numbers. The code uses q² / (4·(1 + s))
+    /// instead, which is equal to 1 - s, because q² = 4·(1 - s²).
     #[inline]
     pub(super) fn junction2(&self, across: f32, half_cosine: f32, turn2: f32) -> f32 {
         across * self.deviation * half_cosine * (1.0 + half_cosine) / (0.25 * turn2)
@@ -181,8 +183,8 @@ impl<const N: usize> TurnRule<N> {
     }
 }
 
-/// Returns how much the speed², mm²/s², can rise within a length, mm, at an acceleration, mm/s². Includes a margin of
-/// 1 % for rounding.
+/// Returns how much the speed² (mm²/s²) of a machine can rise while it speeds up with `acceleration` (mm/s²) over
+/// `length` (mm). Includes a margin of 1 % for rounding.
 #[inline]
 pub(super) fn rise2(acceleration: f32, length: f32) -> f32 {
     2.02 * acceleration * length

@@ -43,8 +43,8 @@ impl<const N: usize> Kinematics<N> {
         self.steps_per_mm.zip(self.of_motors(place, &mut turned), |scale, coordinate| scale.steps(coordinate))
     }
 
-    /// Like [`Kinematics::steps`], but converts only the axes that have moved (with CoreXY, all). `before`: an earlier
-    /// position; `steps`: its steps.
+    /// Like [`Kinematics::steps`], but converts only the axes that have moved since an earlier position; with CoreXY,
+    /// converts all axes. `before`: the earlier position; `steps`: the steps of that position.
     #[inline]
     pub(super) fn steps_from(
         &self,
@@ -79,7 +79,7 @@ impl<const N: usize> Kinematics<N> {
     }
 
     /// Returns the position of each motor's belt or screw for a position of the tool. `turned`: memory for the result
-    /// if it differs from `place` (CoreXY).
+    /// with CoreXY. Without CoreXY, the result is `place` itself.
     #[inline]
     fn of_motors<'a>(
         &self,

@@ -6,10 +6,10 @@
 //! the threshold (see `dda`). On a line, an axis' rate is its number of steps. The threshold is the number of units:
 //! 16 for each step of the dominant axis, the one with the most steps.
 //!
-//! A chord of a curve can begin and end between two steps. Its exact start is f steps beyond the step nearest to it,
-//! its exact end g steps beyond the step nearest to it. f and g are from -1/2 to 1/2, in sevenths of a step
-//! ([`AxisSteps`]). After u of M units, an axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ steps. This number
-//! is 0 at the start, n at the end, and always within half a step of the exact chord.
+//! A chord of a curve can begin and end between two steps. Its exact start is f steps beyond the step nearest to the
+//! start. Its exact end is g steps beyond the step nearest to the end. f and g are from -1/2 to 1/2, in sevenths of a
+//! step ([`AxisSteps`]). After u of M units, an axis with n steps has taken ⌈f + (n + g - f)·u/M - 1/2⌉ steps. This
+//! number is 0 at the start, n at the end, and always within half a step of the exact chord.
 //!
 //! To compute this number without fractions, everything is multiplied by 7: the threshold is 7·M, the rate is 7·n +
 //! 7·g - 7·f, and the first remainder is smaller by 7·f·M.
@@ -132,8 +132,8 @@ pub(super) mod tests {
     struct Ratio(i128, i128);
 
     /// Returns the steps taken by definition. With n steps between offsets of f and g sevenths, the exact position
-    /// after u of M units is f/7 + (n + (g - f)/7)·u/M. The step nearest to it has been taken; of two equally near, the
-    /// lower one.
+    /// after u of M units is f/7 + (n + (g - f)/7)·u/M. The axis has taken the step nearest to this position. If two
+    /// steps are equally near, it has taken the lower one.
     pub fn defined(axis_steps: AxisSteps, total: u32, units: u32) -> i128 {
         let (n, f, g) = (i128::from(axis_steps.steps()), i128::from(axis_steps.start()), i128::from(axis_steps.end()));
         let (u, m) = (i128::from(units), i128::from(total));
@@ -186,8 +186,8 @@ pub(super) mod tests {
             }
         }
 
-        /// For a line, which begins and ends on full steps, the threshold is the number of units of the block, so that
-        /// small quotients need only a 32-bit division.
+        /// For a line, which begins and ends on full steps, the threshold is the number of units of the block, not
+        /// seven times as much. So the sum in `steps_taken` more often fits 32 bits and needs only a 32-bit division.
         #[test]
         fn a_line_has_the_threshold_of_its_steps(x in 1_u32..1 << 26, y in 0_u32..1 << 26, way in 0.0..=1.0_f64) {
             let steps_by_axis = [x, y].map(AxisSteps::on_steps);

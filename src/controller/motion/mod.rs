@@ -200,8 +200,8 @@ impl<const N: usize, const BLOCKS: usize> MotionStorage<N, BLOCKS> {
 /// Number of blocks of a motion for single moves: one for the move, and one for backlash compensation.
 const SINGLE_MOVE_BLOCKS: usize = 2;
 
-/// Storage for a [`Motion`] that runs single straight moves, each from rest to rest. To move, this `Motion` borrows
-/// the ring of segments in flight of another one, which rests meanwhile ([`Motion::lend_ring`]).
+/// Storage for a [`Motion`] that runs single straight moves, each from rest to rest. To move, this `Motion` borrows a
+/// ring of segments in flight from another `Motion`, which rests meanwhile ([`Motion::lend_ring`]).
 #[derive(Debug)]
 #[cfg(not(feature = "alloc"))]
 pub struct SingleMoveStorage<const N: usize> {
@@ -303,14 +303,14 @@ impl<const N: usize> Motion<N> {
         self.queue.take(m)
     }
 
-    /// Queues a chord of a curve like [`Motion::line`], but not faster than the curve allows. The steps follow the
-    /// chord's exact ends instead of the full steps nearest to them.
+    /// Queues a chord of a curve in the same way as [`Motion::line`] queues a move. The chord is at most as fast as the
+    /// curve allows. Its steps follow its exact ends instead of the full steps nearest to them.
     pub fn chord(&mut self, m: &Move<N>, curvature: Curvature) -> bool {
         self.queue.take_chord(m, curvature)
     }
 
-    /// Returns whether the queued blocks and the moves joined into them together reach the capacity of the look-ahead.
-    /// If so, motion should start although the queue still has room.
+    /// Returns `true` if the sum of the queued blocks and of the moves joined into them reaches the capacity of the
+    /// look-ahead. In that case, motion should start although the queue still has room.
     pub fn has_joined_enough(&self) -> bool {
         self.queue.has_joined_enough()
     }
@@ -364,8 +364,8 @@ impl<const N: usize> Motion<N> {
     }
 
     /// Starts to execute the queue. If the queue has no block, first queues the moves held back for rounding of their
-    /// corners (G64); without any moves, has no effect. Segments are handed over from this call on until the queue has
-    /// run empty. After that, `start` must be called again.
+    /// corners (G64). Has no effect if there are no moves at all. Segments are handed over from this call on until the
+    /// queue has run empty. After that, `start` must be called again.
     pub fn start(&mut self) {
         if self.queue.planner.len() == 0 {
             self.queue.release();
@@ -415,8 +415,8 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// Returns the deceleration of the first block in the queue for braking after a probe's contact, in units per
-    /// squared step-clock tick; 0 if the queue is empty. A unit is 1/16 step of the block's dominant axis.
+    /// Returns the deceleration with which the machine brakes in the first block of the queue after a probe's contact,
+    /// in units per squared step-clock tick; 0 if the queue is empty. A unit is 1/16 step of the block's dominant axis.
     pub fn braking(&self) -> f32 {
         let clock = self.source.step_clock_hz() as f32;
         self.queue.planner.first().map_or(0.0, |block| {
@@ -509,8 +509,8 @@ impl<const N: usize> Motion<N> {
         self.source.in_flight.observe(observed.segments_begun, observed.step_idle);
     }
 
-    /// Returns whether a motion is in progress, and the segments that the step task has not begun yet take less than 8
-    /// ms (`segment_source::SHORT_MS`).
+    /// Returns `true` if the step task may soon run out of segments: a motion is in progress, and the segments that the
+    /// step task has not begun yet take less than 8 ms (`segment_source::SHORT_MS`).
     #[inline]
     pub fn is_short_of_segments(&self) -> bool {
         self.source.is_short_of_segments()

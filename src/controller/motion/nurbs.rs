@@ -181,7 +181,8 @@ impl<const N: usize> NurbsGeometry<'_, N> {
                     step /= 2;
                     continue;
                 }
-                // The length lies between the chord and the polygon, nearer to the polygon the higher the degree is.
+                // The length lies between that of the chord and that of the polygon. The higher the degree is, the
+                // nearer is the length to that of the polygon.
                 sum += (2.0 * chord + (degree as f32 - 1.0) * polygon) / (degree as f32 + 1.0);
                 (at, step) = (to, (step * 2).min(LONGEST_MEASURED));
             }

@@ -31,8 +31,8 @@ pub(super) struct PathEnd<const N: usize> {
     pub direction: [f32; N],
     /// Whether moves without a step have been queued since the last block.
     pub is_past_block: bool,
-    /// `true` if moves without a step went to and fro before the last block, so that the block includes their time.
-    /// The corners before and after this block count as square.
+    /// `true` if moves without a step went to and fro before the last block, so that the block includes their time. The
+    /// corners before and after this block are at most as fast as a square corner.
     pub had_stepless_moves: bool,
     /// Whether the last block moves motors but not the tool; the next block then begins at rest.
     pub motors_only: bool,

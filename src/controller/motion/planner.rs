@@ -32,7 +32,8 @@
 //! * An entry whose cap exceeds the maximum speed of any ramp to the anchor (v² + 2·a·distance, as without a jerk
 //!   limit) does not limit the ramp.
 //! * Any other entry lowers the ceiling of the ramp, the maximum speed with which the ramp can begin.
-//! * Walking back, the next anchor is the first entry from which the distance suffices to slow down from the ceiling.
+//! * The pass walks back from an anchor. The next anchor is the first entry from which the distance suffices to slow
+//!   down from the ceiling.
 //!
 //! The pass computes only the speeds of anchors. So a ramp can start anywhere within a block, and from any state of
 //! motion, without changes to the queue.
@@ -46,16 +47,16 @@ use super::trapezoid::{greater, lesser, square_root};
 use crate::lent::Lent;
 use core::ops::Range;
 
-/// Predicted speed of a machine that is faster than a lowered override allows. The machine brakes with the
-/// acceleration that bends leave. While it brakes, it passes entries of blocks, and these entries are allowed the
-/// predicted speed. A lower speed there would make it brake with all of its acceleration, including the part that
+/// Predicted speed of a machine that is faster than a lowered override allows. The machine brakes with the acceleration
+/// that bends leave. While it brakes, it passes entries of blocks, and the planner allows the predicted speed at these
+/// entries. A lower speed there would make the machine brake with all of its acceleration, including the part that
 /// bends need.
 #[derive(Clone, Copy, Debug)]
 struct Fall {
     speed2: f32,
     /// Distance that the machine still travels before it begins to brake, mm.
     delay: f32,
-    /// Speed² at which it begins to brake.
+    /// Speed² at which the machine begins to brake.
     top2: f32,
 }
 
@@ -84,10 +85,10 @@ impl Fall {
     }
 }
 
-/// Number of groups into which the slots of the ring are divided. The planner stores a summary of each group's blocks.
-/// For each segment it must check all blocks on which the machine would reduce its acceleration to 0, and these can be
-/// hundreds. With 512 blocks, a group has 16. At most two groups (the first and the last) are then checked block by
-/// block, the others as a whole.
+/// Number of groups into which the slots of the ring are divided. The planner stores a summary of each group's blocks,
+/// because for each segment it must check all blocks on which the machine would reduce its acceleration to 0. These can
+/// be hundreds of blocks. With 512 blocks, a group has 16. At most two groups (the first and the last) are then checked
+/// block by block, the others as a whole.
 pub(super) const GROUPS: usize = 32;
 
 /// The ring of blocks. A place counts from the first block (0), a slot is an index of the ring. While the first block
@@ -111,8 +112,8 @@ pub(super) struct Planner<const N: usize> {
     lowered: Lowered,
     /// `true` if any axis has a jerk limit. The planner then finds anchors instead of the entry speed of each block.
     pub jerk_limited: bool,
-    /// `true` if the planned speed at some entries exceeds what the overrides allow. That happens if the overrides
-    /// were lowered while the machine was faster, because it has to slow down first ([`Fall`]).
+    /// `true` if the planned speed at some entries exceeds what the overrides allow. That happens if the overrides were
+    /// lowered while the machine was faster than they allow now: the machine has to slow down first ([`Fall`]).
     pub raised: bool,
     blocks: Lent<[Block<N>]>,
     /// One summary for each group of neighbouring slots ([`GROUPS`]). It is valid only if all blocks of the group are
@@ -182,9 +183,9 @@ impl<const N: usize> Planner<N> {
     pub(super) fn exit2(&self) -> f32 {
         let Some(next) = self.block(1) else { return 0.0 };
         if next.ramp.distance > 0.0 {
-            // The entry lies within a ramp to an anchor, so its speed must allow that ramp. With a jerk limit the
-            // caller uses the exit speed only if the machine can stop within one step. Even such a machine can be too
-            // fast for the next block, if that block moves an axis with a much lower jerk limit.
+            // The entry lies within a ramp to an anchor, so the exit speed must not exceed what this ramp allows. With
+            // a jerk limit, the caller uses the exit speed only if the machine can stop within one step. Even then, the
+            // machine can be too fast for the next block, if that block moves an axis with a much lower jerk limit.
             let reach = ramp_speed(square_root(next.entry2), next.ramp.distance, next.ramp.bounds());
             return lesser(reach * reach, next.ramp.ceiling2);
         }
@@ -269,7 +270,8 @@ impl<const N: usize> Planner<N> {
     pub(super) fn limit(&mut self, bend: &Bend) {
         let newest = self.len.saturating_sub(1);
         if let Some((nearest, farthest)) = bend.once {
-            // If some of these blocks have left the queue, a slow entry among them cannot be found, so no limit is set.
+            // A slow entry in the range of `once` makes the limit unnecessary. If some blocks of the range have left
+            // the queue, it is not known whether one of them was slow, so no limit is set.
             let Some(first) = newest.checked_sub(farthest).filter(|first| *first > 0) else { return };
             let is_slow = |place| self.block(place).is_some_and(|block| block.corner2 <= bend.speed2);
             if (first..=newest - nearest).any(is_slow) {
@@ -486,8 +488,9 @@ impl<const N: usize> Planner<N> {
         self.group().min(self.blocks.len() - slot)
     }
 
-    /// Returns a summary of the blocks from a place on, and how many blocks the summary covers: a whole group of the
-    /// ring if the group begins at the place and is shorter than `distance`, mm, otherwise one block.
+    /// Returns a summary of the blocks from a place on, and the number of these blocks. The summary covers a whole
+    /// group of the ring if the group begins at the place and is shorter than `distance`, mm. Otherwise it covers one
+    /// block.
     #[inline]
     fn stretch(&self, place: usize, distance: f32) -> Option<(Stretch, usize)> {
         let slot = self.slot(place);
@@ -512,8 +515,8 @@ impl<const N: usize> Planner<N> {
     /// condition: the machine can reduce its acceleration to 0, or continue to brake, and still meet all later
     /// anchors. Second condition: its speed is at most `nominal` (mm/s) when its acceleration is 0.
     ///
-    /// If both are fulfilled, returns the lowest acceleration bound, mm/s², over the distance in which the machine
-    /// reduces its acceleration to 0; otherwise `None`.
+    /// If the two conditions are fulfilled, returns the lowest acceleration bound, mm/s², over the distance in which
+    /// the machine reduces its acceleration to 0. Otherwise returns `None`.
     pub(super) fn allows(&self, state: PathState, left: f32, nominal: f32) -> Option<f32> {
         let first = self.first()?;
         if state.acceleration < 0.0 {

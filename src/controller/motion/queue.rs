@@ -69,8 +69,8 @@ pub(super) struct MoveQueue<const N: usize> {
     pub chain: Chain<N>,
     /// Data of the last block, for joining short moves to it.
     pub join: Join<N>,
-    /// Moves with a tolerance (G64) that are held back: they are not queued yet, so that further moves can be merged
-    /// with them, and their corners rounded.
+    /// Moves with a tolerance (G64) that are held back. They are not queued yet, because later moves can be merged with
+    /// them and their corners can be rounded.
     pub blend: Blend<N>,
     pub planner: Planner<N>,
 }

@@ -53,8 +53,7 @@ impl Walk {
 pub(super) struct Lowered {
     /// Place of the first lowered block; `usize::MAX`: none.
     pub first: usize,
-    /// Place after the last lowered block that a reverse pass had already reached, so that its entry speed was set; 0:
-    /// none.
+    /// Place after the last lowered block whose entry speed a reverse pass had already set; 0: there is no such block.
     pub planned_end: usize,
 }
 
@@ -82,8 +81,8 @@ impl Lowered {
         // Speeds² are compared by their bits, because positive numbers have the same order as their bits.
         let speed2 = bend.speed2.to_bits();
         for (index, block) in blocks.iter_mut().enumerate() {
-            // In a long bend, earlier calls have already lowered most blocks enough, so these blocks are skipped.
-            // `max_entry2` never exceeds `corner2`.
+            // In a long bend, earlier calls have already lowered most blocks enough, so these blocks are skipped. If
+            // `corner2` is low enough, `max_entry2` is low enough, too, because it never exceeds `corner2`.
             let is_tighter = bend.curve.is_tighter(block.curve);
             if speed2 < block.corner2.to_bits() {
                 block.corner2 = bend.speed2;

@@ -22,15 +22,15 @@ use crate::image::FULL_IMAGE;
 
 /// Moves are held back only if the look-ahead has at least this many blocks.
 const LEAST_BLOCKS: usize = 32;
-/// Maximum number of entries, from the start of the queue, among which an entry at its maximum speed is searched.
+/// Maximum number of entries, counted from the start of the queue, that are searched for one at its maximum speed.
 const MOST_ENTRIES: usize = 64;
 /// Share of the maximum speed² from which an entry speed² counts as the maximum. With a jerk limit, the entry speed²
 /// is the square of a rounded root, so it can be slightly too low.
 const FULL: f32 = 0.999;
 
 impl<const N: usize> MoveQueue<N> {
-    /// Queues a move, or holds it back so that moves can be merged with it or its corner rounded. Returns `false`, with
-    /// nothing done, if there is no room.
+    /// Queues a move or holds it back. Later moves can be merged with a held move, and its corner can be rounded.
+    /// Returns `false`, with nothing done, if there is no room.
     #[inline]
     pub(super) fn take(&mut self, m: &Move<N>) -> bool {
         if FULL_IMAGE && (m.tolerance.path > 0.0 || self.blend.is_holding()) {

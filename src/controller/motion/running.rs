@@ -9,8 +9,8 @@ use super::trapezoid::{OFF_CURVE, Pace, Trapezoid, lesser};
 use crate::axes::{LINEAR, PerAxis};
 use crate::messages::{AxisSteps, ToStep};
 
-/// In a hold, a machine stops at once if it needs more than this time (s) for two units, and could brake to rest within
-/// one unit.
+/// Limit of slow motion in a hold: the time, s, for two units. The machine stops at once if it needs more time for two
+/// units and could brake to rest within one unit.
 const CRAWL_S: f32 = 0.001;
 
 /// The next message about a block to the step task.
@@ -280,8 +280,9 @@ impl<const N: usize> Running<N> {
     /// the acceleration is what the bend leaves at the present speed or the exit speed, whichever is lower. The
     /// reverse pass assumes the same.
     ///
-    /// If the bend was found late, later blocks were planned with all of the acceleration, so the machine can be too
-    /// fast for the exit. In that case it brakes as hard as necessary, at most with all of the block's acceleration.
+    /// A bend can be found late, after the blocks behind it were planned with all of the acceleration. The machine can
+    /// then be too fast for the exit. In that case it brakes as hard as necessary, at most with all of the block's
+    /// acceleration.
     #[inline]
     fn acceleration_towards(&self, exit2: f32, pace: Pace, planner: &Planner<N>) -> f32 {
         match planner.first() {

@@ -2,10 +2,10 @@
 //! As in Grbl, its AMASS level determines how fine the ticks are, and depends on the speed: at level n, a step of the
 //! dominant axis (the one with the most steps) takes 2^n ticks.
 //!
-//! A segment has whole ticks. The curve has the phases accelerate, cruise and brake. A segment ends with the phase in
-//! which it begins, or at the next tick or whole step after it, if it does not end earlier. It lasts at most 1 ms. The
-//! limit is 2 ms if the speed is constant or nearly so and the power does not follow the speed. A single tick can last
-//! longer.
+//! A segment has whole ticks. The curve has the phases accelerate, cruise and brake. A segment can end within the phase
+//! in which it begins. Otherwise it ends at the first tick or whole step after the end of this phase. It lasts at most
+//! 1 ms. The limit is 2 ms if the speed is constant or nearly so and the power does not follow the speed. A single tick
+//! can last longer.
 //!
 //! The sum of the intervals is the exact time of the curve. The remainder that the fixed-point intervals cannot
 //! represent is carried over to the next segment, so no time is lost or gained.
@@ -23,7 +23,7 @@ const SEGMENT_TIME: f32 = 0.001;
 const STEADY_TIME: f32 = 0.002;
 /// Ratio of acceleration to speed, 1/s, up to which the speed counts as nearly constant: it changes by 1 % within
 /// [`STEADY_TIME`]. With linearly changing intervals, the acceleration of the ticks is proportional to the cube of the
-/// speed. So it is 1.5 % off at either end of the segment.
+/// speed. So the acceleration is 1.5 % off at either end of the segment.
 const STEADY: f32 = 5.0;
 /// Ticks per second below which smoothing makes ticks finer, so that the steps of a slow axis jitter by at most 125 us.
 const SMOOTH_RATE: f32 = 8000.0;
@@ -218,7 +218,8 @@ impl Pacer {
         Self { per_second: step_clock_hz as f32 * ONE as f32, remainder: 0 }
     }
 
-    /// Converts seconds to step-clock ticks in fixed point. Saturates, at 100 MHz after more than a year.
+    /// Converts seconds to step-clock ticks in fixed point. The result saturates if the time is too long: more than a
+    /// year at 100 MHz.
     #[inline]
     pub(super) fn fixed(&self, seconds: f32) -> u64 {
         let time = seconds * self.per_second;

@@ -21,13 +21,12 @@ pub const QUEUED_TIME_MS: u32 = 16;
 const FAR_MS: u32 = 4;
 /// Duration of each wait that a long interval is divided into, ms.
 const WAIT_MS: u32 = 1;
-/// If a motion has ended at rest and less than this time of it is still queued, ms, the next motion waits until the
-/// step task is at rest. It then starts with several segments queued. Without the pause, its first segments would be
-/// late, because they are shorter than the time in which a small processor prepares them.
+/// Minimum time, ms, of a finished motion that must still be queued when the next motion starts. If less is queued, the
+/// next motion waits until the step task is at rest. It then starts with several segments queued. Without this pause,
+/// its first segments would be late, because they are shorter than the time in which a small processor prepares them.
 const JOIN_MS: u32 = 2;
 /// While motion continues and less than this time is queued, ms, making segments takes precedence over executing
-/// program lines. The time is longer than the execution of one line plus the making of the segments of a stop that
-/// begins after this line.
+/// program lines. The time is long enough to execute one line and then to make the segments of a stop.
 const SHORT_MS: u32 = 8;
 /// Duration of the segment that puts the step task to rest when there is nothing to brake, in microseconds.
 const REST_US: u32 = 20;
@@ -202,8 +201,8 @@ impl<const N: usize> SegmentSource<N> {
         self.rest && self.in_flight.moves() && self.in_flight.queued() < self.clocks_per_ms * JOIN_MS
     }
 
-    /// Returns whether a motion is in progress, and the segments that the step task has not begun yet take only a short
-    /// time ([`SHORT_MS`]).
+    /// Returns `true` if the step task may soon run out of segments: a motion is in progress, and the segments that the
+    /// step task has not begun yet take only a short time ([`SHORT_MS`]).
     #[inline]
     pub(super) fn is_short_of_segments(&self) -> bool {
         let has_begun = self.in_flight.moves() || !self.in_flight.is_empty();

@@ -38,7 +38,7 @@ impl<const N: usize> MoveQueue<N> {
     }
 
     /// Returns whether the displacements of all axes from the end of the last block add up to at most [`MOST_PIECE`].
-    /// Most moves exceed it in the first axis already, so the check ends there.
+    /// For most moves, the first axis alone exceeds this limit, so the check ends there.
     #[inline]
     fn is_short(&self, m: &Move<N>) -> bool {
         let mut ways = 0;
@@ -100,7 +100,7 @@ impl<const N: usize> MoveQueue<N> {
     }
 
     /// Adds the end of a move without a step to the points that the line of the joined moves must pass. Returns `false`
-    /// if the line leads back to this point, so that no move can continue it.
+    /// if the line leads back to this point. No move can then continue the line.
     fn pass_by(&mut self, m: &Move<N>) -> bool {
         self.join.path += self.end.distance(&m.target);
         let way = self.way_to(&m.target);
@@ -179,8 +179,8 @@ impl<const N: usize> MoveQueue<N> {
         self.planner.take_back();
     }
 
-    /// Returns whether the queued blocks and the joined moves together reach the capacity of the look-ahead. If so,
-    /// motion should start although the queue still has room.
+    /// Returns `true` if the sum of the queued blocks and of the moves joined into them reaches the capacity of the
+    /// look-ahead. In that case, motion should start although the queue still has room.
     pub(super) fn has_joined_enough(&self) -> bool {
         self.join.moves > 0 && self.planner.len() + self.join.moves >= self.planner.capacity()
     }

@@ -13,8 +13,8 @@
 //! The line between these two points is divided at t, too: this last point lies on the curve, and the last line is
 //! the tangent there.
 //!
-//! Coordinates are whole numbers of 0.1 nm. Only the three divisions round, so a point lies within 0.2 nm of the
-//! curve, for any number of chords.
+//! Coordinates are whole numbers of 0.1 nm. A result is rounded only in the divisions, which are made three times in a
+//! row. So a point lies within 0.2 nm of the curve, for any number of chords.
 //!
 //! The number of chords follows from the tolerance. A chord over a parameter step h deviates from the curve by at
 //! most |second derivative|·h²/8. The second derivative has its maximum at an end of the curve. The last chord ends

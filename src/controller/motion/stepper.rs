@@ -46,7 +46,7 @@ pub struct Tick {
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Piece<const N: usize> {
-    /// Per axis: by how much each tick reduces the countdown to the next step (`Stepper::left`).
+    /// For each axis, the amount by which a tick reduces the countdown to the next step (`Stepper::left`).
     increments: [u32; N],
     /// Number of remaining ticks that do nothing but step.
     plain_ticks: u32,
@@ -413,8 +413,8 @@ impl<const N: usize> Stepper<N> {
         (self.moment >> 32) as u32
     }
 
-    /// Sets the time of the next tick: the first one from rest, or one that is late. If it is late, all later ticks
-    /// are late by the same time. Keeps the fraction of a clock tick.
+    /// Sets the time of the next tick. Call for the first tick from rest, and for a tick that is late: all later ticks
+    /// are then late by the same time. Keeps the fraction of a clock tick.
     pub fn begin_at(&mut self, moment: u32) {
         self.moment = u64::from(moment) << 32 | u64::from(self.moment as u32);
     }
@@ -444,8 +444,8 @@ impl<const N: usize> Stepper<N> {
         }
     }
 
-    /// Makes all remaining ticks of the segment rare ones, which are executed one by one, because the probe must be
-    /// checked after each.
+    /// Turns all remaining ticks of the segment into rare ticks. Rare ticks are executed one by one, so the probe can
+    /// be checked after each.
     #[inline]
     fn look_at_all(&mut self) {
         self.piece.rare_ticks = self.piece.ticks();
@@ -536,8 +536,8 @@ impl<const N: usize> Stepper<N> {
     }
 
     /// Saves the state at the contact, discards the queue, shuts the gate, and starts to brake. The tick that detects
-    /// the contact has no time for this. So the next call that loads a message, ticks, stops or reports the contact
-    /// does it first.
+    /// the contact has no time for this. So this is done first in the next call of a function that loads a message,
+    /// executes a tick, stops, or reports the contact.
     #[cold]
     fn note_touch(&mut self) {
         self.latch.is_unnoted = false;

@@ -24,8 +24,8 @@ pub(super) fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// Returns a / b. For divisions in a branch that is rarely taken: without the hint, the compiler divides (14 cycles)
-/// before it tests the branch's condition.
+/// Returns a / b. Call it in a branch that is rarely taken. Without the hint `cold_path`, the compiler would divide
+/// before it tests the condition of the branch, and a division takes 14 cycles.
 #[inline]
 pub(super) fn quotient(a: f32, b: f32) -> f32 {
     core::hint::cold_path();
@@ -34,9 +34,9 @@ pub(super) fn quotient(a: f32, b: f32) -> f32 {
 
 /// Relative difference below which two speeds² count as the same: about 30 rounding errors of an `f32`.
 const SAME: f32 = 4.0e-6;
-/// If a speed² exceeds the falling edge by more than this factor, rounding is not the cause: the exit speed or the
-/// acceleration has been lowered meanwhile. The falling edge is the speed² from which the machine can just brake to
-/// the exit speed.
+/// The falling edge of the curve is the speed² from which the machine can just brake to the exit speed. If a speed² is
+/// higher than this factor times the falling edge, rounding is not the cause. The exit speed or the acceleration has
+/// been lowered meanwhile.
 pub(super) const OFF_CURVE: f32 = 1.001;
 /// Maximum number of phases in a piece. In theory there are at most three: brake to nominal or accelerate, cruise,
 /// brake. The others are a margin for rounding.
@@ -84,8 +84,8 @@ impl Trapezoid {
         let slope = 2.0 * self.acceleration;
         let brake2 = self.exit2 + slope * left;
         if speed2 >= brake2 * (1.0 - SAME) {
-            // The speed² lies on the falling edge, where the machine brakes to the exit speed, or above it. If it is
-            // above the edge, the block ends with the speed that remains.
+            // The speed² is on the falling edge or above it, so the machine brakes. From the edge, it reaches the exit
+            // speed. From above the edge, the block ends with the speed that remains.
             let end2 = if speed2 > brake2 * OFF_CURVE { speed2 - slope * left } else { self.exit2 };
             return TrapezoidPhase { sign: -1.0, length: left, end2: greater(end2, self.exit2) };
         }
@@ -150,7 +150,7 @@ impl Trapezoid {
         let speed2 = if whole {
             phase.end2
         } else if phase.sign < 0.0 {
-            // Measured from the end of the phase, where the speed must be exact.
+            // Computed from the end of the phase backwards, because the speed at the end must be exact.
             phase.end2 + slope * (phase.length - piece)
         } else {
             from.speed2 + phase.sign * slope * piece

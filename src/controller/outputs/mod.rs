@@ -1,6 +1,6 @@
-//! Determines the present state of the outputs: power and direction of the spindle under the overrides, coolant,
-//! drivers and digital outputs. The controller compares this with the state last sent and sends the difference. Also
-//! determines whether the spindle is up to speed.
+//! Determines the present state of the outputs: coolant, drivers, digital outputs, and direction and power of the
+//! spindle (with the overrides applied). The controller compares this state with the one last sent, and sends the
+//! difference. Also determines whether the spindle is up to speed.
 
 pub(crate) mod given;
 
@@ -17,9 +17,9 @@ use crate::states::stops::orders::StopReason;
 use crate::units::Instant;
 
 impl<const N: usize> Controller<N> {
-    /// Returns whether the spindle has spun up: the spin-up time, which ends at `until`, has passed, and the spindle
-    /// is up to speed. The spindle may take longer than that by the time of `$916`. If it is still too slow then,
-    /// orders an alarm.
+    /// Returns whether the spindle has spun up: the spin-up time, which ends at `until`, has passed, and the spindle is
+    /// up to speed. If the spindle is still too slow at `until`, it gets the time of `$916` in addition. If it is too
+    /// slow after that, too, this function orders an alarm.
     pub(crate) fn has_spun_up(&mut self, until: Instant) -> bool {
         if self.m.now >= until && self.has_no_speed_to_reach() {
             return true;
@@ -68,13 +68,13 @@ impl<const N: usize> Controller<N> {
         self.m.motion.set_mark(mark);
     }
 
-    /// Returns when [`Controller::has_spun_up`] must be called again if no input changes.
+    /// Returns the time at which [`Controller::has_spun_up`] must be called again if no input changes.
     pub(crate) fn next_look_at_spindle(&self, until: Instant) -> Instant {
         Accessories::next_look(until, self.m.now, &self.m.settings)
     }
 
-    /// Switches spindle and coolant off, and also in the modal state: the next line starts from the modal state, and
-    /// would switch them on again.
+    /// Switches spindle and coolant off. Also changes the modal state, because the next line starts from it and would
+    /// otherwise switch spindle and coolant on again.
     pub(crate) fn switch_off(&mut self) {
         self.m.accessories.switch_off();
         self.m.interpreter.set_accessories(SpindleDirection::Off, Coolant::default());
@@ -137,8 +137,8 @@ impl<const N: usize> Controller<N> {
         (direction, SpindleRange::of(&self.m.settings).speed_of(power))
     }
 
-    /// Returns whether a laser with constant power (M3) stays on between feed motions. It does if the active motion
-    /// mode is a feed motion (not G0, for example).
+    /// Returns whether a laser with constant power (M3) stays on between feed motions. This is so if the active motion
+    /// mode is a feed motion, such as G1, and not, for example, G0.
     pub(crate) fn burns_at_rest(&self) -> bool {
         matches!(
             self.m.interpreter.acting_modal().motion,

@@ -1,6 +1,6 @@
 //! `ActiveHost`: arbitrates between two hosts. One of them is the active host: its lines are read, and it gets the
-//! replies. A host claims this role, takes it over by a reset, and leaves it when it disconnects. A `weak` active host
-//! does not keep the other host out.
+//! replies. A host can claim this role, or take it over by a reset. It leaves the role when it disconnects. A `weak`
+//! active host does not keep the other host out.
 
 /// The active host: its lines are read, and it gets the replies. Realtime commands are accepted from any host.
 #[derive(Clone, Debug)]

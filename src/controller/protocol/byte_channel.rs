@@ -5,9 +5,9 @@
 //!  link ──byte──▶ LineSender ──message──▶ queue ──▶ LineReader ──byte──▶ controller
 //!                    │ sends when full, at a new epoch, or when no more bytes are available (with a limit)
 //! ```
-//! The queue has room for a limited number of messages. At most [`MOST_PARTIAL`] messages are sent while they still
-//! have room for bytes, so that [`LINES_DEPTH`](crate::messages::LINES_DEPTH) bytes fit even if they arrive one at a
-//! time. After that, bytes wait until their message is full or the queue is empty.
+//! The queue has room for a limited number of messages. A message can be sent although it still has room for bytes, but
+//! at most [`MOST_PARTIAL`] times. So [`LINES_DEPTH`](crate::messages::LINES_DEPTH) bytes fit even if they arrive one
+//! at a time. After that many such messages, bytes wait until their message is full or the queue is empty.
 //!
 //! Bytes of another epoch (after a reset, stop or jog cancel) begin a new message. The queue has room for this even
 //! if every line begins a new epoch. Each host that connects or disconnects uses up two messages: its `HOST_CHANGED`
@@ -239,7 +239,8 @@ mod tests {
         ) {
             let mut crossing = Crossing::default();
             let (mut inside, mut sent) = (0, 0);
-            // The epoch changes after every `line` bytes, as if a jog cancel followed each line, or never.
+            // The epoch changes after every `line` bytes, as if each line had this length and were followed by a jog
+            // cancel.
             let mut next = || {
                 sent += 1;
                 LineByte { byte: b'1', epoch: ((sent - 1) / line) as u16, damaged: false }

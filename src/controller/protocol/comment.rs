@@ -52,8 +52,9 @@ impl CommentTracker {
         !self.begun.is_empty()
     }
 
-    /// Tracks, after each `byte`, whether the line is within a comment. `nests` returns whether nested parentheses are
-    /// counted, as the line filter does; it is called only for a `(` within a comment.
+    /// Takes a byte of the line, and tracks whether the line is within a comment after this byte. `nests` returns
+    /// whether nested parentheses are counted, by the same rule as in the line filter. It is called only for a `(`
+    /// within a comment.
     pub fn follow(&mut self, byte: u8, nests: impl FnOnce() -> bool) {
         self.part = match (self.part, byte) {
             (_, b'\n' | b'\r') => LinePart::Words,
@@ -66,8 +67,8 @@ impl CommentTracker {
         };
     }
 
-    /// Leaves the comment. Called if the line has ended, or if bytes were lost: the end of the comment may be among
-    /// them. After that, the bytes of an incomplete character count as single bytes: see
+    /// Leaves the comment. Called if the line has ended, or if bytes were lost, because the end of the comment may be
+    /// among the lost bytes. After that, the bytes of an incomplete character count as single bytes: see
     /// [`CommentTracker::break_off`].
     pub fn leave(&mut self) {
         self.part = LinePart::Words;

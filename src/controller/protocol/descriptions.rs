@@ -145,7 +145,7 @@ fn range(out: &mut Text, row: &Row, data_type: DataType, between: &[u8]) {
     }
 }
 
-/// Appends a bound of a setting. Tenths are printed with a decimal if it is not 0.
+/// Appends a bound of a setting. A bound in tenths is printed with one decimal, or with none if that decimal is 0.
 #[inline(never)]
 fn bound(out: &mut Text, kind: Kind, value: u32) {
     let parts = if matches!(kind, Kind::Tenths(..)) { 10 } else { 1 };
@@ -155,8 +155,8 @@ fn bound(out: &mut Text, kind: Kind, value: u32) {
     }
 }
 
-/// Appends the name of a setting. The axis of a per-axis setting precedes the name (`Y-axis resolution`). The number
-/// of a homing cycle follows it (`Axes homed in cycle 2`).
+/// Appends the name of a setting. The axis of a per-axis setting precedes the name (`Y-axis resolution`). The number of
+/// a homing cycle follows the name (`Axes homed in cycle 2`).
 #[inline(never)]
 pub fn name(out: &mut Text, row: &Row) {
     let axis = row.axis.filter(|_| row.description.group == SettingGroup::Axes);
@@ -202,8 +202,8 @@ pub fn values(out: &mut Text, entry: &Entry, description: &Description) {
     }
 }
 
-/// Appends `[MSG:Values of $32: 0 or 1; ...]`. For some settings the text also names the settings that replace
-/// grblHAL's additional values.
+/// Appends `[MSG:Values of $32: 0 or 1; ...]`. Some settings have more values in grblHAL. For these settings, the text
+/// also tells what stands in place of those values here.
 pub fn values_of(out: &mut Text, row: &Row) {
     put(out, b"[MSG:Values of $");
     whole(out, row.number.into());
@@ -216,7 +216,8 @@ pub fn values_of(out: &mut Text, row: &Row) {
     put(out, END);
 }
 
-/// Returns the text about the additional values that grblHAL has for a setting that is only a switch here.
+/// Returns the text about a setting that has more values in grblHAL and is only a switch here: what stands in place of
+/// those values. Empty for any other setting.
 const fn beyond_a_switch(number: u16) -> &'static [u8] {
     match number {
         ENABLE_INVERT => b", for all drivers",
@@ -335,15 +336,15 @@ const ERRORS_HEAD: &[u8] = b"\"Error Code in v1.1+\",\"Error Message in v1.0-\",
 const ALARMS_HEAD: &[u8] = b"\"Alarm Code in v1.1+\",\" Alarm Message in v1.0-\",\" Alarm Description\"\r\n";
 const TABLE_ROW: &[u8] = b"\"#\",\"N/A\",\"%\"\r\n";
 
-/// Appends number and text of the error with index `line`, in a form (see [`filled`]).
+/// Appends number and text of the error with index `line`, printed with `form` (see [`filled`]).
 fn error_line(out: &mut Text, line: Option<usize>, form: &[u8]) {
     if let Some(error) = line.and_then(|line| Error::ALL.get(line)) {
         filled(out, form, &[error.text().as_bytes()], &[error.code().into()]);
     }
 }
 
-/// Appends number and text of the alarm with index `line`, in a form (see [`filled`]). The index after the last alarm,
-/// which only `$900=3` lists, stands for grblHAL's alarm 11, homing required.
+/// Appends number and text of the alarm with index `line`, printed with `form` (see [`filled`]). An index after the
+/// last alarm stands for grblHAL's alarm 11, homing required. Only `$900=3` lists that alarm.
 fn alarm_line(out: &mut Text, line: Option<usize>, form: &[u8]) {
     let (number, text) = line
         .and_then(|line| Alarm::ALL.get(line))

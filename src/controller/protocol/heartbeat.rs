@@ -3,7 +3,7 @@
 
 use crate::units::{Duration, Instant};
 
-/// When the host last sent something, and whether it was lost during a jog or just before a job resumed.
+/// When the host last sent something, and whether the host was lost during a jog or just before a job resumed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
     /// Count of received bytes at the last [`Heartbeat::observe`] (wrapping).
@@ -39,8 +39,8 @@ impl Heartbeat {
         self.bytes = bytes;
     }
 
-    /// Records that the host is not silent: it has sent a realtime command, or the queue is so full that its bytes may
-    /// be waiting elsewhere.
+    /// Records that the host is not silent. Call it if the host has sent a realtime command, or if the queue is full,
+    /// because bytes from the host may then be waiting outside of the queue.
     #[inline]
     pub fn record_activity(&mut self) {
         self.alive = true;
@@ -87,7 +87,7 @@ impl Heartbeat {
         core::mem::take(&mut self.gone)
     }
 
-    /// Returns when the host counts as silent if it sends nothing more; `None` while silence is allowed.
+    /// Returns the time at which the host counts as silent if it sends nothing more; `None` while silence is allowed.
     #[inline]
     pub fn silent_at(&self) -> Option<Instant> {
         self.silent_at

@@ -115,9 +115,9 @@ impl LineIntake {
     /// Fast path of [`LineIntake::take`] for a byte of ordinary text that need not be held or dropped. Returns
     /// whether the byte was taken.
     ///
-    /// Does not record the epoch of the line, which is needed only for jogs. The `$` of a jog is not ordinary text,
-    /// so [`LineIntake::take`] takes it and records the epoch: the line is still empty then, because blanks are not
-    /// stored.
+    /// Does not record the epoch of the line, because only jogs need it. A jog begins with `$`, which is not ordinary
+    /// text, so [`LineIntake::take`] takes it. [`LineIntake::take`] records the epoch if the line is empty. Before the
+    /// `$` the line is empty even after blanks, because blanks are not stored.
     #[inline]
     pub fn take_plain(&mut self, byte: LineByte) -> bool {
         byte.epoch == self.epoch && !byte.damaged && self.line.push_plain(byte.byte)
@@ -143,7 +143,8 @@ impl LineIntake {
         ends
     }
 
-    /// Takes a byte. A line that it completes is available as [`LineIntake::text`] until [`LineIntake::clear`].
+    /// Takes a byte. If the byte completes a line, the line is available as [`LineIntake::text`] until
+    /// [`LineIntake::clear`].
     pub fn take(&mut self, byte: LineByte, rules: impl Fn() -> LineRules) -> Taken {
         if byte.byte == HOST_CHANGED {
             // The epoch of a `HOST_CHANGED` is the number of disconnected hosts.
@@ -153,8 +154,8 @@ impl LineIntake {
             self.held = Some(byte);
             return Taken::NOTHING;
         } else if is_before(byte.epoch, self.reset_epoch) {
-            // The byte was received before a reset, so it is dropped. The byte counts of a reset button, hold or door
-            // that came later include this byte if it was unread then.
+            // The byte was received before a reset, so it is dropped. The reset button, a hold or a door may have come
+            // after that reset, while this byte was unread. In this case their byte counts include this byte.
             self.drop_bytes = self.drop_bytes.saturating_sub(1);
             self.jog_bytes = self.jog_bytes.saturating_sub(1);
             return Taken::NOTHING;
@@ -280,8 +281,8 @@ impl LineIntake {
         self.line.text()
     }
 
-    /// Returns the length of a line that is too long, without blanks and comments, and the length that is allowed;
-    /// `None` if bytes of the line were lost.
+    /// Returns two lengths for a line that is too long: its own, without blanks and comments, and the allowed one.
+    /// `None` if bytes of the line were lost, or if this build does not count the excess.
     pub fn lengths(&self) -> Option<(usize, usize)> {
         self.line.lengths()
     }
@@ -297,7 +298,8 @@ impl LineIntake {
         self.line.has_nested_comment()
     }
 
-    /// Returns whether the line has no comment that could contain a message.
+    /// Returns whether the line cannot contain a message, because its latest comment in parentheses is empty or
+    /// missing.
     #[inline]
     pub fn has_no_comment(&self) -> bool {
         self.line.has_no_comment()
@@ -360,8 +362,8 @@ impl LineIntake {
         &mut self.heartbeat
     }
 
-    /// Handles a stop (0x19) in Grbl's dialect, which ignores it: drops nothing. Advances the epoch, as the serial
-    /// task has done for the line bytes after the stop.
+    /// Handles a stop (0x19) in Grbl's dialect, which ignores 0x19. Drops nothing, but advances the epoch, because the
+    /// serial task has advanced the epoch of the line bytes after the stop.
     pub fn advance_epoch(&mut self) {
         self.epoch = self.epoch.wrapping_add(1);
         self.keep_epochs_near();
@@ -468,8 +470,8 @@ mod tests {
         assert_eq!(give(&mut intake, b"G0X2\n", 1), ["G0X2"], "whole lines are none of a jog cancel's business");
     }
 
-    /// The reset button drops neither a byte that waits for the realtime command sent before it, nor the bytes after
-    /// that byte.
+    /// A byte can wait for the realtime command that was sent before it. The reset button does not drop such a byte,
+    /// and does not drop the bytes after it.
     #[test]
     fn a_byte_of_a_later_epoch_is_not_old() {
         let mut intake = LineIntake::new();

@@ -9,14 +9,15 @@
 //!  │  └ number of the line, modulo 4096: 0 for the first after `$LC=ON`
 //!  └ marks a checked line
 //! ```
-//! **Sessions.** After `$LC=ON` a host may append four letters of its choice. With letters, the CRC covers the
-//! letters, the full line number in eight digits, the length and the text. The CRC detects any burst of up to 32
-//! bits. So two kinds of lines, which differ from the expected line only in such a burst, are always refused:
+//! **Sessions.** After `$LC=ON` a host may append four letters of its choice. With letters, the CRC covers the letters,
+//! the full line number in eight digits, the length and the text. The CRC detects any burst of up to 32 bits. The
+//! following two kinds of lines differ from the expected line only in such a burst, so they are always refused:
 //! * a line with the same full number from another session: only the four letters differ;
-//! * a line that is 4096 numbers old, if the first of the eight digits is the same (always below line 2^28): only the
-//!   four digits after the first can differ.
+//! * a line that is 4096 numbers old, if its number has the same first digit as the expected number (always below line
+//!   2^28): the last three of the eight digits are the same, too, so only the four digits between can differ.
 //!
-//! Without letters, a line that is 4096 numbers old can pass.
+//! In a session without letters, a line that is 4096 numbers old can pass, because the CRC covers only the last three
+//! digits of the line number.
 //!
 //! **Letters.** N, L and C are hexadecimal digits, written as the letters `ABDGHKNPSUVZcefi`. Any two of these differ
 //! in two or more bits. Each of them also differs in two or more bits from a line end and from every realtime command
@@ -37,9 +38,8 @@
 //! line was refused for its content, no line is executed until `$LC=ON` starts again, and each answer is that error.
 //!
 //! Checking ends with `$LC=OFF`, with another dialect and with another host. `$LC=ON` and `$LC=OFF` may be sent as
-//! plain lines. A reset and a stop also end checking, but the bytes up to the next line end are refused. The reason:
-//! two damaged bits can turn a byte of a line into a reset or stop, and the bytes after it are then the rest of that
-//! line.
+//! plain lines. A reset and a stop also end checking. After them, the bytes up to the next line end are refused. Two
+//! damaged bits can turn a byte of a line into a reset or stop, so these bytes may be the rest of that line.
 
 use super::text::{END, Text, put};
 use crate::error::Error;
@@ -530,7 +530,7 @@ mod tests {
             assert_eq!(is_session(text.as_bytes()), is, "{text}");
         }
         // `$LC=ON` and `$LC=OFF` are accepted without a checksum, so that a host that sends plain lines can switch
-        // checksums off. `$LC=ONAB` is refused, because it has neither four letters nor none.
+        // checksums off. `$LC=ONAB` is refused, because the letters after `ON` must be four, or be left out.
         let mut host = Host::of("QKXW");
         host.send(b"$LC=ON\n$LC=ONABCD\n$LC=OFF\n$LC=ONAB\n");
         assert_eq!(host.answers, [Valid, Valid, Valid, Damaged]);
@@ -628,10 +628,10 @@ mod tests {
         }
     }
 
-    /// Up to four damaged bits are detected. The digits of the sum differ from each other in two or more bits, so two
-    /// bits are needed to change one digit. Then only two bits remain for the covered bytes (number, length and
-    /// text). The test shows that one or two damaged bits in the covered bytes change more than one digit of the sum.
-    /// It also shows that three or four such bits always change the sum.
+    /// Up to four damaged bits are detected. The sum is written in letters that differ from each other in two or more
+    /// bits. So two damaged bits are needed to change one digit of the sum, and then only two bits remain for the
+    /// covered bytes (number, length and text). The test shows that one or two damaged bits in the covered bytes change
+    /// more than one digit of the sum. It also shows that three or four such bits always change the sum.
     #[test]
     fn no_four_damaged_bits_pass() {
         const COVERED: usize = NUMBER + super::LENGTH + 250;
@@ -654,8 +654,8 @@ mod tests {
     }
 
     proptest! {
-        /// A line of one session is never valid in another: the two differ in the letters, a burst of 32 bits, which
-        /// the CRC always detects.
+        /// A line of one session is never valid in another. The letters of the two sessions differ, and for the CRC
+        /// that is a burst of at most 32 bits, which it always detects.
         #[test]
         fn no_line_of_another_session_passes(
             [session, other] in prop::array::uniform2("[A-Z]{4}"), text in "[A-Z0-9.]{0,60}", number in 0..3_u32,

@@ -4,8 +4,8 @@
 
 use crate::image::FULL_IMAGE;
 
-/// The whole text of a line in which a nested comment has not ended. The real text is unknown, and this one is an
-/// error in every dialect.
+/// This byte replaces the text of a line in which a nested comment has not ended, because it is unknown which text
+/// should be executed. A line of only this byte is an error in every dialect.
 pub const OPEN_COMMENT: u8 = b')';
 /// Maximum length of a line in Grbl's dialect, in bytes, without blanks and comments.
 pub const GRBL_LENGTH: usize = 79;
@@ -42,8 +42,8 @@ pub struct LineRules {
     pub merge_crlf: bool,
     /// Whether a comment may contain pairs of parentheses (in Grbl the first `)` ends it).
     pub nested_comments: bool,
-    /// Whether a slash after a bracket or `#` is kept. There it is a division or an error; without it, `[1/2]` would
-    /// become `[12]`.
+    /// Whether a slash after a bracket or `#` is kept, because it is a division or an error there. If the slash were
+    /// dropped, `[1/2]` would become `[12]`.
     pub expressions: bool,
     /// Whether lines are skipped that begin with a slash, or with a line number and a slash. A slash elsewhere is
     /// then kept, and is an error. (In Grbl a slash is dropped, and the rest of the line is executed.)
@@ -82,7 +82,7 @@ enum Comment {
     Nested(u8),
     /// In a comment after `;`, up to the end of the line.
     Semicolon,
-    /// After a dropped slash. The number of the block-delete switch, 1 to 9, is dropped too if it follows.
+    /// After a dropped slash. If the number of a block-delete switch (1 to 9) follows, it is dropped, too.
     Slash,
     /// A line that is skipped. This many of its first bytes are kept in place of the text.
     Deleted(u8),
@@ -152,8 +152,8 @@ impl Line {
         Some((*has_values, text.get(1..)?.trim_ascii()))
     }
 
-    /// Returns whether nothing of the line has arrived yet. Blanks do not count; comments, lost bytes and bytes beyond
-    /// the maximum length do.
+    /// Returns whether nothing of the line has arrived yet. Blanks do not count as a part of the line. Comments, lost
+    /// bytes and bytes beyond the maximum length count.
     pub fn is_empty(&self) -> bool {
         self.len == 0 && self.comment == Comment::None && !self.overflow
     }
@@ -168,14 +168,14 @@ impl Line {
         self.damaged = false;
     }
 
-    /// Enables or disables the fast path for text, but not for the first text of a line. Call it after each
-    /// [`Line::push`], and when the fast path must be disabled.
+    /// Enables the fast path for text if `plain` is `true` and the line already has text. Disables it otherwise. Call
+    /// it after each [`Line::push`], and when the fast path must be disabled.
     #[inline]
     pub fn expect_plain(&mut self, plain: bool) {
         self.expect_line(plain && self.len > 0);
     }
 
-    /// Like [`Line::expect_plain`], but the fast path can also be enabled for the first text of a line.
+    /// Like [`Line::expect_plain`], but can also enable the fast path for a line that has no text yet.
     #[inline]
     pub fn expect_line(&mut self, plain: bool) {
         let in_text = plain && self.comment == Comment::None && !self.after_cr;
@@ -193,7 +193,8 @@ impl Line {
         self.nested
     }
 
-    /// Returns whether the line has no comment that could contain a message.
+    /// Returns whether the line cannot contain a message, because its latest comment in parentheses is empty or
+    /// missing.
     #[inline]
     pub fn has_no_comment(&self) -> bool {
         self.comment_text.is_empty()
@@ -295,7 +296,7 @@ impl Line {
         self.overflow = true;
     }
 
-    /// Returns the length of a line that is too long, without blanks and comments, and the length that is allowed.
+    /// Returns two lengths for a line that is too long: its own, without blanks and comments, and the allowed one.
     /// `None` if bytes of the line were lost, or if this build does not count the excess.
     pub fn lengths(&self) -> Option<(usize, usize)> {
         let excess = self.excess.first().filter(|_| !self.damaged)?;

@@ -24,7 +24,7 @@
 //! A `!` in a comment may be text, as in `(slow!)`, or a hold from the operator. It is text if the line continues after
 //! it, and a command if nothing follows for [`AMBIGUOUS_US`]: see [`Link::take_as_command`]. A `~` in a comment is
 //! text: a host that pauses at that point must not start a machine in hold. In Grbl's dialect both are always commands.
-//! With `$900=3`, 0x82 is treated like `!`, and 0x81 and 0xA3, which can be bytes of `ü` and `£`, like `~`.
+//! With `$900=3`, 0x82 is treated like `!`. 0x81 and 0xA3 are treated like `~`; they can be bytes of `ü` and `£`.
 
 use crate::messages::{LineByte, Realtime};
 use crate::protocol::comment::CommentTracker;
@@ -246,9 +246,9 @@ impl Link {
         self.is_ambiguous
     }
 
-    /// Treats a `!` that may be text as a feed hold, and leaves the hold to [`Link::pass_on`] to be queued. Call it
-    /// if nothing has followed the `!` for [`AMBIGUOUS_US`] although the link had room, or if the next byte may
-    /// belong to another line.
+    /// Treats a `!` that may be text as a feed hold. [`Link::pass_on`] will put the hold into the queue. Call this
+    /// function if nothing has followed the `!` for [`AMBIGUOUS_US`] although the link had room, or if the next byte
+    /// may belong to another line.
     pub fn take_as_command(&mut self) {
         if core::mem::take(&mut self.is_ambiguous) {
             // There is room: `stuck` contains only what arrived after this `!`, which is at most one command.
@@ -316,9 +316,9 @@ impl Link {
     /// Handles a host that has opened its port. Returns whether it is the active host now. If not, the job of the
     /// other host continues, and this host gets no welcome line.
     ///
-    /// Bytes that wait for the queue were sent before the port was opened, so they are dropped. The start of their
-    /// line may already be in the queue. A [`HOST_CHANGED`](crate::messages::HOST_CHANGED) before the host's first
-    /// line byte voids it.
+    /// Bytes that wait for the queue were sent before the port was opened, so they are dropped. The start of their line
+    /// may already be in the queue. To void that start, a [`HOST_CHANGED`](crate::messages::HOST_CHANGED) is queued
+    /// before the host's first line byte.
     pub fn came(&mut self, arbiter: &mut HostArbiter, other: &mut Link, queues: &impl Queues) -> bool {
         let free = queues.is_free();
         let granted = arbiter.turn_to(|active| active.claim(self.number, free, true), || other.lose_active_role());

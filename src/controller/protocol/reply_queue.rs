@@ -169,8 +169,8 @@ impl Replies {
     }
 
     /// Compares the fields of a status report (`$900=3`) with those of the previous report, and stores them. Sets
-    /// `shows_scaling`. The first result is `true` if a field that comes with `WCO` has changed, the second if M6 has
-    /// started or stopped waiting for a tool.
+    /// `shows_scaling`. Returns whether a field that comes with `WCO` has changed, and whether M6 has started or
+    /// stopped waiting for a tool.
     pub fn note_fields(&mut self, fields: &mut GrblHalFields) -> (bool, bool) {
         let before = self.last_fields.first_mut().and_then(|last| last.replace(*fields));
         fields.shows_scaling = fields.scaled || before.is_some_and(|before| before.scaled);

@@ -233,8 +233,8 @@ const fn input_name(bit: usize) -> &'static str {
 
 /// Appends one input of `$PINS`, such as `[PIN:hold,high,inactive,active low,pull-up,noise 0]`. The fields are: name,
 /// present level of the pin, state of the filtered input, level that makes the input active, pull resistor, and number
-/// of changes that the filter has rejected. `grblhal`: begins with the number of the input (`[PIN:IN10,hold,..`),
-/// where grblHAL has the pin of the chip.
+/// of changes that the filter has rejected. `grblhal`: `true` puts the number of the input first (`[PIN:IN10,hold,..`).
+/// In this place grblHAL has the pin of the chip.
 pub fn pin(out: &mut Text, bit: usize, view: &PinView, active: bool, wiring: &InputWiring, grblhal: bool) {
     let has = |word: u32| word >> bit & 1 != 0;
     put(out, b"[PIN:");

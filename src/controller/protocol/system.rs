@@ -103,7 +103,7 @@ impl System<'_> {
     }
 }
 
-/// What `$ES`, `$ESG`, `$ESH`, `$EG`, `$EE` and `$EA` describe, and grblHAL's `$EEG` and `$EAG`.
+/// What a command describes: `$ES`, `$ESG`, `$ESH`, `$EG`, `$EE` or `$EA`, or grblHAL's `$EEG` or `$EAG`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Described {
     /// All settings.
@@ -224,8 +224,8 @@ pub fn read(line: &[u8]) -> Result<System<'_>, Error> {
     }
 }
 
-/// Parses the part of a line after `$E`. Grbl has no such command and answers `BadNumber` to every `$E` line. So does
-/// this function if the part is unknown.
+/// Parses the part of a line after `$E`. Grbl has no such command and answers `BadNumber` to every `$E` line. This
+/// function returns the same error if the part is unknown.
 fn describe(rest: &[u8]) -> Result<System<'_>, Error> {
     Ok(System::Describe(match rest {
         b"" => return Ok(System::Refusal),

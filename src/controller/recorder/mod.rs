@@ -1,6 +1,6 @@
-//! Records everything that the controller receives, with times, in a ring of RAM pages that survives a reset: bytes of
-//! lines, realtime commands, inputs and step events. After a reset the ring is kept for `$REC`, until the next program
-//! starts.
+//! Records everything that the controller receives, with times: bytes of lines, realtime commands, inputs and step
+//! events. The recording is a ring of RAM pages that survives a reset. After a reset the ring is kept for `$REC`, until
+//! the next program starts.
 //!
 //! ```text
 //!  page n-2 ▶ page n-1 ▶ page n ─┐    a page: mark, number, start time, number of used bytes and their sum, entries
@@ -217,7 +217,7 @@ pub struct Recorder<P> {
     reset_epoch: u16,
     /// A line byte that arrived before the command that begins the byte's epoch. It is recorded after that command.
     early: Option<u8>,
-    /// The ring holds the recording from before the reset, which is kept.
+    /// The recording from before the reset is kept in the ring, so nothing is recorded now.
     kept: bool,
     /// While a recording is kept: a line has begun and not ended. Its bytes are not recorded.
     in_line: bool,
@@ -452,9 +452,9 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.put_tagged(tag, rest);
     }
 
-    /// Records text: bytes of `epoch` that only extend a line. The controller takes the text at `now`. Unlike
-    /// [`Recorder::record`], this may be called after that, because text changes nothing that the recorder reads from
-    /// the controller.
+    /// Records text: bytes of `epoch` that only extend a line. `now`: the time at which the controller takes the text.
+    /// Unlike [`Recorder::record`], this may be called after the controller has taken it, because text changes nothing
+    /// that the recorder reads from the controller.
     #[inline]
     pub fn record_text<const N: usize>(&mut self, now: Instant, epoch: u16, text: &[u8], controller: &Controller<N>) {
         // Text has no damaged bytes and no control characters, so all of it is plain if its epoch is the current one.
@@ -604,7 +604,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.put_entry(now, tag::STEP, &rest);
     }
 
-    /// Adds a block that is passed to the step task to the hash. Other messages leave the hash as it is.
+    /// Updates the hash of blocks when a message is passed to the step task. Only a message that announces a block
+    /// changes the hash.
     #[inline(always)]
     pub fn handed(&mut self, message: &ToStep) {
         if let ToStep::Block { steps_by_axis, directions } = message {
@@ -626,8 +627,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.blocks
     }
 
-    /// Sets the hash of the blocks for a replay: to the value that was recorded with the state from which the replay
-    /// begins.
+    /// Sets the hash of the blocks at the start of a replay. `blocks`: the hash that was recorded with the state from
+    /// which the replay begins.
     pub fn follow_blocks(&mut self, blocks: u32) {
         self.blocks = blocks;
     }

@@ -1,6 +1,7 @@
 //! Settings (`$10`, `$22`) that are masks in grblHAL and have fewer values here. With `$900=3`, hosts write and read
-//! grblHAL's mask. There are three kinds of bits: part of the value of a setting here, a function that is always on
-//! here, and a function that does not exist here. Bits of the last kind are refused.
+//! grblHAL's mask. A bit of such a mask is one of three kinds: it is a part of the value of a setting here, it stands
+//! for a function that is always on here, or it stands for a function that does not exist here. Bits of the last kind
+//! are refused.
 
 use super::table::Key;
 use super::values::Settings;

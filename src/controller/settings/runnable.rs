@@ -30,8 +30,8 @@ impl<const N: usize> Settings<N> {
     /// * a value of zero for steps/mm, a rate or an acceleration, or a jerk above 0 but below 1 mm/s³;
     /// * a step rate (rate × resolution) beyond what the board can keep up with at this length of the step pulse
     ///   (`$0`);
-    /// * a second motor (`$905`) that the board does not have, whose driver the axis A uses, or that belongs to X or Y
-    ///   of a CoreXY machine;
+    /// * a second motor (`$905`), if the board has none, if the axis A uses its driver, or if it belongs to X or Y of a
+    ///   CoreXY machine;
     /// * more axes than the board has motors for;
     /// * soft limits without homing, or a homing or parking cycle that could never end;
     /// * any other value outside the bounds that motion can compute with.

@@ -119,8 +119,8 @@ impl<const N: usize> Settings<N> {
     }
 
     /// Returns the ends of an axis' travel in machine coordinates, in mm; `None` for an axis that turns without end.
-    /// Without `$932` the travel extends from -travel to 0, whichever of the two ends has the switch. With `$932`, 0 is
-    /// where homing ends, and the travel extends from there away from the switch.
+    /// Without `$932`, the ends are minus the length of the travel and 0, whichever of the two has the switch. With
+    /// `$932`, 0 is where homing ends, and the travel extends from there away from the switch.
     pub fn ends_of_travel(&self, axis: Axis) -> Option<[f32; 2]> {
         let travel = self.axes(AxisKey::Travel).get(axis).filter(|travel| axis.has_ends(*travel))?;
         if !self.is_on(Key::ZeroAtPullOff) {
@@ -179,9 +179,10 @@ impl<const N: usize> Settings<N> {
         self.at(Index::of_number(number, N)?)
     }
 
-    /// Returns the value of `$20` (soft limits) that must be stored just before a changed `$22` (homing); `None` if
-    /// the stored `$20` can stay. Then the record of `$22` changes both settings at once: see `settle`. `were_on`:
-    /// `true` if soft limits were on before `$22` changed.
+    /// Returns the value that must be stored for `$20` (soft limits) just before a changed `$22` (homing) is stored;
+    /// `None` if the stored `$20` can stay. As a result, the record of `$22` changes both settings at once (see
+    /// `settle`), and a power cut before that record changes neither. `were_on`: `true` if soft limits were on before
+    /// `$22` changed.
     pub fn soft_limits_before_homing(&self, were_on: bool) -> Option<f32> {
         match (self.is_on(Key::Homing), were_on) {
             (true, true) => None,

@@ -44,7 +44,7 @@ impl<const N: usize> Controller<N> {
         match self.state {
             State::Normal => {
                 self.m.motion.hold();
-                // A jog that waits for room in the look-ahead ends here, as a jog that moves does.
+                // A jog that waits for room in the look-ahead is dropped here, because a hold ends any jog.
                 self.task.forget_jog();
                 self.task.suspend(self.m.now);
                 self.enter(State::Hold(Hold::BEGUN));
@@ -106,7 +106,8 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Ends a hold at `~`, or waits first for a spindle that was switched on again.
+    /// Handles `~` in a hold: ends the hold. If a spindle that was switched on again is not up to speed yet, the hold
+    /// ends later, when it is.
     pub(crate) fn end_hold(&mut self) {
         self.restore_spindle();
         match self.state {

@@ -274,7 +274,7 @@ fn g10() {
         assert!(!program.run("G10 L2 P1 X-200").work_offset_changed);
         program.run("G10 L2 P1 X0 Y0 Z0");
         assert_eq!(program.work(), program.machine());
-        // P0 and a missing P mean the active system. G55 in the same line acts first, so that system is G55.
+        // P0 and a missing P mean the active system. G55 acts before the G10 in its line, so the active system is G55.
         program.run("G55 G10 L2 P0 X1");
         program.run("G10 L2 Y2");
         assert_eq!(system(&program, CoordinateSystem::G55), [1.0, 2.0, 7.0]);

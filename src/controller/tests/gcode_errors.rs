@@ -1,4 +1,4 @@
-//! Tests of three things: error numbers and which of two errors is reported, motions that are missing from the
+//! Tests of error numbers, and of the choice between two errors in a line. Also tests motions that are missing from the
 //! recordings of Grbl, and words that Grbl does not have.
 
 use crate::program::{DIALECTS, Program, target};

@@ -16,8 +16,8 @@ fn loops_of_fanuc() {
     goes(&calling(nested), &[1, 0, 1, 10, 11, 9]);
     goes(&calling(&format!("{count}\n{count}")), &[1, 1, 2, 3, 1, 2, 3, 9]);
     goes(&format!("{nested}\nG0 X9\nM30").replacen('#', "G0 X4\n#", 1), &[4, 0, 1, 10, 11, 9]);
-    // M99 within a loop returns to the caller. The subprogram does not end there: its last line is the M99 after the
-    // loop.
+    // M99 within a loop returns to the caller. The text of the subprogram does not end with that M99, but with the M99
+    // after the loop.
     goes(&calling("WHILE [1] DO1\nX5\nM99\nEND1\nX6"), &[1, 5, 9]);
     fails("G0 X1\nEND1\nX2\nM30", &[81], &[1, 2]);
     fails("G0 X1\nWHILE [#1 LT 2] DO1\nX5\nEND2\nM30\n%\nX2", &[81], &[1, 2]);
@@ -92,7 +92,8 @@ fn modal_calls() {
         &format!("G0 X1\nG66 P1 L2 A2\nX3\nG40 G67 G80 X7\nX8\nM30\n{drill}").replace("G80 X7", "X7"),
         &[1, 3, 52, 52, 7, 8],
     );
-    // Moves in the subprogram that G66 calls trigger no modal call. Moves in a subprogram that M98 calls do.
+    // A move in the subprogram that G66 calls triggers no modal call. A move in a subprogram that is called by M98
+    // triggers one.
     goes("G0 X1\nG66 P1\nM98 P2\nX7\nG67\nX9\nM30\nO1\nX2\nX3\nM99\nO2\nX4\nM99\n%", &[1, 4, 2, 3, 7, 2, 3, 9]);
     // Moves in a loop trigger the modal call, too. A new G66 replaces the first one. A G66 in a subprogram acts only
     // until that subprogram ends.
@@ -134,8 +135,8 @@ fn m_words_of_macros() {
     assert_eq!(send("G0 X1\nM10\nX2\nM150 P7 Q[2*4]\nN5 M150P6\nM30"), (vec![1, 3, 2, 7, 8, 6, 0], vec![]));
     assert_eq!(send("G0 X1\no1 repeat [2]\nM010\no1 endrepeat\nM30"), (vec![1, 3, 3], vec![]));
     assert_eq!(send(&calling("M10\nM150 P5 Q6")), (vec![1, 3, 5, 6, 9], vec![]));
-    // An M word without a macro of its number is refused, and so is an M word with other words on its line. A
-    // subroutine of the program with that number is not called in place of a macro.
+    // If there is no macro with the number of an M word, the M word is refused. An M word with other words on its line
+    // is refused, too. A subroutine of the program is not called in place of a macro, even if it has that number.
     for (line, error) in [("M11", 20), ("M151", 20), ("M10.1", 23), ("M10 X5", 36), ("X5 M10", 20), ("M150 Q2 P1", 36)]
     {
         assert_eq!(send(&format!("G0 X1\n{line}\nX2\nM30")), (vec![1, 2], vec![error]), "{line}");

@@ -102,7 +102,7 @@ fn subroutines() {
         "o1 sub\no1 endsub [5]\no1 call\nX[#<_value>+#<_value_returned>]\no2 sub\no2 endsub\no2 call\nX#<_value>",
         &[6, 0],
     );
-    // Names are local unless they begin with an underline.
+    // A name that begins with an underline is global. All other names are local.
     goes("o1 sub\n#<a>=1 #<_b>=2\no1 endsub\no1 call\nX[EXISTS[#<a>]] \nX#<_b>", &[0, 2]);
     // Calls can be nested, and loops can contain calls.
     goes("o1 sub\nX#1\no1 endsub\no2 sub\no1 call [#1+10]\nX#1\no2 endsub\no2 call [1]\nX9", &[11, 1, 9]);
@@ -388,8 +388,8 @@ fn states_saved_until_a_call_returns() {
         &[5, 6, 1],
     );
     // M70 saves the state, M71 drops the saved state, and M72 restores it at once. M73 saves it and restores it at the
-    // end of the call. If an M70 follows the M73, the end of the call restores what M70 has saved. If M71 follows,
-    // nothing is restored, unless an M70 comes after it.
+    // end of the call. If an M70 follows the M73, the end of the call restores what M70 has saved. If an M71 follows,
+    // nothing is restored. But if an M70 comes after that M71, the end of the call restores what this M70 has saved.
     goes("o1 sub\nM73\nG91\nM70\nG90\no1 endsub\nX5\no1 call\nX1", &[5, 6]);
     goes("o1 sub\nM73\nM71\nM70\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 1]);
     goes("o1 sub\nM73\nM71\nG91\no1 endsub\nX5\no1 call\nX1", &[5, 6]);

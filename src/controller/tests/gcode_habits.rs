@@ -1,5 +1,5 @@
-//! Tests of words that CAM programs write out of habit. Each has the meaning that other controls give it, or no
-//! effect.
+//! Tests of words that CAM programs write out of habit. Some of these words have the meaning that other controls give
+//! them. The others have no effect.
 #![cfg(feature = "full")]
 
 use crate::program::{Program, in_mm, target, via};
@@ -167,7 +167,7 @@ fn numbers_of_programs() {
     });
 }
 
-/// P1, P2 and P3 of G54.1 and G154 select G59.1, G59.2 and G59.3.
+/// In G54.1 and in G154, P1 selects G59.1, P2 selects G59.2, and P3 selects G59.3.
 #[test]
 fn more_coordinate_systems() {
     each(&[("G54.1 P1", 23), ("G154 P1", 20)], |program| {
@@ -237,7 +237,7 @@ fn returns_by_distances() {
     });
 }
 
-/// G68 of Mach has A and B in place of X and Y.
+/// In Mach, the words A and B of G68 set the centre of the rotation. Other controls write X and Y instead.
 #[cfg(feature = "full")]
 #[test]
 fn rotations_of_mach() {
@@ -308,7 +308,7 @@ fn speed(checked: &Action<3>) -> f32 {
     }
 }
 
-/// G95: F is the distance per revolution, at the programmed S.
+/// With G95, F is the distance per revolution of the spindle. The feed rate is F times the programmed S.
 #[test]
 fn feed_per_revolution() {
     each(&[("G95", 20), ("G95 F1", 20)], |program| {
@@ -317,7 +317,7 @@ fn feed_per_revolution() {
             assert!((found - expected).abs() < 1.0e-3 * expected, "{line}: {found}");
         };
         program.run("S1000 M3");
-        // An F that was set with G94 does not count with G95, and vice versa.
+        // An F that was set with G94 is not in force with G95. An F of G95 is not in force in the other modes.
         assert_eq!((program.error("G95 G1 X1"), program.error("G95 G93 G1 X1 F1")), (22, 21));
         near(program, "G95 G1 X1 F0.2", 200.0);
         near(program, "X2", 200.0);
@@ -359,8 +359,8 @@ fn feed_per_revolution() {
     });
 }
 
-/// On other controls, P of G30 selects a stored position: P1 is the position of G28, and P2 that of G30. Here G30
-/// accepts only P2.
+/// On other controls, P of G30 selects a stored position: P1 selects the position of G28, and P2 the position of G30.
+/// Here G30 accepts only P2.
 #[test]
 fn second_stored_position() {
     each(&[("G30 P2", 36)], |program| {
@@ -375,8 +375,8 @@ fn second_stored_position() {
     });
 }
 
-/// G15 and G67 end the modes G16 and G66. Here neither mode is active, so both words do nothing. G16 itself is
-/// refused. A G66 is refused unless it is the first word of its line.
+/// G15 ends the mode G16, and G67 ends the mode G66. Here neither mode is active, so both words do nothing. G16 itself
+/// is refused. G66 calls a subprogram only as the first word of its line. Elsewhere in a line it is refused.
 #[test]
 fn modes_that_are_never_active() {
     each(&[("G15", 20), ("G67", 20)], |program| {
@@ -412,7 +412,7 @@ fn circles_round_the_tool() {
             assert_eq!(program.machine(), [13.0, 24.0, -1.0], "the tool returns to the centre");
             assert_eq!(program.interpreter.modal().motion, MotionMode::ArcClockwise, "the motion mode stays");
         }
-        // Inches, scaling that mirrors, and rotation act on the radius.
+        // The radius is affected by inches, by a scaling that mirrors, and by a rotation.
         program.run_all("G51 X0 Y0 I-2 J2\nG68 X0 Y0 R90\nG0 X0 Y0");
         let MotionCommand::Arc(arc) = program.run("G20 G12 I0.5").motion else { panic!("no arc") };
         let centre = program.machine();

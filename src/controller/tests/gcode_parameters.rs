@@ -32,7 +32,8 @@ fn words_take_computed_values() {
     program.run("#2=59.2");
     program.run("G#2");
     assert_eq!(program.interpreter.modal().coordinate_system.word(), "G59.2");
-    // A computed number may differ from a word's number by rounding: `3*[1/3]+2` selects M3.
+    // Rounding can make a computed number slightly different from the number of a word. Such a number is accepted:
+    // `3*[1/3]+2` selects M3.
     program.run("G[162/3]");
     assert_eq!(program.check("M[3*[1/3]+2]").unwrap().spindle, Some(SpindleDirection::Clockwise));
     assert_eq!(program.error("M[3.2]"), Error::IntegerRequired.code());
@@ -306,8 +307,8 @@ fn what_the_probe_found() {
     assert_eq!([x(&program, "#5061"), x(&program, "#5070")], [0.0, 0.0]);
 }
 
-/// `digit`, the value of a coordinate's last decimal, is the same for a computed coordinate as for one written as a
-/// number: for 11.125 it is 0.001 mm.
+/// `digit` is the value of a coordinate's last decimal: 0.001 mm for 11.125. A computed coordinate has the same
+/// `digit` as a coordinate that is written as a number.
 #[test]
 fn digits_of_computed_values() {
     let mut program = ready();

@@ -179,7 +179,7 @@ proptest! {
     }
 }
 
-/// The steps add up exactly. Grbl, which computes in single precision, ends at about 1000.04 mm.
+/// The steps add up exactly. Grbl, which computes in single precision, ends at about 1000.04 mm instead of 1000 mm.
 #[test]
 fn a_million_small_steps() {
     let dialect = Dialect::default();

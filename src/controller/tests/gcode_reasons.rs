@@ -610,7 +610,7 @@ fn after(dialect: Dialect, setup: &str) -> Program {
         if dialect == Dialect::Grbl || directed == Ok(Direction::Check) {
             program.run(&text);
         } else if directed.expect(line) == Direction::Run {
-            // The call of an unknown subprogram: the program waits.
+            // The line calls an unknown subprogram, so the program waits.
             assert_eq!(program.interpreter.next_held(&mut HeldLine::new()), Ok(Held::End), "{line}");
         }
     }
@@ -642,7 +642,7 @@ fn a_wrong_sentence_is_found() {
     assert_eq!(wrong(Dialect::Oxmill, &rows).len(), rows.len());
 }
 
-/// A radius that a sentence names is rounded up, so it is not refused again.
+/// A sentence can name the least radius that is accepted. That radius is rounded up, so a line with it is accepted.
 #[test]
 fn the_least_radius_is_accepted() {
     for dialect in [Dialect::Oxmill, Dialect::Grbl] {

@@ -66,8 +66,8 @@ fn modal_text(interpreter: &Interpreter<3>) -> String {
 }
 
 /// Returns whether a number of the recording (three decimals) matches the coordinate, within 0.0005 mm. Grbl computes
-/// in single precision and may round a half up or down. From 10^6 on every number matches, because Grbl's digits mean
-/// nothing there.
+/// in single precision and may round a half up or down. Numbers of 10^6 or more always match, because Grbl's digits
+/// mean nothing there.
 fn matches(text: &str, coordinate: Coordinate) -> bool {
     let printed: f64 = text.parse().unwrap();
     let exact = coordinate.0 as f64 / DECIMAL_ONE as f64;

@@ -1,5 +1,5 @@
-//! Tests of rotated coordinates. G10 L2 R rotates a coordinate system, and G68 the coordinates of the program. G69
-//! ends G68.
+//! Tests of rotated coordinates. G10 L2 R rotates a coordinate system. G68 rotates the coordinates of the program, and
+//! G69 ends G68.
 
 #![cfg(feature = "full")]
 
@@ -116,7 +116,7 @@ fn cycles_and_places() {
     assert_eq!(program.machine(), [-7.0, 9.0, 7.0]);
 }
 
-/// G68 rotates about a point. It rotates the coordinates of the program, not those in reports.
+/// G68 rotates about a point. It rotates the coordinates of the program, but not the coordinates in reports.
 #[test]
 fn a_rotated_program() {
     let mut program = play(
@@ -219,8 +219,8 @@ fn errors() {
     assert_eq!(jog("G68X1R1F100").map_err(|error| error.code()), Err(16));
 }
 
-/// In a jog, distances (G91) are along the axes of the machine, and coordinates (G90) are those of the rotated
-/// program.
+/// In a jog with G91, distances are along the axes of the machine. In a jog with G90, coordinates are those of the
+/// rotated program.
 #[test]
 fn jogs() {
     let program = ready("G10 L2 P1 X10 R90\nG0 X5 Y0");

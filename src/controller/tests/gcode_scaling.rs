@@ -28,7 +28,7 @@ fn about_a_centre() {
     assert_eq!(program.written(), [10.0, 10.0, 30.0]);
 }
 
-/// For an axis that is not named, the centre is at the tool.
+/// If G51 does not name an axis, the centre of the scaling in that axis is at the tool.
 #[test]
 fn about_the_tool() {
     let program = play(
@@ -107,7 +107,8 @@ fn heights(program: &mut Program, line: &str) -> Vec<f64> {
     heights
 }
 
-/// R, Z and Q are scaled with the factor of the depth axis. P and the clearance are not scaled.
+/// R, Z and Q of a cycle are scaled with the factor of the depth axis. P (the dwell) and the clearance of a peck are
+/// not scaled.
 #[test]
 fn cycles() {
     let mut program = ready("G0 Z20\nG51 X0 Y0 Z0 P2");
@@ -134,7 +135,7 @@ fn places_of_the_machine_are_not_scaled() {
     assert_eq!(target(&program.run("G0 Z1")), [10.0, 10.0, 7.0]);
 }
 
-/// Distances (G91) of a jog are not scaled. Coordinates (G90) of a jog are those of the program.
+/// In a jog with G91, distances are not scaled. In a jog with G90, coordinates are those of the scaled program.
 #[test]
 fn jogs() {
     let program = ready("G51 X0 Y0 P2\nG0 X1 Y1");

@@ -162,8 +162,8 @@ fn what_is_refused() {
     assert_eq!(jog(b"G17G69G5X1I1J1P1Q1F100").map_err(|error| error.code()), Err(16));
 }
 
-/// While G5 is in force, only its own P can be negative. The P of other words must not be negative, as in any motion
-/// mode.
+/// While G5 is in force, the P of a curve (G5) can be negative. The P of every other word must not be negative, as
+/// when any other motion mode is in force.
 #[test]
 fn only_the_p_of_a_spline_is_negative() {
     let program = ready("G5 X10 Y0 I3 J3 P-3 Q3");

@@ -236,7 +236,7 @@ fn words_that_say_what_is_so() {
         for line in ["O1000 G0", "O1000 X1", "O1000 S500 T3", "O1000 F1", "O1000 T1", "O1000 R1", "O1000 N1 S1"] {
             assert_eq!(program.error(line), 36, "{line}");
         }
-        // Without the feature `full`, parameters have an error of their own.
+        // Without the feature `full`, a line with a parameter is refused with another error.
         let code = if cfg!(feature = "full") { 36 } else { 201 };
         assert_eq!((program.error("O1000 #1=5"), program.error("N10 #1=5 O7")), (code, code));
     }
@@ -253,7 +253,7 @@ fn errors_of_their_own() {
             let line = format!("{word} X1 Z-1 R1 Q1 P1 F100 S1");
             assert_eq!(program.error(&line), 121, "{word}");
         }
-        // G8 is a switch of the look-ahead only with P. Without P it is refused.
+        // G8 with P switches the look-ahead. Without P, as here, G8 is refused.
         assert_eq!(program.error("G8 X1 F100"), 121);
         // G31 is a probing move, which does not use R.
         let code = if cfg!(feature = "full") { 36 } else { 121 };

@@ -26,7 +26,7 @@ fn the_usual_file() {
 fn repeats() {
     goes("G91 G0 X1\nM98 P1 L3\nM30\nO1\nX2\nM99", &[1, 3, 5, 7]);
     goes("G0 X1\nM98 L2 P1\nM30\nO1\nX2\nM98 P2 L2\nM99\nO2\nX5\nM99", &[1, 2, 5, 5, 2, 5, 5]);
-    // An M99 within a condition begins the next pass, too.
+    // An M99 within a condition ends a pass, too. Then the next pass begins.
     goes("M98 P1 L2\nM30\nO1\nG0 X1\no5 if [1]\nM99\no5 endif\nX2\nM99", &[1, 1]);
     goes("#5=2\nM98 P[0.5*2] L#5\nM30\nO1\nG0 X1\nM99", &[1, 1]);
     for (words, error) in [
@@ -148,8 +148,8 @@ fn definitions_end_with_their_file() {
     }
 }
 
-/// After a refused line of a subprogram, its remaining lines are refused too, so that they are not run as a program. A
-/// pause of the host does not end the refusal; a line `%` does.
+/// After a refused line of a subprogram, its remaining lines are refused too, so that they are not run as a program.
+/// The refusal continues after a pause of the host. It ends at a line `%`.
 #[test]
 fn a_refused_subprogram_is_no_program_after_a_rest() {
     for program in ["G0 X1\nM30\n", "G0 X1\nM98 P1\nM30\n"] {
@@ -173,8 +173,8 @@ fn a_refused_subprogram_is_no_program_after_a_rest() {
         sender.send_after_rest("G0 X-3\nM99");
         assert_eq!(sender.errors, [203, 203]);
     }
-    // The words of a line that is too long are not read. Between two subprograms, such a line may contain the number
-    // of the next one. So the lines after it are refused.
+    // The words of a line that is too long are not read. If such a line comes between two subprograms, it may be the
+    // line with the next O number. So the lines after it are refused.
     let mut sender = Sender::new();
     sender.send_all("G0 X1\nM30\nO1\nG0 X-2\nM99");
     sender.interpreter.refused_line(None);
@@ -183,7 +183,7 @@ fn a_refused_subprogram_is_no_program_after_a_rest() {
     assert_eq!((sender.errors, sender.went), (vec![203, 203], vec![1]));
 }
 
-/// A line with M30 that is refused or skipped ends the program all the same.
+/// If a line with M30 is refused or skipped, the program ends all the same.
 #[test]
 fn a_refused_end_is_an_end() {
     for (end, errors) in [
@@ -257,8 +257,8 @@ fn what_is_dropped_does_not_go_on_as_a_program() {
     }
 }
 
-/// An alarm in a subprogram (such as that of a probe without contact) ends the program. The subprograms that follow are
-/// not run as a program, even after `$X` or a pause of the host.
+/// An alarm in a subprogram, for example because a probe made no contact, ends the program. The subprograms that
+/// follow are not run as a program, even after `$X` or a pause of the host.
 #[test]
 fn an_alarm_in_a_subprogram_refuses_the_next_ones() {
     for refused in ["", "O2"] {
@@ -457,8 +457,8 @@ fn nothing_falls_into_a_subprogram() {
     fails("M98 P1\nM30\nO1\nG0 X1\nM98 P1\nM99", &[82], &[1; 48]);
 }
 
-/// An O number in a form that the number of a subprogram cannot have is refused, whether or not the program before it
-/// waits for subprograms.
+/// Some O numbers have a form that the number of a subprogram cannot have. They are refused, whether or not the
+/// program before them waits for subprograms.
 #[test]
 fn numbers_in_other_forms_are_refused() {
     for number in
@@ -470,7 +470,7 @@ fn numbers_in_other_forms_are_refused() {
             sender.send_all(&format!("{program}\n{number}\nG0 X5\nM99"));
             assert_eq!(sender.errors, vec![203; errors], "{number}");
             assert!(!sender.went.contains(&5) || errors == 0 && program.contains("M98"), "{number}");
-            // A program begins after a tape mark.
+            // After a tape mark (`%`), a new program begins.
             sender.send("%");
             sender.went.clear();
             sender.errors.clear();
@@ -485,7 +485,8 @@ fn the_next_program() {
     let mut sender = Sender::new();
     sender.send_all("M98 P1\nM30\nO1\nG0 X1\nM99");
     assert_eq!(sender.went, [1]);
-    // Lines after the last subprogram are refused, unless the host has paused before them.
+    // Lines after the last subprogram are refused if they follow at once. Lines after a pause of the host are a new
+    // program, and run.
     sender.send("G0 X2");
     assert_eq!((sender.went.as_slice(), sender.errors.as_slice()), (&[1][..], &[203][..]));
     let mut sender = Sender::new();
@@ -529,7 +530,7 @@ fn the_next_program() {
     }
 }
 
-/// A program that does not fit is refused from its first call of a subprogram on.
+/// If a program does not fit into the memory, all its lines from the first call of a subprogram on are refused.
 #[test]
 fn memory_for_programs() {
     let line = "G1 F100 X5 Y2.5 Z-0.5\n";
@@ -561,8 +562,8 @@ fn memory_for_programs() {
         assert_eq!((send(fits), send(fits + 1).is_some()), (None, true), "{body}");
         assert_eq!(send(1500 + fits).unwrap() - send(fits + 500).unwrap(), 3000, "{body}");
     }
-    // However full the memory is, no line of a subprogram runs without a call. If the program does not fit, none of its
-    // lines from the call on runs.
+    // However full the memory is, no line of a subprogram runs without a call. If the program does not fit, its lines
+    // from the call on do not run.
     for free in 0..200 {
         let fill = 6144 - 64 - free;
         let mut sender = Sender::new();

@@ -81,7 +81,7 @@ fn entries_by_measuring() {
             // L10 takes the offset of G92 into account, but not the previous tool offset.
             ("G92 Z10\nG43.1 Z4", "L10", 5.0),
             ("G10 L2 P1 Z-2", "L10", 0.0),
-            // L11 uses the system of the fixture (G59.3), without G92.
+            // L11 uses the coordinate system of the fixture (G59.3), and ignores the offset of G92.
             ("G10 L2 P9 Z-7\nG10 L2 P1 Z-2", "L11", 5.0),
             ("G10 L2 P9 Z-7\nG92 Z10", "L11", 5.0),
         ] {

@@ -6,7 +6,7 @@ use crate::subprogram_sender::Sender;
 use oxmill_controller::error::Error;
 use proptest::prelude::*;
 
-/// A line of a random program: a move to this X plus #1, an addition to #1, or a call.
+/// A line of a random program: a move to an X of this number plus #1, an addition of this number to #1, or a call.
 #[derive(Clone, Debug)]
 enum Step {
     Move(i64),
@@ -24,8 +24,8 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// Returns the lines of the program with this index. The first program is the main program; each one calls only later
-/// ones.
+/// Returns the lines of the program with this index. The first program is the main program. Each program calls only
+/// programs with a higher index.
 fn text_of(programs: &[Vec<Step>], index: usize) -> String {
     let lines = programs[index].iter().map(|step| match step {
         Step::Move(to) => format!("G0 X[{to} + #1]\n"),
@@ -37,7 +37,8 @@ fn text_of(programs: &[Vec<Step>], index: usize) -> String {
     lines.collect()
 }
 
-/// Appends the X targets of a program, with those of its calls, to `went`. `one` is the value of #1.
+/// Appends the X targets of a program to `went`, including the X targets of the programs that it calls. `one` is the
+/// value of #1.
 fn written_out(programs: &[Vec<Step>], index: usize, one: &mut i64, went: &mut Vec<i64>) {
     for step in &programs[index] {
         match step {
@@ -96,8 +97,8 @@ fn line() -> impl Strategy<Value = Line> {
     ]
 }
 
-/// Returns the lines of a program with its calls. `behind`: `true` to write an M98 at the end of the line before it,
-/// if that line ends with G90.
+/// Returns the lines of a program with its calls. If `behind` is `true` and the line before an M98 ends with G90, the
+/// M98 is appended to that line.
 fn calls_of(programs: &[Vec<Line>], index: usize, behind: bool) -> String {
     let mut text = String::new();
     for line in &programs[index] {
@@ -125,7 +126,7 @@ fn expand(programs: &[Vec<Line>], index: usize, values: &[i64; 3], lines: &mut V
     for line in &programs[index] {
         match line {
             Line::Text(words) => {
-                // The longest name first: #26 begins with #2.
+                // Replace the longest name first, because #26 begins with #2.
                 let number = |text: String, (name, value): (&&str, &i64)| text.replace(*name, &format!("[{value}]"));
                 let words = words.replace("#100", "#_100");
                 let words = ARGUMENTS.iter().zip(values).rev().fold(words, number);
@@ -143,8 +144,8 @@ fn expand(programs: &[Vec<Line>], index: usize, values: &[i64; 3], lines: &mut V
 
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
-    /// A program with subprograms makes the same moves as the program written out. The order of the subprograms after
-    /// it does not matter.
+    /// A program with subprograms makes the same moves as the same program with its calls written out. The subprograms
+    /// after the main program can be in any order.
     #[test]
     fn calls_are_the_lines_of_their_subprograms(
         programs in prop::collection::vec(prop::collection::vec(step(), 0..6), 1..5),
@@ -214,8 +215,8 @@ proptest! {
         }
         sender.send_all("M30\nO5");
         for (line, rests) in &lines {
-            // The host pauses only while a program waits for its subprograms, or within a subprogram. After a complete
-            // subprogram and a pause, lines would be those of the next program.
+            // The host pauses only while a program waits for its subprograms, or within a subprogram. If it paused
+            // after a complete subprogram, the lines after the pause would belong to the next program.
             sender.rested = *rests && sender.interpreter.is_held();
             sender.send(line);
         }

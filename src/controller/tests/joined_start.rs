@@ -1,5 +1,5 @@
-//! Tests when queued motion starts: when the number of queued moves reaches the number of blocks of the look-ahead.
-//! Short moves that were joined into one block count, too.
+//! Tests when queued motion starts: as soon as the number of queued moves reaches the number of blocks of the
+//! look-ahead. Each short move counts, even if several of them were joined into one block.
 
 use crate::board::{NOW, PROFILE, started};
 use oxmill_controller::messages::{Event, LineByte, Observed, Output, Room, ToStep};

@@ -24,7 +24,7 @@ struct Scribe<const WOKEN: bool> {
     said: String,
     /// Maximum spindle power among the outputs so far.
     power: u16,
-    /// A realtime command without end: the pump finds it each time it looks for commands.
+    /// A realtime command that the host seems to send without end: the pump finds it each time it looks for commands.
     flood: Option<Realtime>,
     /// `true` if the pump reports no room for replies.
     mute: bool,
@@ -354,9 +354,9 @@ fn a_reset_while_a_setting_is_stored_leaves_no_failure_behind() {
     assert_eq!(scribe.answer_to("G10L2P1X1\n"), "ok\r\n");
 }
 
-/// An epoch ends at each reset, stop and jog cancel. A byte of the next epoch can arrive before that command, and then
-/// waits for it. Here `HOST_CHANGED`, the mark of a change of hosts, comes after such a byte. Usually the mark is
-/// taken at once while the door is open, but here it must stay behind the byte.
+/// An epoch ends at each reset, stop and jog cancel. A byte of the next epoch can arrive before the command that ends
+/// the epoch. The byte then waits for that command. Here `HOST_CHANGED`, the mark of a change of hosts, comes after
+/// such a byte. While the door is open, the mark is usually taken at once. But here it must stay behind the byte.
 #[test]
 fn a_change_of_hosts_is_not_taken_in_front_of_a_byte_that_waits() {
     let mut controller = started(PROFILE, 16);
@@ -393,8 +393,8 @@ struct Flooded {
     lines: u32,
     /// `true` once the last segment of the motion has been handed to the step task.
     ended: bool,
-    /// Minimum number of segments in the queue at the end of a line, from the start of the first segment until the
-    /// last one is queued.
+    /// Minimum number of segments in the queue. It is counted at the end of each line, from the start of the first
+    /// segment until the last one is queued.
     fewest: u32,
 }
 
@@ -469,7 +469,8 @@ fn a_host_that_floods_does_not_starve_the_step_task() {
         }
     }
     assert!(pump.ended && pump.sent > 200, "{} segments, {} lines", pump.sent, pump.lines);
-    // Lines come before segments only while at least 8 ms are queued, and a segment lasts at most 2 ms.
+    // The pump takes a line before it sends a segment only while at least 8 ms of motion are queued. These are at
+    // least four segments, because a segment lasts at most 2 ms.
     assert!((2..=6).contains(&pump.fewest), "{} segments were left", pump.fewest);
     assert!(pump.lines > 200, "{} lines were read meanwhile", pump.lines);
 }
@@ -494,7 +495,8 @@ fn a_host_that_floods_does_not_starve_its_own_lines() {
     }
 }
 
-/// The jog does not begin with any value of `$914`, because that setting (a lost host is a fault) is for jobs only.
+/// A jog does not begin if its host has gone. The value of `$914` (a lost host is a fault) does not matter, because
+/// that setting is for jobs only.
 #[test]
 fn a_jog_that_was_read_as_its_host_went_does_not_begin() {
     for (setting, host_goes) in [("$914=0\n", false), ("$914=0\n", true), ("$914=1\n", true)] {

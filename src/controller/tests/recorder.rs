@@ -131,8 +131,8 @@ fn after_a_reset_it_is_kept_until_a_program_begins() {
     let ended = Noted::Ended { crash: Some(CrashKind::Stuck), place: [1, -2, 3], line: 7 };
     let found = entries(&mut ring);
     assert_eq!(found[1..], [(1_000_000_000_000, host("N7G1X10\n")), (1_000_000_004_321, ended)]);
-    // On a locked machine, the lines of a job are refused, so they do not overwrite the recording. Neither do `$`
-    // lines and another reset.
+    // On a locked machine, the lines of a job are refused, so they do not overwrite the recording. `$` lines and
+    // another reset do not overwrite it, either.
     board.restarted(restart);
     line(&mut ring, &board, 10, 0, "G1X5\n");
     let mut ring = Ring::begin(pages(&ring), &SOFTWARE);
@@ -149,7 +149,7 @@ fn after_a_reset_it_is_kept_until_a_program_begins() {
 }
 
 /// A failure is stored with `moment`, the time of the last note of position and line by the control task. If the line
-/// that caused the failure came after that, the failure is listed right after that line.
+/// that caused the failure came later than `moment`, the failure is listed right after this line.
 #[test]
 fn a_failure_in_the_line_that_came_last_comes_right_behind_it() {
     let board = board();
@@ -185,8 +185,8 @@ fn a_page_that_is_not_what_was_written_is_none() {
     assert!(ring.is_kept() && left > 0 && left < whole, "{left} of {whole}");
 }
 
-/// Each jog cancel starts an epoch: a number that tells line bytes after it from those before it. The number wraps,
-/// because a machine can be jogged for weeks without a reset.
+/// Each jog cancel starts an epoch. The number of the epoch shows which line bytes were sent before the jog cancel,
+/// and which after it. The number wraps, because a machine can be jogged for weeks without a reset.
 #[test]
 fn lines_behind_very_many_jog_cancels_are_recorded() {
     let board = board();

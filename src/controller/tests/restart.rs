@@ -165,8 +165,8 @@ fn what_a_reset_button_drops_ends_with_a_cut() {
     assert_eq!(board.pump(), "ok\r\n");
 }
 
-/// A press of the reset button counts the received bytes, to drop as many. When their host disconnects, the count is
-/// forgotten, so that no bytes of the next host are dropped.
+/// A press of the reset button counts the received bytes, because as many bytes must be dropped. When the host that
+/// sent them disconnects, the count is forgotten, so that no bytes of the next host are dropped.
 #[test]
 fn a_host_that_goes_takes_what_was_counted_with_it() {
     let (mut board, _) = Board::started(None);

@@ -155,7 +155,7 @@ pub fn with_macro(lines: &[&str]) -> Sender {
     sender
 }
 
-/// Returns a file whose program goes to X1, calls O1, and goes to X9.
+/// Returns a file whose program goes to X1, calls the subprogram O1 with the lines of `body`, and goes to X9.
 pub fn calling(body: &str) -> String {
     format!("G0 X1\nM98 P1\nX9\nM30\nO1\n{body}\nM99\n%")
 }

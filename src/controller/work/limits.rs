@@ -1,6 +1,6 @@
-//! Finds reasons to refuse a line without errors: settings that lock motion, a position that needs homing, targets out
-//! of range, and soft limits. All kinds of motion are checked for points outside the travel. A jog can be shortened to
-//! the travel instead.
+//! Finds reasons to refuse a line whose words are correct: settings that lock motion, a position that needs homing,
+//! targets out of range, and soft limits. All kinds of motion are checked for points outside the travel. A jog can be
+//! shortened to the travel instead.
 
 use crate::axes::{Arrangement, Axis, PerAxis};
 use crate::dispatch::Controller;
@@ -141,9 +141,9 @@ impl<const N: usize> Controller<N> {
         })
     }
 
-    /// Returns the coordinate (mm) up to which a position counts as within `travel`. The travel may not be a whole
-    /// number of steps, and an axis that was sent to its end is then up to half a step beyond it. A line that moves
-    /// only other axes afterwards must not be refused.
+    /// Returns the coordinate (mm) up to which a position counts as within `travel`. If the travel is not a whole
+    /// number of steps, an axis that was sent to its end can be up to half a step beyond it. A later line that moves
+    /// only other axes must not be refused for that.
     #[inline(never)]
     fn reach(&self, axis: Axis, travel: f32) -> f32 {
         let resolution = self.m.settings.axes(AxisKey::Resolution).get(axis).unwrap_or(0.0);
@@ -159,7 +159,8 @@ impl<const N: usize> Controller<N> {
         self.m.settings_lock.setting(&self.m.settings)
     }
 
-    /// Returns an error, and reports the reason to the host, if a setting or damaged stored settings lock all motion.
+    /// Returns an error if all motion is locked: by a fault of the board, by damaged stored settings, or by a setting.
+    /// Also tells the host about the damage, or (only once) which setting locks motion.
     pub(crate) fn motion_locked(&mut self) -> Option<Error> {
         if self.m.settings_lock.has_board_fault() {
             return Some(Error::Locked);
@@ -175,8 +176,8 @@ impl<const N: usize> Controller<N> {
         Some(Error::Locked)
     }
 
-    /// Tells the host which setting locks motion, after setting `changed` has been changed. Grbl answers a change with
-    /// only `ok`, so in its dialect the host is told at the first move.
+    /// Tells the host which setting locks motion. Called after the setting with the number `changed` has been changed.
+    /// Grbl answers a change with only `ok`, so in its dialect the host is told at the first move.
     pub(crate) fn name_after_change(&mut self, changed: u16) {
         self.locking_setting();
         if let Some(setting) = self.m.settings_lock.name_after_change(changed)

@@ -25,7 +25,7 @@ pub(crate) struct LineInWork<const N: usize> {
     single_block: bool,
     /// Notices already sent for this program, one bit each.
     sent_notices: u8,
-    /// The tool change of the line, if its tool is measured.
+    /// Progress of the line's tool change, if the new tool is measured.
     change: ToolChange<N>,
     /// The last message of the program, for a host that takes over. Takes no memory without `FULL_IMAGE`.
     message: [Message; FULL_IMAGE as usize],
@@ -106,9 +106,9 @@ impl<const N: usize> LineInWork<N> {
         }
     }
 
-    /// Records that the line is refused. Returns the reason that `explain` has found, which the caller sends to the
-    /// host. Without such a reason, returns `None`, and [`LineInWork::refusal`] gives the text of the error from then
-    /// on.
+    /// Records that the line is refused. Returns the reason that `explain` has found, so that the caller can send it
+    /// to the host. If `explain` has found none, returns `None`, and from then on [`LineInWork::refusal`] returns the
+    /// text of the error.
     #[cold]
     pub(crate) fn refused(&mut self, error: Error) -> Option<Reason> {
         let refusal = self.refusal.first_mut()?;

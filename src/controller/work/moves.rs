@@ -66,8 +66,8 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Returns how far a move may deviate from its path. The tolerance is 0 unless the move is a straight feed move
-    /// under G64 P that turns no rotary axis. With rotary motion corners are not rounded: where A reverses, F would
-    /// not define the speed in a rounded corner.
+    /// under G64 P that turns no rotary axis. If a rotary axis turns, corners are not rounded, because F would not
+    /// define the speed in a rounded corner where A reverses.
     fn tolerance(&self, target: &PerAxis<Coordinate, N>, speed: Speed) -> Tolerance {
         let within = match (speed, self.line.action.motion, self.m.interpreter.modal().path) {
             (Speed::Feed(_), MotionCommand::Line { .. }, PathControl::Within(tolerance)) => tolerance,
@@ -128,7 +128,7 @@ impl<const N: usize> Controller<N> {
         self.queue(&geometry.start, Speed::Feed(job.chord_feed), job).then_some(next)
     }
 
-    /// Queues the straight move back to the centre that ends G12 and G13. Returns the next stage; `None` if there is no
+    /// Ends G12 or G13: queues the straight move back to the centre. Returns the next stage; `None` if there is no
     /// room for a block.
     #[inline(never)]
     pub(crate) fn end_circle(&mut self, job: &Job) -> Option<Stage> {

@@ -29,8 +29,8 @@ impl<const N: usize> Controller<N> {
     #[inline(never)]
     fn has_room_for_change(&mut self) -> bool {
         let idle = self.m.motion.is_idle();
-        // A mark ties the change to the next block. Here it is only checked that a mark can be given; `change_output`
-        // sets the mark.
+        // A mark ties the change to the next block. This function only checks that a mark can be given, and
+        // `change_output` sets it.
         let can = self.m.accessories.digital().has_room(idle) && self.m.motion.takes_mark();
         if !can {
             self.start_queued();
@@ -38,7 +38,7 @@ impl<const N: usize> Controller<N> {
         can
     }
 
-    /// Switches the output of M64 or M65 now, and that of M62 or M63 when the next motion begins.
+    /// Switches the output: for M64 and M65 now, for M62 and M63 when the next motion begins.
     #[inline(never)]
     pub(crate) fn change_output(&mut self) {
         if let Some(ProgramPins::Digital { number, on, with_motion }) = self.line.action.pins() {

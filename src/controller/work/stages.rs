@@ -48,8 +48,8 @@ impl<const N: usize> Controller<N> {
             || self.starts_to_turn()
     }
 
-    /// Returns whether G61.1 (exact stop), which is in force from an earlier line, makes the machine come to rest
-    /// before this line. It does so if this line moves or ends G61.1.
+    /// Returns whether the machine comes to rest before this line because G61.1 (exact stop) is in force from an
+    /// earlier line. It does so if this line moves, or if this line ends G61.1.
     fn ends_line_before(&self) -> bool {
         let action = &self.line.action;
         action.motion != gcode::MotionCommand::None || action.modal().path != PathControl::ExactStop
@@ -193,7 +193,8 @@ impl<const N: usize> Controller<N> {
             // The first arms are the stages of a line that only moves, as nearly all lines do. Between these stages,
             // such a line shows nothing to the host and does not wait.
             let next = match job.stage {
-                // A line that only moves waits here only if a record of an earlier line is still being stored.
+                // A line that only moves waits at this stage in a single case: a record of an earlier line is still
+                // being stored.
                 Stage::Apply if self.line.action.moves_only() && self.m.records.are_stored() => {
                     self.m.interpreter.commit(&self.line.action);
                     // Set even if S has not changed, because a stop may have set another speed.
@@ -414,7 +415,8 @@ impl<const N: usize> Controller<N> {
     }
 
     /// Returns whether the program pauses after the line. M0 pauses, and so does M1 if the settings enable it (not in
-    /// Grbl's dialect). In single block, each line that moves pauses, except startup lines and jogs.
+    /// Grbl's dialect). If single block is on, the program pauses after each line that moves, except startup lines and
+    /// jogs.
     fn pauses_behind(&self, job: &Job) -> bool {
         let single_block = || {
             self.line.is_single_block()

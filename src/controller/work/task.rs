@@ -94,7 +94,7 @@ pub(crate) struct Job {
     pub(crate) answer: Answer,
     pub(crate) stage: Stage,
     pub(crate) jog: bool,
-    /// Level of the input that M66 waits for, at the last check.
+    /// Level that the input of M66 had at the last check.
     pub(crate) input_before: bool,
     /// Feed of the remaining chords (straight pieces of an arc or curve), mm/s.
     pub(crate) chord_feed: f32,
@@ -140,9 +140,10 @@ impl Job {
 /// is cheap to pass on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Stage {
-    /// Motion queued before the line has to end first (in Grbl: buffer synchronize; in LinuxCNC: queue buster).
+    /// All motion that was queued before this line has to end first. (Grbl calls this buffer synchronize, and LinuxCNC
+    /// queue buster.)
     Drain,
-    /// The operator puts another tool into the spindle. Ends with `~`.
+    /// The operator puts another tool into the spindle. The command `~` ends the stage.
     ToolChange,
     /// The spindle spins down until [`Job::until`], before a tool change that measures the tool.
     SpinningDown,
@@ -175,9 +176,9 @@ pub(crate) enum Stage {
     Back,
     /// Motion has to end before the program pauses or ends.
     Flow,
-    /// The program is paused. Ends with `~`.
+    /// The program is paused. The command `~` ends the pause.
     Paused,
-    /// The program is paused within a canned cycle. Ends with `~`.
+    /// The program is paused within a canned cycle. The command `~` ends the pause.
     CyclePaused,
     /// The line has been executed; its answer follows.
     Done,
@@ -291,8 +292,8 @@ pub(crate) enum Listing {
     Macros,
     /// `$PINS`
     Pins,
-    /// `$I` with `$900=3` (the dialect of grblHAL). The answer names the inputs that the board has, so the listing
-    /// waits for the view of the pins.
+    /// `$I` with `$900=3` (the dialect of grblHAL). The answer names the inputs that the board has. So the listing
+    /// requests a view of the pins and waits for it.
     Identity,
     /// `$ES` and the like
     Descriptions(Described),

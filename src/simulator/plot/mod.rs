@@ -1,8 +1,8 @@
-//! The picture of a job as SVG or PNG: a heading, the tool path from above coloured by speed, the path at an angle
-//! coloured by height if the job has enough depth, and the speed over time.
+//! The picture of a job as SVG or PNG. It has a heading, the tool path from above (coloured by speed), and the speed
+//! over time. If the job has enough depth, the picture also has the path at an angle (coloured by height).
 //!
-//! The drawing is always made as SVG. A PNG is that SVG rendered with an embedded font, so both look the same on every
-//! computer.
+//! The drawing is always made as SVG. A PNG is that SVG rendered with an embedded font, so a PNG looks the same on
+//! every computer.
 
 mod pixels;
 mod scale;
@@ -75,7 +75,8 @@ pub fn svg(drawing: &Drawing, summary: &Summary) -> Result<String> {
         sheet(&root, drawing, summary).map_err(|error| anyhow!("{error}"))?;
         root.present().map_err(|error| anyhow!("{error}"))?;
     }
-    // So far the SVG gives its size in fine units. Give it in pixels; the viewBox stays in fine units.
+    // Up to here, the width and the height of the SVG are in fine units. Convert them to pixels, but leave the viewBox
+    // in fine units.
     let fine = format!("<svg width=\"{}\" height=\"{}\"", SIZE.0 * FINE as u32, SIZE.1 * FINE as u32);
     Ok(svg.replacen(&fine, &format!("<svg width=\"{}\" height=\"{}\"", SIZE.0, SIZE.1), 1))
 }

@@ -3,8 +3,8 @@
 //!
 //! To fill a shape, each pixel is mixed with the colour in proportion to the share of the pixel that the shape covers.
 //! A line is filled like a shape: it consists of a bar for each straight piece, and of a mitre (a pointed tip) on the
-//! outer side of each corner. Their outlines have the same sense of rotation, so that overlapping parts add up to one
-//! area.
+//! outer side of each corner. The outlines of all bars and mitres have the same sense of rotation, so that overlapping
+//! parts add up to one area.
 
 use super::SIZE;
 use super::style::FINE;
@@ -233,7 +233,8 @@ impl Shape {
                 let turn = before.x * side.y - before.y * side.x;
                 let zero = point(0.0, 0.0);
                 let (a, b) = if turn > 0.0 { (zero - before, zero - side) } else { (side, before) };
-                // Seen from the corner, the tip of the mitre is at (a + b) * `reach`.
+                // `a` and `b` lead from the corner to the outer edges of the two pieces of the line. (a + b) * `reach`
+                // leads from the corner to the tip of the mitre.
                 let open = half * half + a.x * b.x + a.y * b.y;
                 let reach = half * half / open;
                 let tip = pair[0] + point((a.x + b.x) * reach, (a.y + b.y) * reach);
@@ -286,7 +287,8 @@ impl Canvas {
         if low.x >= high.x || low.y >= high.y {
             return;
         }
-        // For an edge in the last column, the rasterizer also writes into the next column to the right: add one.
+        // For an edge in the last column, the rasterizer also writes into the column to the right of it. So add a
+        // column.
         let (width, height) = ((high.x - low.x) as usize + 1, (high.y - low.y) as usize);
         let mut covered = Rasterizer::new(width, height);
         let place = |at: Point| inside(at) - low;
@@ -338,8 +340,8 @@ fn chunk(file: &mut Vec<u8>, kind: &[u8; 4], data: &[u8]) {
 mod tests {
     use super::*;
 
-    /// Paints elements whose numbers are pixels of the PNG. Returns a function that gives the darkness of a pixel, from
-    /// 0 to 1.
+    /// Paints `elements`, in which all numbers are in pixels of the PNG. Returns a function that gives the darkness of
+    /// a pixel, from 0 to 1.
     fn darkness(elements: &str) -> impl Fn(usize, usize) -> f32 + use<> {
         let scaled = |part: &str| match part.parse::<f32>() {
             Ok(number) => (number / SCALE).to_string(),
@@ -356,7 +358,7 @@ mod tests {
         move |x, y| 1.0 - f32::from(canvas.pixels[y * canvas.width + x][0]) / 255.0
     }
 
-    /// Sum of the darkness of all pixels in a square at the origin, in pixels.
+    /// Returns the sum of the darkness of all pixels in a square at the origin, whose sides are `side` pixels long.
     fn area(darkness: impl Fn(usize, usize) -> f32, side: usize) -> f32 {
         (0..side * side).map(|index| darkness(index % side, index / side)).sum()
     }
@@ -436,7 +438,7 @@ mod tests {
 
     #[test]
     fn text_stands_where_the_svg_says() {
-        // A capital letter of this font is 0.729 of the size high: 29 pixels.
+        // A capital letter of this font has a height of 0.729 times the font size: 29 pixels at the size 40.
         let [left, right, top, bottom] = extent(r#"dy="0.76em" text-anchor="start""#, "HHHH");
         assert_eq!((left, bottom), (204, 329), "a letter begins a tenth of the size beside its place");
         assert!(right.abs_diff(200 + 116) <= 1 && top.abs_diff(301) <= 1, "{right} {top}");

@@ -1,5 +1,5 @@
-//! Colour scales of the picture: the range of speeds or heights, round values for marks, and the bar beside a view that
-//! explains the colours; also the `Bounds` of a path.
+//! Colour scales of the picture: the range of speeds or heights, round values for marks, and the bar beside a view
+//! that explains the colours. Also defines the `Bounds` of a path.
 
 use super::style::{Area, Drawn, FRAME, decimals, line_style, px, small, tidy};
 use crate::path::Point;
@@ -43,14 +43,14 @@ pub(super) struct Scale {
 }
 
 impl Scale {
-    /// Makes a scale from 0 to the maximum speed of a feed, mm/min.
+    /// Makes a scale in mm/min, from 0 to the maximum speed of a feed.
     pub(super) fn of_speed(points: &[Point]) -> Self {
         let top = points.iter().skip(1).filter(|p| !p.rapid).map(|p| f64::from(p.speed) * 60.0).fold(0.0, f64::max);
         let (high, step) = if top > 0.0 { tight(top) } else { (1.0, 1.0) };
         Self { low: 0.0, high, step, stops: &SPEEDS }
     }
 
-    /// Makes a scale from the minimum to the maximum height of a feed, mm.
+    /// Makes a scale in mm, from the minimum to the maximum height of a feed.
     pub(super) fn of_height(points: &[Point], bounds: &Bounds) -> Self {
         let feeds = points.windows(2).filter(|pair| !pair[1].rapid).flatten().map(|point| f64::from(point.at[2]));
         let (low, high) = feeds.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
@@ -77,11 +77,12 @@ impl Scale {
     }
 }
 
-/// Chooses a scale for values from 0 to `top`. Returns its end and the distance between its marks. The distance is 1,
-/// 2, 2.5 or 5 times a power of ten, and the scale has 3 to 8 of them. Of all such scales, the one with the lowest end
-/// is chosen.
+/// Chooses a scale for values from 0 to `top`. Returns the end of the scale and the distance between its marks. The
+/// distance is 1, 2, 2.5 or 5 times a power of ten, and fits into the scale 3 to 8 times. Of all such scales, the one
+/// with the lowest end is chosen.
 ///
-/// The end can be up to 1 % below `top`. So a measured speed of 1503 mm/min gets a scale to 1500, the feed rate itself.
+/// The end can be up to 1 % below `top`. For example, a measured speed of 1503 mm/min gets a scale that ends at the
+/// feed rate itself, 1500 mm/min.
 pub(super) fn tight(top: f64) -> (f64, f64) {
     let power = 10_f64.powf(top.max(1e-9).log10().floor() - 1.0);
     let steps = [1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 25.0, 50.0].map(|step| step * power);
@@ -121,8 +122,8 @@ pub(super) fn scale_bar(area: &Area, title: [&str; 2], scale: &Scale) -> Drawn {
     area.draw_text(title[0], &small(), (left, top - px(46)))?;
     area.draw_text(title[1], &small(), (left, top - px(28)))?;
     let parts = 98;
-    // Draw each part up to the top of the bar. The next part covers all of it except the lower end. So no seams show
-    // between the parts.
+    // Each part reaches up to the top of the bar. The next part is drawn over it and leaves only its lower end
+    // visible. So there are no seams between the parts.
     for part in 0..parts {
         let at = |part: i32| bottom - (bottom - top) * part / parts;
         let color = scale.colour(f64::from(part) / f64::from(parts - 1));

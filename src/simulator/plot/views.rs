@@ -12,9 +12,10 @@ const MARGIN: f64 = 0.06;
 /// Maximum height of the job in the view at an angle, as a fraction of its larger size in X and Y. Shallow jobs are
 /// stretched in Z up to this height.
 const HEIGHT: f64 = 0.4;
-/// Horizontal direction from which the view at an angle looks, in radians from the front to the right.
+/// Horizontal direction of the viewer in the view at an angle, in radians: 0 is in front of the job, and positive
+/// angles are to the right of that.
 const ASIDE: f64 = 0.52;
-/// Vertical direction from which the view at an angle looks, in radians above the horizontal.
+/// Vertical direction of the viewer in the view at an angle, in radians above the horizontal.
 const ABOVE: f64 = 0.87;
 
 pub(super) fn cross(area: &Area, (x, y): (i32, i32)) -> Drawn {

@@ -80,7 +80,7 @@ pub(super) fn state(simulator: &Simulator) -> String {
     words
 }
 
-/// In a recorded state, the text between the state and the hash of the clock and the times.
+/// Text that separates two parts of a recorded state: the text of [`place`], and the hash of the clock and the times.
 const TRACED: &str = " traced ";
 
 /// Returns [`place`], followed by [`TRACED`] and a hash of the clock and of the times of all steps and output changes.
@@ -92,8 +92,8 @@ pub(super) fn traced(simulator: &Simulator, begin: u64) -> String {
     format!("{}{TRACED}{hash:016x}", place(simulator))
 }
 
-/// Compares two texts of [`traced`]: the `recorded` one and the one of the machine `here`. A text of an older version
-/// can end after the step hash or after the outputs. Then only these parts are compared.
+/// Compares two texts of [`traced`]: `recorded` from the recording, and `here` from the present machine. A text of an
+/// older version can end after the step hash or after the outputs. Then only the parts that it has are compared.
 ///
 /// # Errors
 /// A text that says what differs.

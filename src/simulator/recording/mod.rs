@@ -1,6 +1,6 @@
-//! Recordings: the inputs of a simulated machine with their times, as text. `Recorder` writes them, with the machine's
-//! state when it has changed. `Recording` reads them, plays them into another simulator and compares the resulting
-//! states. It also reads the listing of a board's `$REC`.
+//! Recordings: the inputs of a simulated machine with their times, as text. `Recorder` writes the inputs, and the
+//! state of the machine whenever it has changed. `Recording` reads the text, plays the inputs into another simulator
+//! and compares the resulting states. It also reads the listing of a board's `$REC`.
 //!
 //! ```text
 //! oxmill recording 1
@@ -62,7 +62,7 @@ impl Recording {
         !self.broken_off
     }
 
-    /// Duration up to the last input (or the start of the job), in ticks of the step clock.
+    /// Returns the duration up to the last input or recorded state, in ticks of the step clock.
     pub fn length(&self) -> u64 {
         self.inputs.last().map_or(0, |(time, _)| time.saturating_sub(self.begin.unwrap_or_default()))
     }

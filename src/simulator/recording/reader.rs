@@ -7,7 +7,7 @@ use crate::power_up::board_named;
 use oxmill_controller::messages::{Noted, Record, Standing, Stopping};
 use oxmill_controller::units::Coordinate;
 
-/// Maximum duration of a recording, s: 100 days.
+/// Maximum duration of a recording, in seconds: 100 days.
 const LONGEST: u64 = 100 * 24 * 3600;
 
 /// A recording that has been read: the machine at the beginning, the inputs with their times, and the job.

@@ -22,8 +22,8 @@ pub struct Recorder {
 
 impl Recorder {
     /// Begins the recording of a simulator that has just been powered up. `machine`: the text of its machine
-    /// description. The recording stays in memory until [`Recorder::write_to`] is called. So an older recording in the
-    /// file is overwritten only after the machine has started successfully.
+    /// description. The recording stays in memory until [`Recorder::write_to`] is called. So the caller can keep an
+    /// older recording in the file until the machine has started successfully.
     pub fn begin(simulator: &mut Simulator, machine: &str) -> Self {
         let (board, now) = (*simulator.board(), simulator.clock().now());
         let mut head = format!("{TITLE}\nboard {} {}\n", board.name, board.step_clock_hz);
@@ -41,7 +41,7 @@ impl Recorder {
         Self { held: head.into_bytes(), out: None, begin: now, last: place(simulator), next_look: now }
     }
 
-    /// Writes the recording to `out` from here on, beginning with all earlier inputs.
+    /// Writes everything recorded so far to `out`, and from now on each further entry.
     ///
     /// # Errors
     /// If writing fails.
@@ -63,8 +63,8 @@ impl Recorder {
         self.out.as_mut().map_or(Ok(()), |out| out.flush())
     }
 
-    /// Records an input at the present time, after the state of the machine if it has changed. Entries that only a
-    /// board records are ignored.
+    /// Records an input at the present time. If the state of the machine has changed, records the state first. Ignores
+    /// entries that only a board records.
     ///
     /// # Errors
     /// If writing fails.

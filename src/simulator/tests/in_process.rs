@@ -66,8 +66,8 @@ fn a_reset_in_motion_stops_the_pulses_at_once() {
     assert!(mill.take_output().contains("ALARM:3"));
 }
 
-/// With M4, a laser is off as soon as its motion ends, and not only when the motor drivers are switched off (`$1`).
-/// With M3, the laser stays on.
+/// With M4, a laser is off as soon as its motion ends. It does not stay on until the motor drivers are switched off
+/// (`$1`). With M3, the laser stays on.
 #[test]
 fn a_beam_with_scaled_power_ends_with_the_motion() {
     for (idle_delay, direction, stays) in [(25, "M4", false), (255, "M4", false), (255, "M3", true)] {
@@ -324,7 +324,8 @@ fn a_reset_button_drops_all_lines_that_have_been_received() {
     assert_eq!(mill.machine_position(), [0.0, 0.0, 1.0]);
 }
 
-/// A limit switch is active from the beginning: nothing moves before the controller knows the state of the inputs.
+/// Nothing moves before the controller knows the state of the inputs. Here, a limit switch is active from the
+/// beginning.
 #[test]
 fn a_startup_line_waits_for_the_inputs() {
     let mut first = mill();
@@ -369,8 +370,8 @@ fn what_finds_no_room_waits_in_the_port() {
     }
 }
 
-/// While the queue is full, bytes of the host wait outside, and the machine does not get them. The host must still not
-/// count as silent (`$922`).
+/// While the queue is full, further bytes of the host do not reach the machine. The host must still not count as
+/// silent (`$922`).
 #[test]
 fn a_host_that_waits_for_room_is_not_silent() {
     let mut mill = Simulator::new(Options::default());

@@ -102,7 +102,8 @@ fn after_a_power_cut_all_settings_are_old_or_new() {
             let operations = mill.store().operations();
             let answer = say(&mut mill, command);
             assert!(!answer.contains("not stored"), "{command}: {answer}");
-            // The longest record has 27 words, so more operations mean that all records were moved to the other sector.
+            // The longest record has 27 words. So if a command took more than 40 operations, all records were moved to
+            // the other sector.
             moves += u32::from(mill.store().operations() > operations + 40);
             states.push(stored(&mut mill));
         }

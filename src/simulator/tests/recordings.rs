@@ -319,10 +319,10 @@ proptest! {
             prop_assert!(arrival.parted.is_some_and(|why| why.starts_with("begins in the middle")), "{}", log);
             return Ok(());
         }
-        // A recording leaves three facts open. First, in which order bytes of two hosts arrived at the same time.
-        // Second, whether `~` arrived just before the machine came to rest in a hold. Third, when a line that had to
-        // wait arrived: its arrival makes the controller run, so a later braking can end one segment later. In these
-        // cases the replay may differ from the recorded run, but must report the difference.
+        // A recording leaves three facts open: the order of bytes that two hosts sent at the same time, whether `~`
+        // arrived just before the machine came to rest in a hold, and the time at which a line arrived that had to
+        // wait. The arrival of a line makes the controller run, so a later braking can end one segment later. In these
+        // three cases the replay may differ from the recorded run, but must report the difference.
         let unclear = |input: &Input| match input {
             Input::Connect | Input::Disconnect => true,
             Input::Host(bytes) => bytes == b"~" || brakes(input),

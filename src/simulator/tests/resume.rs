@@ -24,8 +24,8 @@ fn resumed(settings: &[&str], job: &str, request: &ResumeRequest) -> Result<Resu
     resume(&machine(settings), "job.nc", job.as_bytes(), request)
 }
 
-/// For each step event: the step bits, the direction bits, and the step counters of X, Y and Z and of A. Then the final
-/// state.
+/// For each step event: the step bits, the direction bits, the step counters of X, Y and Z, and the step counter of A.
+/// The last part is the final state.
 type Ran = (Vec<(u8, u8, [i32; 3], i32)>, Interpreter<AXES>);
 
 fn run(settings: &[&str], before: &str, program: &str) -> Ran {
@@ -144,8 +144,8 @@ M4 S500.5
 M5 M9
 G1 X3
 M30";
-    // Resumed at lines 30 and 31, the steps differ from those of the whole program: there G99 is in force, but the
-    // prologue travels at the Z to which G98 would retract.
+    // If the program is resumed at line 30 or 31, the steps differ from those of the whole program: G99 is in force at
+    // these lines, but the prologue travels at the Z to which G98 would retract.
     let refused = compare_all(&["918=1"], program, "G91 G0 X1.7 Y-2.3 Z4.9\nG90", &[30, 31]);
     let lines: Vec<u64> = refused.iter().map(|(line, _)| *line).collect();
     // These lines follow G56. The positions of the job are known in G55 only, because the zeros of both systems are
@@ -182,8 +182,8 @@ G55 G0 X2 Y3 Z5
 G1 X4
 M2";
     let refused = compare_all(&["918=1"], program, "G91 G0 X1.7 Y-2.3 Z4.9\nG90", &[]);
-    // Line 7: the job has travelled at Z5 without a tool offset. With the offset of T3, Z5 would need a higher spindle
-    // than the job has used. Lines 23 and 24: after G55, the job's heights are known in G54 only.
+    // Line 7: the job has travelled at Z5 without a tool offset. With the offset of T3, the spindle would be higher at
+    // Z5 than it was in the job. Lines 23 and 24: after G55, the job's heights are known in G54 only.
     let lines: Vec<u64> = refused.iter().map(|(line, _)| *line).collect();
     assert_eq!(lines, [7, 23, 24], "{refused:?}");
     assert!(refused.iter().all(|(_, why)| why.contains("--clearance")), "{refused:?}");
@@ -301,7 +301,7 @@ fn the_machine_is_as_it_was() {
     assert!(image == simulator.store().image());
 }
 
-/// Returns a random line of G-code. `retracts`: `true` to choose among G98 and G99, too.
+/// Returns a random line of G-code. If `retracts` is `true`, the line can also be G98 or G99.
 fn any_line(dice: &mut impl FnMut(usize) -> usize, retracts: bool) -> String {
     let mut length = |most: usize| format!("{:.2}", dice(most * 100) as f64 / 100.0 - most as f64 / 3.0);
     let [x, y, z, i, j] = [6, 6, 6, 2, 2].map(&mut length);
@@ -506,8 +506,8 @@ fn outputs_of_the_program_are_on_again() {
     assert_eq!(prologue[2..], ["G0 Z5", "G0 X2", "M64 P2", "M64 P3", "G1 F100"]);
 }
 
-/// A G5 without I and J continues the curve that ended at its start. If that curve is not part of the rest, a machine
-/// that runs the rest would reject the G5, and cut the next line from the wrong position.
+/// A G5 without I and J continues the curve that ends where the G5 begins. If that curve is not part of the rest, a
+/// machine that runs the rest would reject the G5, and cut the next line from the wrong position.
 #[test]
 fn a_curve_that_goes_on_from_one_in_front_is_refused() {
     let front = "G21 G90\nG0 Z5\nG0 X0 Y0\nG5 X2 Y2 I1 J0 P-1 Q0 F100\nG0 X9\nX8\n";

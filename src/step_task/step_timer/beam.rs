@@ -53,7 +53,7 @@ impl Beam {
         }
         if self.marks.is_full() {
             // Replace the newest queued change. No event lies between that change and the new one, so no step would
-            // have had its power.
+            // have had the power of the replaced change.
             self.marks.pop_back();
         }
         let is_kept = self.marks.push_back((at, power)).is_ok();
@@ -147,8 +147,8 @@ impl Beam {
         }
     }
 
-    /// Sets the output to `level` at once. Hardware then makes no change that was armed; if changes are queued, the
-    /// caller must arm the first one again.
+    /// Sets the output to `level` at once. This cancels the change that hardware was set up to make. If changes are
+    /// queued, the caller must arm the first one again.
     #[inline(never)]
     fn set_power(&mut self, output: &mut StepPins, level: u16) {
         output.set_power(level);

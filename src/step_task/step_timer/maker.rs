@@ -208,8 +208,8 @@ impl Maker {
         ended
     }
 
-    /// Returns whether enough events are queued: at least [`LEAST_EVENTS`], and so many that the next event need not be
-    /// committed until [`HORIZON_TICKS`] after the time `from`.
+    /// Returns whether enough events are queued: at least [`LEAST_EVENTS`], and so many that the next event can still
+    /// be committed in time [`HORIZON_TICKS`] after the time `from`.
     #[inline(always)]
     pub fn is_far_ahead(&self, from: u32) -> bool {
         let until = self.output.joins_until(self.stepper.moment());
@@ -344,8 +344,8 @@ impl Maker {
         }
     }
 
-    /// Returns the latest time at which a run of the task can receive the segment for the next tick and still generate
-    /// its event in time. After that, this tick becomes an underrun.
+    /// Returns the latest time at which a run of the task can receive the segment of the next tick and still generate
+    /// the event of this tick in time. If the segment comes later, the tick becomes an underrun.
     fn last_chance(&self) -> u32 {
         let margin = if self.one_by_one { StepPins::SOON + BEGIN_TICKS } else { 2 * RUN_TICKS };
         self.output.joins_until(self.stepper.moment()).wrapping_sub(margin)
@@ -378,8 +378,8 @@ impl Maker {
         has_room && !is_stopped && !self.is_far_ahead(from)
     }
 
-    /// Returns when to generate more events, while events are output; `None` if the interrupt after a single event will
-    /// call the task.
+    /// Returns when to call the task to generate more events, while events are output. Returns `None` if the interrupt
+    /// after a single event will call the task.
     #[inline(always)]
     pub fn moment_for_more(&self, now: u32) -> Option<u32> {
         let ahead = self.output.ahead();
@@ -395,14 +395,14 @@ impl Maker {
         if ahead <= left {
             return Some(self.last_chance());
         }
-        // Call the task when half of the queued events are left. `before_two_runs` can be earlier: a run that begins a
-        // segment and changes directions generates fewer events than are output meanwhile.
+        // Call the task when half of the queued events are left, or at `before_two_runs` if that is earlier: a run
+        // that begins a segment and changes directions generates fewer events than are output meanwhile.
         let early = sooner(self.output.moment_before(left), self.before_two_runs());
         Some(sooner(early, self.last_chance()))
     }
 
-    /// Returns the later of two times: `IN_TIME_TICKS` (two runs, a pause and the start of the output) before the last
-    /// queued event, and the time at which the queue will have room for [`MOST_EVENTS`] more.
+    /// Returns the later of two times. One is `IN_TIME_TICKS` before the last queued event: enough for two runs, a
+    /// pause and the start of the output. At the other, the queue will have room for [`MOST_EVENTS`] more events.
     #[inline(never)]
     fn before_two_runs(&self) -> u32 {
         later(

@@ -204,8 +204,8 @@ impl Step {
     }
 
     /// Delays the motion by `by` ticks of the step clock: all steps to come, and the start times of segments that have
-    /// not begun. ([`StepOutput::begin`] has delayed the events that are already queued.) `moment`: planned time of the
-    /// next tick. If that tick would then miss the deadline `self.latest`, the motors may lose steps. In this case
+    /// not begun. [`StepOutput::begin`] has already delayed the queued events. `moment`: planned time of the next
+    /// tick. If the delayed tick would miss the deadline `self.latest`, the motors may lose steps. In this case,
     /// aborts the motion instead.
     fn delay(&mut self, moment: u32, by: u32) {
         if self.latest.is_some_and(|latest| (latest.wrapping_sub(moment.wrapping_add(by)) as i32) < 0) {
@@ -287,8 +287,9 @@ impl Step {
         self.state = State::Ending;
     }
 
-    /// Stops the stepper and reports an underrun, because events were not ready in time, or (`miscounted`) because the
-    /// hardware did not output the generated events. `undone`: net steps that were not output.
+    /// Stops the stepper and reports an underrun, because events were not ready in time. If `miscounted` is `true`,
+    /// reports a miscount instead: the hardware did not output the generated events. `undone`: net steps that were not
+    /// output.
     #[cold]
     fn give_up(&mut self, undone: [i32; AXES], miscounted: bool) {
         self.maker.take_back_segments();
@@ -336,8 +337,8 @@ impl Step {
     #[cold]
     fn resume(&mut self) {
         let planned = self.maker.stepper.moment();
-        // If the motion was resumed before, and has not had enough events queued since
-        // ([`Step::clear_deadline_when_ahead`]), it keeps its earlier deadline.
+        // If the motion was resumed before, it keeps its earlier deadline, unless enough events were queued in the
+        // meantime ([`Step::clear_deadline_when_ahead`]).
         let latest = planned.wrapping_add(MOST_LATE_STEPS.wrapping_mul(self.maker.stepper.step_interval()));
         self.latest = Some(self.latest.unwrap_or(latest));
         // The start of the output needs `IN_TIME_TICKS`. Add the time for one more run of this task and the pause after

@@ -5,8 +5,8 @@ use crate::shared::Wake;
 use oxmill_controller::messages::{EVENTS_DEPTH, StepEvent};
 use rtic_sync::channel::Sender;
 
-/// Reports that have not been sent yet. One slot for each kind is enough. A probe's contact (with the braking after it)
-/// and an underrun end the motion, and no motion begins until `control` has answered the report. Of several stops, only
+/// Reports that have not been sent yet. One slot for each kind is enough. The motion ends at an underrun, and brakes
+/// after a probe's contact. The next motion begins only when `control` has answered the report. Of several stops, only
 /// the newest must be reported.
 pub struct Reports {
     /// The probe's contact was detected, but has not been reported yet.

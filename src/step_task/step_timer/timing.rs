@@ -32,12 +32,12 @@ pub const BEGIN_TICKS: u32 = in_ticks(1_500);
 /// A run of the step task starts the output of a motion if it finds at most this much time left before the first tick:
 /// enough for two runs, a pause between them, and the start itself.
 pub const IN_TIME_TICKS: u32 = 2 * RUN_TICKS + BEGIN_TICKS + PAUSE_TICKS;
-/// For a motion that starts from rest, added to `IN_TIME_TICKS`: masked interrupts can delay the run of the step task
-/// that starts its output.
+/// Additional time for a motion that starts from rest: its output is started when this time plus `IN_TIME_TICKS` is
+/// left, because masked interrupts can delay the run of the step task that starts the output.
 pub const SPARE_TICKS: u32 = 100 * TICKS_PER_US;
 /// Minimum pause after a run of the step task until its next scheduled run. Other tasks run in this pause.
 pub const PAUSE_TICKS: u32 = RUN_TICKS / 4;
-/// At rest: time until the next attempt to send a report to `control` for which the queue had no room.
+/// Time until the next attempt to send a report, if the machine is at rest and the queue to `control` had no room.
 pub const RETRY_TICKS: u32 = 1_000 * TICKS_PER_US;
 /// Time from the end of the last pulse of a motion until the event of this pulse counts as output.
 pub const OUT_TICKS: u32 = 2 * TICKS_PER_US;

@@ -26,7 +26,7 @@ impl Model {
                     self.spindle_stopped = true;
                 }
             }
-            // Oxmill: acts at any time; ignored in Grbl's dialect.
+            // Oxmill: single block can be toggled at any time. Grbl's dialect ignores this command.
             action::SINGLE_BLOCK if !self.setup.grbl => self.toggle_single_block(also),
             action::FLOOD_TOGGLE if matches!(self.mode, Mode::Free | Mode::Hold) => self.flood = !self.flood,
             // Oxmill: overrides also act in an alarm that only a reset ends.
@@ -86,7 +86,8 @@ impl Model {
         motion.speed *= most.max(1.0 / least);
     }
 
-    /// Handles 0x19. Oxmill: brakes, drops the job, keeps position and modal state; ignored in Grbl's dialect.
+    /// Handles 0x19, a command of Oxmill that Grbl's dialect ignores. The machine brakes and drops the job. Position
+    /// and modal state are kept.
     pub(super) fn stop(&mut self, also: &mut Vec<Model>) {
         if self.setup.grbl {
             return;

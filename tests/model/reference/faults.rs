@@ -42,8 +42,8 @@ impl Model {
         }
     }
 
-    /// Reports the input that caused the alarm; for a limit switch the message also names the axis. Grbl's dialect
-    /// has no such message, and alarms of host and spindle have no input.
+    /// Reports the input that caused the alarm. For a limit switch the message also names the axis. In Grbl's dialect
+    /// there is no such message. For the alarms of host and spindle there is none, either.
     fn name_input(&mut self, alarm: u8) {
         if !self.setup.grbl && ![HOST, SLOW].contains(&alarm) {
             self.say(format!("[MSG:{}*", input(alarm)));
@@ -67,8 +67,8 @@ impl Model {
         }
     }
 
-    /// Ends braking for a fault; called when the machine has come to rest. `later`: another limit switch closed while
-    /// it braked, and is reported after the alarm.
+    /// Ends braking for a fault. Called when the machine has come to rest. `later`: another limit switch closed while
+    /// the machine braked; this is reported after the alarm.
     pub(super) fn rest_for(&mut self, alarm: u8, later: bool) {
         self.forget_motion();
         self.say(format!("ALARM:{alarm}"));
@@ -97,8 +97,8 @@ impl Model {
         }
         self.stop_dead();
         self.say(format!("ALARM:{alarm}"));
-        // Oxmill: a homing cycle that is interrupted is answered together with the alarm, any other line in progress
-        // only at the reset.
+        // Oxmill: an interrupted homing cycle is answered together with the alarm. Any other line in progress is
+        // answered only at the reset.
         if self.work == Some(Work::Homing) {
             self.work = None;
             self.say("ok");

@@ -35,12 +35,12 @@ pub(super) struct Homing {
     /// 0: Z; 1: X and Y.
     cycle: usize,
     phase: Phase,
-    /// `true` after the motion of the phase has ended: the controller waits [`DEBOUNCE`] until the switches no longer
+    /// `true` after the motion of the phase has ended. Then the controller waits for [`DEBOUNCE`], because switches
     /// bounce.
     settles: bool,
     touched: [bool; 3],
-    /// Time at which the phase's motion ends if no switch ends it. If `settles`: the end of the wait for the
-    /// switches.
+    /// Time at which the phase's motion ends if no switch ends it. If `settles` is `true`: the time at which the wait
+    /// for the switches ends.
     pub(super) time: Span,
 }
 
@@ -82,8 +82,8 @@ impl Model {
             homing.settles = true;
             homing.time = now.plus(Span::length(DEBOUNCE, 0.0));
         } else if is_new {
-            // Oxmill: when one axis of the cycle has found its switch, the other may move the whole distance of the
-            // phase once more, from where it is then.
+            // Oxmill: one axis of the cycle has found its switch. From where the other axis is now, it may still move
+            // the whole distance of the phase.
             homing.time = now.plus(homing.phase.length());
         }
     }

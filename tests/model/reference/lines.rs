@@ -172,7 +172,7 @@ impl Model {
         }
     }
 
-    /// Forgets the selected tool in Grbl's dialect, in which a line without T counts as one with T0.
+    /// Forgets the selected tool in Grbl's dialect. There a line without T has the effect of T0.
     pub(super) fn forget_selected(&mut self) {
         if self.setup.grbl {
             self.selected = 0;
@@ -341,8 +341,8 @@ impl Model {
         let time = match length {
             Some(mm) if mm < 1e-9 => Span::at(0.0),
             Some(mm) => Span { from: (mm / speed - 0.005).max(0.001), to: seconds(mm) + SLACK },
-            // The start is unknown, so the move can have any length up to twice the travel plus a jog. The maximum
-            // time allows for a longer move, 4 times the travel.
+            // The start is unknown, so the move can have any length up to twice the travel plus a jog. The latest end
+            // is computed for 4 times the travel, which is more than that.
             None => Span { from: 0.0, to: seconds(4.0 * TRAVEL) + SLACK },
         };
         match &mut self.motion {

@@ -26,8 +26,8 @@ use std::collections::VecDeque;
 
 /// Pattern for any number of lines of a listing.
 pub const MANY: &str = "[listing]";
-/// Tolerance of all times, s. After a stop the step task still needs time: it completes the segments that are already
-/// queued for the motion.
+/// Tolerance of all times, s. Motion goes on for some time after a stop, because the step task first completes the
+/// segments that are already queued.
 const SLACK: f64 = 0.035;
 /// Delays after a door has closed and the job is resumed, s: from spindle on to coolant on, and from coolant on to
 /// motion.
@@ -49,7 +49,8 @@ impl Span {
         Span { from: self.from + length.from, to: self.to + length.to }
     }
 
-    /// Returns the span of a duration, from `seconds` less 5 ms to `seconds` plus `more` plus [`SLACK`].
+    /// Returns the span of a duration. The shortest duration is `seconds` minus 5 ms. The longest is the sum of
+    /// `seconds`, `more` and [`SLACK`].
     fn length(seconds: f64, more: f64) -> Span {
         Span { from: (seconds - 0.005).max(0.0), to: seconds + more + SLACK }
     }
@@ -61,7 +62,8 @@ type Places = [Option<f64>; 3];
 /// Moves that are queued or in progress.
 #[derive(Clone, Debug, PartialEq)]
 struct Motion {
-    /// End time, s. If `held` (the motion is interrupted): the remaining duration, s.
+    /// Time in s at which the motion ends. While the motion is interrupted (`held`), this is the remaining duration
+    /// instead.
     time: Span,
     held: bool,
     target: Places,
@@ -76,7 +78,8 @@ struct Motion {
 enum Work {
     /// Waits for the end of the motion.
     Drain(Line),
-    /// `time`: the end, s. If `held` (the dwell is interrupted): the remaining duration, s.
+    /// `time`: time in s at which the dwell ends. While the dwell is interrupted (`held`), this is the remaining
+    /// duration instead.
     Dwell { time: Span, held: bool },
     /// M0, until the next cycle start.
     Pause,
@@ -85,9 +88,10 @@ enum Work {
     /// Oxmill: M6 waits for the cycle start that confirms this tool. `spindle`: the same line then turns the spindle
     /// on.
     Tool { tool: u8, spindle: bool },
-    /// A jog that has arrived while a jog ended by 0x85 is braking. It starts when the machine is at rest.
+    /// A jog that arrived while the machine braked after the jog cancel 0x85. It starts when the machine is at rest.
     LaterJog(Line),
-    /// A forbidden target: the machine locks when it has come to rest and any hold or door state has ended.
+    /// The target of a move is forbidden. The machine locks when it has come to rest and any hold or door state has
+    /// ended.
     Forbidden,
     /// `$H`.
     Homing,
@@ -101,8 +105,8 @@ enum Mode {
     Free,
     Jog,
     Hold,
-    /// Oxmill: brakes for a fault; the alarm follows when the machine is at rest. `later`: another limit switch closed
-    /// while it braked, and is reported after the alarm.
+    /// Oxmill: brakes for a fault. The alarm follows when the machine is at rest. `later`: another limit switch closed
+    /// while the machine braked; this is reported after the alarm.
     Fault {
         alarm: u8,
         later: bool,
@@ -134,10 +138,10 @@ pub struct Model {
     /// Time from which the host timeout counts: the host's most recent byte, or the start of the state in which the
     /// timeout applies, whichever is later.
     heard: Span,
-    /// Time since when the spindle has been below its speed; `None` if it is at speed.
+    /// Time at which the spindle fell below its speed; `None` if it is at speed.
     slow: Option<Span>,
-    /// The spindle override (percent) that was last seen, and the time by which the spindle must have reached the
-    /// speed with that override. Updated only in states that carry out lines; `None` if the spindle is off.
+    /// The latest spindle override (percent), and the time by which the spindle must have reached its speed with this
+    /// override. `None` if the spindle is off. A change of the override counts only in states that carry out lines.
     given: Option<(u32, Span)>,
     /// Oxmill: whether spindle and coolant stay on while a job waits in a door state for its host (`$928=5`).
     keeps_outputs: bool,
@@ -227,7 +231,7 @@ impl Model {
     pub fn state(&self) -> &'static str {
         let braking = self.braking.is_some();
         match &self.mode {
-            // Oxmill reports Run even while the machine brakes before a forbidden target, where Grbl reports a hold.
+            // Oxmill reports Run even while the machine brakes before a forbidden target. Grbl reports a hold there.
             Mode::Free if self.motion.is_some() => "Run",
             Mode::Free => "Idle",
             Mode::Jog => "Jog",
@@ -378,8 +382,8 @@ impl Model {
         all
     }
 
-    /// Advances to the time `end`, s, through all events until then. Appends the models that are possible then to
-    /// `all`.
+    /// Advances to the time `end`, s, and handles all events until then. Each model that is possible at that time is
+    /// appended to `all`.
     fn advance(mut self, end: f64, all: &mut Vec<Model>) {
         self.may_step |= self.moves();
         let ends = [self.next_end(), self.next_silence(), self.next_slowness()];

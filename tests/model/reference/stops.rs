@@ -205,8 +205,8 @@ impl Model {
         may_be.then(|| Model { motion: None, braking: None, place: [None; 3], ..self.clone() })
     }
 
-    /// Handles a reset (0x18 or the reset pin), which keeps only the position and the loaded tool. In motion it
-    /// causes alarm 3, during homing alarm 6.
+    /// Handles a reset (0x18 or the reset pin). Only the position and the loaded tool are kept. The reset causes alarm
+    /// 3 during motion, and alarm 6 during homing.
     pub(super) fn reset(&mut self, also: &mut Vec<Model>) {
         if let Some(mut unmoved) = self.unmoved() {
             unmoved.reset(also);
@@ -245,8 +245,8 @@ impl Model {
         }
     }
 
-    /// Does what all resets have in common: switches outputs and overrides back, and sends the greeting. `locked`: the
-    /// machine starts in an alarm that `$X` or `$H` ends.
+    /// Does what all resets have in common: switches the outputs off, sets the overrides to 100 %, and sends the
+    /// greeting. `locked`: the machine starts in an alarm that `$X` or `$H` ends.
     pub(super) fn initialise(&mut self, mut locked: bool, also: &mut Vec<Model>) {
         self.switch_off();
         self.overrides = [100; 3];
@@ -280,8 +280,8 @@ impl Model {
     }
 
     /// Cancels all jogs that have been received but have not started. They are answered as if they had been carried
-    /// out. Oxmill: each event that ends a jog does this, also to jogs that wait while the machine brakes for a hold.
-    /// `keeps_later_jogs`: `true` if a jog that arrives later still runs (after 0x85).
+    /// out. Oxmill: each event that ends a jog also cancels these, even if they wait while the machine brakes for a
+    /// hold. `keeps_later_jogs`: `true` if a jog that arrives later still runs (after 0x85).
     pub(super) fn end_jogs(&mut self, keeps_later_jogs: bool) {
         self.cancelled = self.waiting.len();
         self.keeps_later_jogs = keeps_later_jogs;
@@ -302,7 +302,8 @@ impl Model {
         }
     }
 
-    /// Ends jogs at a hold or a door. Oxmill: also jogs that have not started; in Grbl these run after the hold.
+    /// Ends jogs at a hold or a door. Oxmill: this also ends jogs that have not started. In Grbl these run after the
+    /// hold.
     pub(super) fn end_received_jogs(&mut self) {
         if self.mode == Mode::Jog || !self.setup.grbl {
             self.end_jogs(false);

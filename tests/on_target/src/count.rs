@@ -168,8 +168,8 @@ impl Registers {
         self.read(self.read(Self::MOMENTS_AT) as usize + 4 * (event % Self::RING))
     }
 
-    /// Returns the number of events ahead: those in the ring that are not output yet. The last event is recognized by
-    /// the slot after it, which holds an earlier time.
+    /// Returns how many events in the ring have not been output yet. The slot after the last event holds an earlier
+    /// time, which marks the end.
     fn ahead(&self) -> usize {
         let mut last = self.last;
         (self.out..self.out + Self::RING)
@@ -201,7 +201,7 @@ impl Registers {
         self.write(Self::MOMENTS_AT, 0);
         let mut calls = 0;
         while self.read(Self::MOMENTS_AT) == 0 {
-            // Gives up if the task does not start, for example after an underrun, because the trace would fill the
+            // Give up if the task does not start, for example after an underrun. Otherwise the trace would fill the
             // disk.
             assert!(calls < 20, "the step task does not start");
             calls += 1;
@@ -318,7 +318,7 @@ fn step_task() {
     turning(sent, Segment::FLAG_LAST);
     registers.finish();
 
-    // Events that are output one by one, because the probe is watched; the probe is not triggered.
+    // Here each event is output by a call of its own, because the probe is watched. The probe is not triggered.
     registers.write(boards::Memory::GPIO + 0x10, u32::MAX);
     send(&mut to_step, &[ToStep::Watch { probe: Some(true), braking: 1.0 }]);
     send(&mut to_step, &block([100; 3], 0, 100, 0, Segment::FLAG_LAST));
@@ -428,8 +428,8 @@ fn line_to(x: i64, y: i64, speed: f32) -> Move<3> {
 }
 
 fn planning(motion: &mut Planner) {
-    // Each block is long enough for stopping within it, so that a new block changes no entry speed of the blocks before
-    // it.
+    // Each block is so long that the machine could stop within it. So a new block changes no entry speed of the blocks
+    // before it.
     for k in 0..40 {
         let line = line_to(10_000 * (k + 1), if k & 1 == 0 { 3_000 } else { 0 }, 60.0);
         if k == 4 {
@@ -458,8 +458,8 @@ fn planning(motion: &mut Planner) {
     row_none();
     run_out(motion, &mut observed);
 
-    // Blocks so short that each new block changes the entry speeds of all blocks before it. So the first segment waits
-    // until the planner has walked over all of them.
+    // These blocks are so short that each new block changes the entry speeds of all blocks before it. So the first
+    // segment waits until the planner has walked over all of them.
     for (from, blocks, row) in [(400_000, 40, row_walk_near as extern "C" fn()), (500_000, 120, row_walk_far)] {
         motion.line(&line_to(from, 0, 160.0));
         motion.start();
@@ -613,8 +613,8 @@ struct Waiting {
 }
 
 impl Waiting {
-    /// Adds the segments of a line. While the waiting lines last more than `most_ms` in total, removes the oldest line,
-    /// because a machine that keeps up with its sender would have started it.
+    /// Adds the segments of a line. Removes the oldest lines until the waiting lines last at most `most_ms` in total. A
+    /// machine that keeps up with its sender would have started these oldest lines.
     fn add(&mut self, segments: u32, clocks: u32, most_ms: u32) {
         self.clocks += clocks;
         self.lines.push_back((segments, clocks)).expect("lines of 12 ms");
@@ -636,8 +636,8 @@ struct Outcome {
     block: bool,
 }
 
-/// Feeds the bytes of a line to the controller, and takes outputs until one is a block for the step task, or there are
-/// no more.
+/// Feeds the bytes of a line to the controller. Then takes outputs until one of them is a block for the step task, or
+/// until no output is left.
 #[unsafe(no_mangle)]
 #[inline(never)]
 // unsafe because an exported name can clash with another; safe because this name is unique.
@@ -842,8 +842,8 @@ fn unit_recorded_rest(recorder: &mut Ring, now: Instant, controller: &Whole) {
     recorder.at_rest(now, controller);
 }
 
-/// Counts the cost of recording. The lines, each at a different time, are so many that they fill all pages and
-/// overwrite the oldest; some of them start a new page.
+/// Counts the cost of recording. There are so many lines, each at a different time, that they fill all pages and
+/// overwrite the oldest lines. So some of them start a new page.
 fn recording(controller: &Whole) {
     // SAFETY: unsafe because of the raw address; safe because it is in memory that nothing else uses, and pages are
     // plain numbers.

@@ -48,15 +48,15 @@ const STEP_Y: usize = 2;
 
 const TICKS_PER_US: i32 = (boards::PROFILE.step_clock_hz / 1_000_000) as i32;
 
-/// Maximum by which a pulse can exceed `$0`. A pulse can also be up to [`EDGE_NS`] shorter than `$0`. Both happen
-/// because DMA outputs the two edges and may have to wait for other transfers.
+/// Maximum time by which a pulse can be longer than `$0`. A pulse can also be shorter than `$0`, by up to [`EDGE_NS`].
+/// The reason is that DMA outputs the two edges and may have to wait for other transfers.
 const LATEST_PULSE_END_US: i32 = 1;
 /// Maximum delay of an edge, because its transfer may have to wait for other transfers, such as those of the recorder.
 const EDGE_NS: i32 = 250;
 /// Maximum error of the period between two pulses, because their edges can be delayed.
 const PERIOD_ERROR_US: i32 = 1;
-/// Maximum error of the time from the first pulse of a train to its last but one. (A train is a series of evenly
-/// spaced pulses.) It is small, because errors must not accumulate.
+/// Maximum error of the time from the first pulse of a train (a series of evenly spaced pulses) to its last but one.
+/// The bound is small, because errors must not accumulate.
 const DRIFT_US: i32 = 1;
 /// Maximum time between the pulses of one tick, because ports are written one after the other.
 const SKEW_NS: i32 = 500;

@@ -220,7 +220,7 @@ pub struct WatchdogTimer<const BASE: usize>(());
 impl<const BASE: usize> WatchdogTimer<BASE> {
     /// CONTROL: counting, and an interrupt at 0.
     pub const INTERRUPT_ENABLE: u32 = 1;
-    /// CONTROL: reset if the interrupt has not been cleared at the next 0.
+    /// CONTROL: reset at the next 0, if the interrupt has not been cleared by then.
     pub const RESET_ENABLE: u32 = 2;
 
     registers! {

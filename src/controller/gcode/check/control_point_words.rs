@@ -1,6 +1,6 @@
 //! Rational B-splines (NURBS), whose control points have a line each. G5.2 starts or continues a curve; G5.3 ends the
-//! curve and moves along it. The interpreter collects the points until then. Errors: G5.3 or a point without a G5.2,
-//! another motion before G5.3, too few or too many points.
+//! curve and moves along it. The interpreter collects the points until then. It is an error if G5.3 or a point comes
+//! without a G5.2, if another motion comes before G5.3, or if there are too few or too many points.
 
 use super::draft::Draft;
 use crate::axes::{Axis, AxisMask};

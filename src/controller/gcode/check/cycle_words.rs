@@ -136,7 +136,7 @@ impl<const N: usize> Draft<'_, N> {
         words.level + self.tool_offset(axes.linear)
     }
 
-    /// Reads L, the number of holes. With G90 all holes are at the same position, with G91 they form a row.
+    /// Reads L, the number of holes. With G90, all holes are at the same position. With G91, they form a row.
     fn repeats(&mut self) -> Result<u32, Error> {
         if !self.take(b'L') {
             return Ok(1);

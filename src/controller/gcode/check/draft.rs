@@ -52,7 +52,7 @@ pub(super) struct Draft<'a, const N: usize> {
     pub(super) line: &'a Parsed<N>,
     pub(super) dialect: Dialect,
     pub(super) purpose: Purpose,
-    /// Command that uses the axis words. If no command of the line uses them, they are a motion in the motion mode in
+    /// Command that uses the axis words. If no command of the line uses them, they give a motion in the motion mode in
     /// force ([`Claim::Motion`]).
     pub(super) claim: Claim,
     /// Letters of the axis words and value words that no step has used yet.
@@ -66,8 +66,8 @@ pub(super) struct Draft<'a, const N: usize> {
 }
 
 impl<'a, const N: usize> Draft<'a, N> {
-    /// Starts the check of a line: copies the modal state and applies the line's modal words. Axis words that no
-    /// command of the line uses are a motion in the motion mode in force.
+    /// Starts the check of a line: copies the modal state and applies the line's modal words. If no command of the
+    /// line uses the axis words, they give a motion in the motion mode in force.
     pub(super) fn begin(
         state: &'a Interpreter<N>,
         line: &'a Parsed<N>,
@@ -204,9 +204,9 @@ impl<'a, const N: usize> Draft<'a, N> {
     }
 
     /// Returns the feed of a straight move as the speed along its path in all axes, rotary axes included. F itself is
-    /// the speed along X, Y and Z alone, and rotary axes start and end with them. Example: for 3 mm in X and 4 degrees
-    /// in A the path is 5 long, so the result is 5/3 of F. If only rotary axes move, F is in degrees per minute
-    /// (RS274NGC, 2.1.2.5).
+    /// the speed along X, Y and Z alone; the rotary axes start and end together with X, Y and Z. Example: for 3 mm in
+    /// X and 4 degrees in A the path is 5 long, so the result is 5/3 of F. If only rotary axes move, F is in degrees
+    /// per minute (RS274NGC, 2.1.2.5).
     pub(super) fn feed_to(&self, target: &PerAxis<Coordinate, N>) -> Feed {
         match self.feed_of_motion() {
             Feed::PerMinute(feed) if N > LINEAR => {

@@ -1,5 +1,5 @@
 //! Words that CAM programs write for other controls. Some have the same meaning here (G54.1 P, G154 P, U V W of G28).
-//! Others have no effect. If they switch the look-ahead, or are M29, the host gets a message once per program.
+//! Others have no effect. For M29 and for words that switch the look-ahead, the host gets a message once per program.
 
 use super::draft::{CENTRE, Draft};
 use crate::axes::PerAxis;
@@ -73,9 +73,9 @@ impl<const N: usize> Draft<'_, N> {
         Ok(point)
     }
 
-    /// Accepts a D, the number of a tool radius, if no other word of the line is unused. D may be alone on its line,
-    /// or beside G40 or G43 to G49, but not beside G12 and G13. Stores in the action whether D names the radius of a
-    /// tool, which D0 does not. Returns `false` if D was not accepted.
+    /// Accepts a D, the number of a tool radius, if all other words of the line have been used. D may be alone on its
+    /// line, or beside G40 or G43 to G49, but not beside G12 and G13. Stores in the action whether D names the radius
+    /// of a tool; D0 names none. Returns `false` if D was not accepted.
     #[inline(never)]
     pub(super) fn take_radius_register(&mut self) -> Result<bool, Error> {
         let mut others = self.line.values;

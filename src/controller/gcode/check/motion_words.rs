@@ -146,8 +146,9 @@ impl<const N: usize> Draft<'_, N> {
     /// Checks G12 and G13, which act as on Mach: the tool feeds along X by I, moves in a full circle round its
     /// starting position, and feeds back to that position. I is the radius of the tool's path.
     ///
-    /// On Haas, I is the radius of the wall. If D has named the radius of a tool, Haas subtracts it from I. So a line
-    /// of a program for Haas is refused: one with D, K, L, Q or Z, and one after a D other than D0.
+    /// On Haas, I is the radius of the wall. If D has named the radius of a tool, Haas subtracts it from I. So two
+    /// kinds of lines are refused, because they look like a program for Haas: a line with D, K, L, Q or Z, and a line
+    /// after a D other than D0.
     #[inline(never)]
     fn circle(&mut self, clockwise: bool) -> Result<(), Error> {
         let axes = Plane::Xy.axes();

@@ -60,8 +60,8 @@ impl<const N: usize> Draft<'_, N> {
     }
 
     /// Reads G68: R is the angle, and the axis words give the centre. A and B can take the place of the axis words, as
-    /// on Mach. Along an axis of the plane without such a word, the centre is at the present position. The distance
-    /// mode has no effect.
+    /// on Mach. Along an axis of the plane that has none of these words, the centre is at the present position. The
+    /// distance mode has no effect.
     fn new_rotation(&mut self) -> Result<Rotation, Error> {
         let plane = self.action.modal.plane;
         let axes = plane.axes();
@@ -108,8 +108,8 @@ impl<const N: usize> Draft<'_, N> {
         }
     }
 
-    /// Refuses an angle for the active system, which would rotate X and Y, while G68 rotates another plane. If both
-    /// were in force, every following line would be refused.
+    /// Refuses an angle for the active system while G68 rotates another plane than that of X and Y. The angle would
+    /// rotate X and Y. If both rotations were in force, every following line would be refused.
     pub(super) fn keeps_planes(&self, system: CoordinateSystem) -> Result<(), Error> {
         let turned = self.action.rotated.angle.is_some_and(|angle| angle != Angle::ZERO);
         let ends = self.line.extended.rotation == Some(false);

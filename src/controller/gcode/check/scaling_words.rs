@@ -35,7 +35,7 @@ impl<const N: usize> Draft<'_, N> {
         Ok(())
     }
 
-    /// Reads G51. P is the factor of X, Y and Z; or I, J and K are one factor each, and a negative I or J mirrors.
+    /// Reads G51. Either P is the factor of X, Y and Z, or I, J and K are one factor each. A negative I or J mirrors.
     /// Along an axis that has no word, the centre is at the present position. The distance mode has no effect.
     fn new_scaling(&mut self) -> Result<Scaling, Error> {
         let named = self.line.axes;

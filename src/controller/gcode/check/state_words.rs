@@ -26,8 +26,8 @@ impl<const N: usize> Draft<'_, N> {
             48 | 49 => *held = OverridesHeld { feed: !on, spindle: !on },
             50 => held.feed = !on,
             51 => held.spindle = !on,
-            // M52 P1 is refused because there is no input for an adaptive feed, M53 P0 because the hold button always
-            // acts.
+            // M52 P1 is refused, because there is no input for an adaptive feed. M53 P0 is refused, because the hold
+            // button always acts.
             _ if on == (word == 52) => return Err(Error::NotSupported),
             _ => {}
         }

@@ -1,5 +1,6 @@
-//! Tools: T selects, M6 changes, M61 names the tool in the spindle. G43 to G49 set the tool length offset, from the
-//! tool table or from axis words. G10 L1, L10 and L11 set an entry of the table, or remove one.
+//! Tools: T selects a tool, M6 changes the tool, and M61 names the tool that is in the spindle. G43 to G49 set the
+//! tool length offset, from the tool table or from axis words. G10 L1, L10 and L11 set an entry of the table, or
+//! remove one.
 
 use super::draft::Draft;
 use crate::axes::{AxisMask, PerAxis};

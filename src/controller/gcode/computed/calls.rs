@@ -9,8 +9,8 @@ use crate::gcode::state::{Interpreter, ProgramPlace};
 
 impl<const N: usize> Interpreter<N> {
     /// Begins a call. `back`: position in the held text (recorded lines) to which the call returns, or [`STREAM`] for
-    /// a call in a line of the host. Such a line has already started the subroutine's text (`FlowControl::run`). If
-    /// the call fails, this function stops the text again.
+    /// a call in a line of the host. With [`STREAM`], the caller has already started the text of the subroutine
+    /// (`FlowControl::run`), so this function stops the text again if the call fails.
     pub(super) fn call(
         &mut self,
         kind: FrameKind,
@@ -48,8 +48,8 @@ impl<const N: usize> Interpreter<N> {
     /// G51, because no other program expects them. Call this when the program's remaining lines will not run, or when
     /// another host has taken over.
     ///
-    /// Lines that follow can still belong to the abandoned program if it waits for a subprogram, or if the host is
-    /// sending subprograms. They are refused until another program begins.
+    /// The lines that follow can still belong to the abandoned program: it may wait for a subprogram, or the host may
+    /// be sending subprograms. In both cases the lines are refused until another program begins.
     pub fn abandon_program(&mut self) {
         if self.is_held() || self.place == ProgramPlace::Subprogram {
             self.place = ProgramPlace::Refused;

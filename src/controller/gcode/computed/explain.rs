@@ -54,7 +54,7 @@ impl<const N: usize> Interpreter<N> {
         true
     }
 
-    /// Explains a line that belongs to no program and to no subprogram.
+    /// Explains [`Error::OutOfPlace`]: the line belongs neither to a program nor to a subprogram.
     #[inline(never)]
     fn explain_place(&self, line: &[u8], order: Option<OWord>, out: &mut Reason) {
         if let Some(excess) = self.computed.overflow.so_far() {
@@ -128,7 +128,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Writes why a line with a call of an M macro, `IF [..] THEN` or GOTO was refused. If the M word has no macro,
-    /// the other words of the line explain the error: writes nothing and returns `false`.
+    /// the error has another cause, so the function writes nothing and returns `false`.
     #[inline(never)]
     fn explain_jump(&self, line: &[u8], order: &OWord, error: Error, out: &mut Reason) -> bool {
         let name: &[u8] = match order.keyword {
@@ -261,8 +261,8 @@ impl<const N: usize> Interpreter<N> {
         say(out, "% has no O% % before it", &[name, label, opening]);
     }
 
-    /// Returns the first parameter in a text that cannot be read: a name without a value, or a number of no parameter.
-    /// (A number without a value is read as 0.)
+    /// Returns the first parameter in a text that cannot be read: a name without a value, or a number that no
+    /// parameter can have. (A valid number without a value is read as 0.)
     #[inline(never)]
     pub(in crate::gcode) fn unset_parameter<'t>(&self, text: &'t [u8]) -> Option<&'t [u8]> {
         (0..text.len()).find_map(|at| {

@@ -15,10 +15,10 @@
 //! error occurs meanwhile, all its held lines are dropped (see `subprograms`). A subprogram for which no program waits
 //! is forgotten at its M99.
 //!
-//! A condition is not recorded, because the lines of its false branches are only skipped. Subroutines and loops are
-//! held as text of bounded size, because a serial link sends each line only once. A subroutine or loop that does not
-//! fit is refused up to its end, so that none of its lines is executed as a line of the program. Held text is returned
-//! line by line, without recursion.
+//! A condition is not recorded, because the lines of its false branches are only skipped. A serial link sends each
+//! line only once, but the lines of subroutines and loops run later or repeatedly. So these lines are recorded, as
+//! text of bounded size. A subroutine or loop that does not fit is refused up to its end, so that none of its lines is
+//! executed as a line of the program. Held text is returned line by line, without recursion.
 
 use super::m_words::has_m_word;
 use super::modal_calls::ModalCall;
@@ -39,7 +39,7 @@ pub const LEAST_HELD: usize = 6144;
 pub(super) const MOST_MACROS: usize = 3072;
 /// Number of bytes that remain free in the held text (recorded lines) after a line is added. Only two kinds of lines
 /// may use these bytes: the first line of a subroutine or loop, and the `ENDSUB` that replaces M99. So the label of a
-/// block is recorded even if its other lines do not fit. By this label the last line of the block is recognized.
+/// block is recorded even if its other lines do not fit. The label is needed to recognize the last line of the block.
 pub(super) const SPARE: usize = 64;
 /// Maximum nesting of conditions, loops and calls: enough for 16 nested calls, each within two conditions.
 const DEPTH: usize = 48;
@@ -257,9 +257,9 @@ impl<'a> OWord<'a> {
         if self.is_well_formed() { Ok(()) } else { Err(Error::FlowSyntax) }
     }
 
-    /// Returns whether this O word can follow an M2 or M30 that was not executed, but skipped or recorded. This
-    /// happens if a block is open, or if the program is held for a subprogram. Calls, M99, THEN and GOTO cannot
-    /// follow.
+    /// Returns whether this O word can follow an M2 or M30 that was skipped or recorded and not executed. An M2 or M30
+    /// is skipped or recorded if a block is open, or if the program is held for a subprogram. Calls, M99, THEN and
+    /// GOTO cannot follow.
     pub(super) fn may_follow_end(&self) -> bool {
         !matches!(
             self.keyword,
@@ -363,15 +363,15 @@ pub(super) struct Frame {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum FlowState {
     Streaming,
-    /// Lines of a block are recorded; the block begins at this position of the held text. With an error, the block's
-    /// lines are refused instead.
+    /// Lines of a block are recorded. The block begins at this position of the held text. If there is an error, the
+    /// block's lines are refused instead.
     Recording(u16, Option<Error>),
     /// The program's lines are recorded, from the call of an unknown subprogram on.
     Holding,
     /// The recorded program has ended, and waits for the definition of a subprogram.
     Waiting,
-    /// Held text is executed. The position is the start of a text that was stored only for this execution (a loop, or a
-    /// line of the host with a call), and that is removed afterwards. `None` for a subroutine, which remains.
+    /// Held text is executed. `Some`: the text was stored only for this execution (a loop, or a line of the host with
+    /// a call). It begins at this position and is removed afterwards. `None`: the text is a subroutine, which remains.
     Running(Option<u16>),
 }
 
@@ -406,35 +406,35 @@ pub(super) struct FlowControl {
     pub(super) skipped: u32,
     /// Number of the host's present line; the first received line is 1.
     pub(super) line: u32,
-    /// Number of the host's line with which the present recording began: of a block, of a held program or of a
-    /// subprogram.
+    /// Number of the host's line at which the present recording began. The recording is that of a block, a held
+    /// program or a subprogram.
     pub(super) recorded_from: u32,
     /// Whether the previous line was an M2 or M30 that was skipped or recorded.
     pub(super) after_end: bool,
-    /// Number of the host's line at which a block began that was still open at the end of the program; `None` if no
-    /// block was open.
+    /// If a block was still open at the end of the program: number of the host's line at which this block began.
+    /// Otherwise `None`.
     pub(super) cut: Option<u32>,
-    /// Position in the held text of the call for whose subprogram the program waits, because the host has not sent it
-    /// yet. When the subprogram is complete, the program continues with this call.
+    /// Position in the held text of the call that waits until the host has sent the called subprogram. When the
+    /// subprogram is complete, the program continues with this call.
     pub(super) waiting: Option<u16>,
-    /// Start of the held text that runs when the call at `waiting` continues. After it has run, the text from there on
-    /// is removed.
+    /// Start of the held text that runs when the call at `waiting` continues. Afterwards the held text is removed from
+    /// this position on.
     held_from: u16,
     /// Number of the subprogram in the most recent call of an unknown subprogram.
     pub(super) missing: u32,
     /// Number of conditions and loops that are open in the subprogram being recorded.
     pub(super) within: u8,
     /// `true` if the line in execution, or the line that called it, comes from the host; `false` if it is a startup
-    /// line. When a line of the host calls an unknown subprogram, the program waits until the host sends it. A startup
-    /// line cannot wait, so the same call is an error there.
+    /// line. When a line of the host calls an unknown subprogram, the program waits until the host sends the
+    /// subprogram. A startup line cannot wait, so the same call is an error there.
     pub(super) of_host: bool,
     /// The modal call (G66), which follows each line that moves an axis.
     pub(super) modal: ModalCall,
 }
 
 impl FlowControl {
-    /// Creates the state at power-up. `text`: empty buffer for the held text. `most`: maximum number of bytes to use
-    /// of it.
+    /// Creates the state at power-up. `text`: empty buffer for the held text. `most`: number of its bytes that may be
+    /// used.
     pub fn new(text: Lent<HeldText>, most: usize) -> Self {
         Self {
             text,
@@ -505,7 +505,8 @@ impl FlowControl {
         matches!(self.state, FlowState::Recording(..) | FlowState::Holding)
     }
 
-    /// Returns whether lines of the host are skipped, or recorded in a block or subprogram, and so are not executed.
+    /// Returns whether lines of the host are skipped, or recorded in a block or subprogram. In both cases the lines
+    /// are not executed.
     pub(super) fn leaves_lines_out(&self) -> bool {
         self.skipping || matches!(self.state, FlowState::Recording(..))
     }
@@ -556,15 +557,15 @@ impl FlowControl {
         self.find_order(from, Keyword::EndSub, label).map(|(_, behind)| behind)
     }
 
-    /// Finds the first line from a position on with this O word. Returns the positions of this line and of the line
-    /// after it.
+    /// Searches from position `from` on for the first line with this O word. Returns the positions of this line and of
+    /// the line after it.
     #[inline(never)]
     pub(super) fn find_order(&self, from: u16, keyword: Keyword, label: &[u8]) -> Option<(u16, u16)> {
         self.find_from(from, |order| order.keyword == keyword && order.label == label)
     }
 
-    /// Finds the first line from a position on whose O word satisfies `is_it`. Returns the positions of this line and
-    /// of the line after it.
+    /// Searches from position `from` on for the first line whose O word satisfies `is_it`. Returns the positions of
+    /// this line and of the line after it.
     pub(super) fn find_from(&self, from: u16, is_it: impl Fn(&OWord) -> bool) -> Option<(u16, u16)> {
         let mut at = from;
         while let Some(line) = self.line(at) {
@@ -588,8 +589,9 @@ impl FlowControl {
     }
 
     /// Drops a refused subroutine, whose text begins at `from`, and an older subroutine with the same label. Leaves an
-    /// empty subroutine with this label, whose `endsub` is invalid, so that a call of the label is an error. Without
-    /// it, the call could run a macro with the same label. `end`: the `endsub` line without its arguments.
+    /// empty subroutine with this label, because otherwise a call of the label could run a macro with the same label.
+    /// The `endsub` of the empty subroutine is invalid, so the call is an error. `end`: the `endsub` line without its
+    /// arguments.
     pub(super) fn refuse_sub(&mut self, from: u16, label: &[u8], end: &[u8]) {
         let opening = 1 + self.line(from).map_or(0, <[u8]>::len);
         self.text.truncate(usize::from(from) + opening);
@@ -618,7 +620,8 @@ impl FlowControl {
         self.last_label() == label
     }
 
-    /// Returns the labels of all frames without separators, the innermost last. [`Frame::label`] is the length of each.
+    /// Returns the labels of all frames without separators, the innermost label last. [`Frame::label`] is the length
+    /// of a frame's label.
     pub(super) fn labels(&self) -> &[u8] {
         &self.labels
     }
@@ -677,7 +680,7 @@ impl FlowControl {
             self.after_end = false;
         }
         self.waiting = Some(at);
-        // From here on the program's lines are held text, too. So all open frames belong to the text that runs next,
+        // The program's lines are held text from now on, too. So all open frames belong to the text that runs next,
         // even conditions that lines of the host have opened.
         self.below = 0;
     }

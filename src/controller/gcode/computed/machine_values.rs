@@ -26,7 +26,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Stores the result of a probing move for #5061 to #5070. `place` is in machine coordinates, and the parameters
-    /// show it in program coordinates. `succeeded`: `true` to make #5070 1.
+    /// show it in program coordinates. #5070 becomes 1 if `succeeded` is `true`, otherwise 0.
     pub fn set_probed(&mut self, place: &PerAxis<Coordinate, N>, succeeded: bool) {
         self.computed.probed = self.to_program(place);
         self.computed.probe_succeeded = succeeded;
@@ -206,7 +206,7 @@ impl<const N: usize> Interpreter<N> {
             // These values are constant here. (In LinuxCNC, `#<_task>` is 0 while the preview is drawn.)
             b"TASK" | b"METRIC_MACHINE" | b"SPINDLE_RPM_MODE" | b"LATHE_RADIUS_MODE" | b"FEED_HOLD" => truth(true),
             b"SPINDLE_CSS_MODE" | b"LATHE_DIAMETER_MODE" | b"ADAPTIVE_FEED" => truth(false),
-            // The version of LinuxCNC that has these parameters: 2.9.
+            // Returns 2.9, because LinuxCNC 2.9 has these parameters.
             b"VMAJOR" => Ok(Some(Real::from_decimal(Decimal(DECIMAL_ONE * 29 / 10)))),
             b"VMINOR" => Ok(Some(Real::ZERO)),
             b"FEED" => Ok(Some(self.feed())),

@@ -74,7 +74,7 @@ pub(super) struct Computed<const N: usize> {
     flow: FlowControl,
     /// Value that the most recent subroutine returned; `None` if it returned no value.
     returned: Option<Real>,
-    /// Position of the most recent probing result, in program coordinates as they were then.
+    /// Position of the most recent probing result, in the program coordinates that were in force at that time.
     probed: PerAxis<Coordinate, N>,
     probe_succeeded: bool,
     /// Result of the most recent M66: 1 (input active), 0 (inactive) or -1 (timeout).
@@ -136,8 +136,8 @@ impl<const N: usize> Computed<N> {
         }
     }
 
-    /// Returns whether programs have left no state that another program could read. Macros and the most recent probe
-    /// position may remain.
+    /// Returns whether another program starts without traces of earlier ones: no state is left that it could read,
+    /// except macros and the most recent probe position.
     pub fn is_blank(&self) -> bool {
         let text = self.flow.text.len() == usize::from(self.flow.macros) && !self.flow.modal.is_active();
         text && self.parameters.is_empty() && self.returned.is_none() && self.input_read == 0

@@ -70,8 +70,8 @@ impl ModalCall {
     }
 }
 
-/// Returns whether a line moves an axis: it has an axis word or the centre of an arc, and no G word that gives these
-/// another meaning, such as G92.
+/// Returns whether a line moves an axis. Such a line has an axis word or the centre of an arc, and no G word that
+/// gives these words another meaning, as G92 does.
 fn moves(line: &[u8]) -> bool {
     words(line).any(|(letter, _)| matches!(letter, b'X' | b'Y' | b'Z' | b'A' | b'I' | b'J' | b'K'))
         && !has_g_word(line, &[40, 100, 431, 510, 520, 650, 660, 680, 920])
@@ -99,7 +99,7 @@ fn words(line: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
             b']' | b'>' => depth = depth.saturating_sub(1),
             _ => {}
         }
-        // A letter after a letter, a sign or `=` belongs to the name of a function.
+        // A letter that follows a letter, a sign or `=` begins no word: it belongs to the name of a function.
         let is_within = before.is_ascii_uppercase() || matches!(before, b'=' | b'+' | b'-');
         let begins = depth == 0 && byte.is_ascii_uppercase() && !is_within;
         before = *byte;

@@ -151,7 +151,7 @@ impl<const N: usize> Interpreter<N> {
         false
     }
 
-    /// Does nothing: this build has no held text of which a line could be refused.
+    /// Does nothing: this build has no held text, so no line of held text can be refused.
     pub fn refused_in_run(&mut self, _: &[u8]) {}
 
     /// Returns `None`: no program waits.

@@ -1,7 +1,7 @@
 //! O words (`O100 SUB`, `O1 IF [#1 GT 2]`): decides for each line of the host whether it is run, recorded or skipped,
 //! and which recorded line runs next. Handles conditions, loops, subroutines and their calls; `flow` stores the open
-//! blocks. A malformed O word is refused. If it begins a subroutine or loop, all lines of this block are refused too;
-//! if it begins a condition, they are skipped.
+//! blocks. A malformed O word is refused. If it begins a subroutine or loop, all lines of this block are refused too.
+//! If it begins a condition, the lines of all its branches are skipped.
 
 use super::Computed;
 use super::flow::{
@@ -78,7 +78,7 @@ impl<const N: usize> Interpreter<N> {
         flow.open_since().or(flow.cut)
     }
 
-    /// Whether a subroutine, loop or condition is open.
+    /// Returns whether a subroutine, loop or condition is open.
     pub fn is_within_block(&self) -> bool {
         self.computed.flow.open_since().is_some()
     }
@@ -98,9 +98,9 @@ impl<const N: usize> Interpreter<N> {
         Err(error)
     }
 
-    /// Finds the end of a program that ended inside an open block, so that its M2 or M30 was only skipped or recorded.
-    /// After such an M2 or M30, only O words that are not calls can still belong to the program. Any other `line`
-    /// belongs to the next program: drops the open blocks and refuses the line.
+    /// Checks whether the program has ended inside an open block. In this case its M2 or M30 was skipped or recorded,
+    /// not executed. After such an M2 or M30, only O words that are not calls can still belong to the program. Any
+    /// other `line` belongs to the next program, so this function drops the open blocks and refuses the line.
     fn look_for_end(&mut self, line: &[u8], order: Option<OWord>) -> Result<(), Error> {
         let flow = &mut self.computed.flow;
         let left_out = flow.leaves_lines_out();
@@ -133,8 +133,8 @@ impl<const N: usize> Interpreter<N> {
         self.direct_part(line, comment, order)
     }
 
-    /// Decides what to do with a line: records a line of a subroutine or loop, and executes an O word outside of them.
-    /// `line` can also be one of the two parts into which `split_call` has split a line.
+    /// Decides what to do with a line. Records the lines of subroutines and loops; executes an O word that is in none
+    /// of them. `line` can also be one of the two parts into which `split_call` has split a line.
     fn direct_part(&mut self, line: &[u8], comment: &[u8], order: Option<OWord>) -> Result<Direction, Error> {
         if let Some(directed) = self.direct_subprogram(line, comment, order) {
             return directed;
@@ -243,7 +243,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Reads the next line of the held text that is running, and writes it to `line`. Writes an empty line if
-    /// conditions or loops skip the line. An error stops the text.
+    /// conditions or loops skip the line. An error ends the execution of the text.
     pub fn next_held(&mut self, line: &mut HeldLine) -> Result<Held, Error> {
         self.computed.begin();
         let next = self.next_line(line);

@@ -1,6 +1,7 @@
-//! Counts by how many bytes a held program is too long. (A program is held, that is recorded and run later, if it calls
-//! a subprogram that the host has not sent yet.) The controller drops a program that does not fit and refuses each of
-//! its remaining lines; a check of the whole file then reports the sum. Only builds with the feature `reasons` count.
+//! Counts by how many bytes a held program is too long. A program is held if it calls a subprogram that the host has
+//! not sent yet: its lines are recorded and run later. The controller drops a program that does not fit and refuses
+//! each of its remaining lines; a check of the whole file then reports the sum. Only builds with the feature `reasons`
+//! count.
 
 use super::flow::{FlowControl, PROGRAM, SPARE};
 use super::m_words::has_m_word;
@@ -22,8 +23,8 @@ struct Excess {
     digits: usize,
     /// Whether the lines being counted belong to the subprogram for which the program waits.
     is_awaited: bool,
-    /// Whether the next refused line is counted. `false` once another program has begun, or a subprogram after the
-    /// awaited one.
+    /// Whether the next refused line is counted. Becomes `false` when another program begins, or when a subprogram
+    /// follows the awaited one.
     counts: bool,
 }
 

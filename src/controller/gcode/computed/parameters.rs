@@ -122,7 +122,7 @@ impl Parameters {
         Ok(())
     }
 
-    /// Whether the line being checked assigns a parameter.
+    /// Returns whether the line being checked assigns a parameter.
     pub fn has_staged(&self) -> bool {
         self.cells.len() > self.in_force
     }

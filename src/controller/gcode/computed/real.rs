@@ -22,7 +22,7 @@ const DIGITS: u32 = 18;
 const MANTISSA_END: i64 = 1_000_000_000_000_000_000;
 /// Number of zeros that an `i128` has room for after an 18-digit mantissa.
 const SPARE_DIGITS: u32 = 20;
-/// Maximum power of ten of a number's first digit. A number of 10^41 or more is an error.
+/// Highest power of ten that a number's first digit may stand for. A number of 10^41 or more is an error.
 const EXPONENT_MAX: i32 = 40;
 /// Minimum of [`Real::exponent`]; a number that would need a smaller exponent becomes 0.
 const EXPONENT_MIN: i32 = -50;
@@ -158,7 +158,7 @@ impl Real {
         Decimal(i64::try_from(value).unwrap_or(if wide < 0 { -i64::MAX } else { i64::MAX }))
     }
 
-    /// Returns the number of decimal places that the number has as a [`Decimal`].
+    /// Returns how many decimal places this number has as a [`Decimal`].
     pub fn places(self) -> u8 {
         (-i32::from(self.exponent)).clamp(0, DECIMAL_PLACES as i32) as u8
     }
@@ -190,7 +190,7 @@ impl Real {
         self.sub(other).map_or(self.mantissa.cmp(&0), |off| off.mantissa.cmp(&0))
     }
 
-    /// Whether two numbers differ by less than 0.0001, as LinuxCNC compares.
+    /// Returns whether two numbers differ by less than 0.0001, as LinuxCNC compares.
     pub fn is_near(self, other: Real) -> bool {
         self.sub(other).is_ok_and(|off| off.abs().is_below(TOLERANCE))
     }
@@ -541,7 +541,8 @@ impl Real {
         }
         let of_fraction = 2 * tangent_series(over(fraction - UNIT, fraction + UNIT), 1);
         let sum = i128::from(of_fraction) + binary * LN_2 + i128::from(self.exponent) * LN_10;
-        // The sum is wrong by up to 2^6 units of 2^-60, so one decimal place less than in other functions is exact.
+        // The sum is wrong by up to 2^6 units of 2^-60, so the result is rounded to one decimal place less than in
+        // other functions.
         Ok(Self::from_fixed(sum, PLACES - 1))
     }
 

@@ -1,8 +1,8 @@
 //! Fanuc's subprograms: `O1001` to `M99` after the end of the program, called by M98 or, with arguments, by G65. They
 //! are held as text like other subroutines, so M98 and G65 also call `O1001 SUB`.
 //!
-//! A call usually comes before its subprogram: the host has not sent the subprogram's lines yet. From such a call on,
-//! the lines of the program are held too, that is recorded without being executed:
+//! A call usually comes before its subprogram: the host has not sent the subprogram's lines yet. From this call on,
+//! the lines of the program are held too: they are recorded and not executed.
 //!
 //! ```text
 //!            call of an unknown number        number after M2, M30               M99
@@ -15,7 +15,8 @@
 //! * If a line of the held program or of a subprogram is refused before the program continues, the held lines are
 //!   dropped without being executed, and all lines that follow are refused. The same happens if the machine is idle and
 //!   the host sends nothing for 5 s, because the next line can then belong to another file.
-//! * M99 without a call means that a subprogram has been taken for the program: all following lines are refused.
+//! * An M99 without a call shows that the lines before it may have been a subprogram that was executed as the program.
+//!   So all following lines are refused.
 //! * A subprogram is valid only in its file. If no program waits for the subprogram, it is read and forgotten.
 //!
 //! M98 and G65 do not call macros. If they did, a call whose subprogram comes later in the file would run a macro with
@@ -53,13 +54,14 @@ pub(super) struct Call {
 }
 
 impl<const N: usize> Interpreter<N> {
-    /// Whether the host's lines are being held as part of a program that has called an unknown subprogram.
+    /// Returns whether the host's lines are being held as part of a program that has called an unknown subprogram.
     #[inline]
     pub(in crate::gcode) fn is_holding(&self) -> bool {
         self.computed.flow.state == FlowState::Holding
     }
 
-    /// Whether the host's lines are recorded, as lines of a subroutine, loop or subprogram, or of a held program.
+    /// Returns whether the host's lines are recorded, as lines of a subroutine, loop or subprogram, or of a held
+    /// program.
     pub(in crate::gcode) fn is_recording(&self) -> bool {
         self.computed.flow.records()
     }
@@ -110,8 +112,8 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Executes M98, G65, G66 or `IF [..] THEN` in a line of the host. `call`: the part of the line from this word on;
-    /// `words`: the part before it. Both parts are added to the held text and run there, as a loop does. If the
-    /// subprogram is unknown, the program is held from the call on.
+    /// `words`: the part before it. Both parts are added to the held text and run there, as the lines of a loop do. If
+    /// the subprogram is unknown, the program is held from the call on.
     #[inline(never)]
     pub(super) fn run_call(
         &mut self,
@@ -182,7 +184,7 @@ impl<const N: usize> Interpreter<N> {
         }
     }
 
-    /// Returns whether this line has the O number of the main program. Among the subprograms after M30, such a line
+    /// Returns whether this line has the O number of the main program. If it comes among the subprograms after M30, it
     /// means that the host sends the same file again.
     #[inline(never)]
     pub(in crate::gcode) fn begins_again(&self, line: &[u8]) -> bool {
@@ -226,8 +228,8 @@ impl<const N: usize> Interpreter<N> {
         self.refuse_rest();
     }
 
-    /// Returns by how many bytes the most recent held program that did not fit was too long; `None` if all programs
-    /// have fit. This is a minimum, because lines after the awaited subprogram are not counted.
+    /// Returns by how many bytes a held program was too long: the most recent one that did not fit. `None` if all
+    /// programs have fit. The result is a minimum, because lines after the awaited subprogram are not counted.
     pub fn excess_bytes(&self) -> Option<usize> {
         self.computed.overflow.excess()
     }
@@ -343,7 +345,8 @@ impl<const N: usize> Interpreter<N> {
             return self.await_subprogram(&call, at);
         }
         let (level, modal) = (self.computed.level(), &self.computed.flow.modal);
-        // The modal call must remain active after its subprogram returns. A G66 in this subprogram would replace it.
+        // A modal call must still be active after its subprogram has returned. A G66 in this subprogram would replace
+        // the modal call, so it is an error.
         if modal.is_active() && modal.level() < level {
             return Err(Error::TooDeep);
         }
@@ -351,7 +354,7 @@ impl<const N: usize> Interpreter<N> {
     }
 
     /// Examines the line that runs next, if a modal call is active. If this line moves an axis, [`Self::call_if_due`]
-    /// executes the call after it.
+    /// executes the modal call after the line.
     #[inline]
     pub(super) fn note_for_modal_call(&mut self, line: &[u8]) {
         if self.computed.flow.modal.is_active() {
@@ -481,8 +484,8 @@ impl FlowControl {
         self.within = if opens { self.within.saturating_add(1) } else { self.within.saturating_sub(1) };
     }
 
-    /// Whether the next line would end a `do` if it were a `while` with this label. `from`: where the recorded text
-    /// begins.
+    /// Returns whether a `do` with this label is open, so that a `while` with this label in the next line would end
+    /// it. This is so if the last `do` or `while` with this label is a `do`. `from`: where the recorded text begins.
     fn closes_do(&self, from: u16, label: &[u8]) -> bool {
         let is_loop = |order: &OWord| matches!(order.keyword, Keyword::Do | Keyword::While) && order.label == label;
         let (mut at, mut closes) = (from, false);
@@ -494,14 +497,15 @@ impl FlowControl {
     }
 }
 
-/// Whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. If the line is not also an [`OWord`],
-/// this form of the word is not supported.
+/// Returns whether a line begins with a word of Fanuc's macros: IF, WHILE, END, GOTO. A line that begins so but is no
+/// [`OWord`] has a form of the word that is not supported.
 pub(super) fn is_jump(line: &[u8]) -> bool {
     let line = behind_line_number(line);
     [b"IF".as_slice(), b"WHILE", b"END", b"GOTO"].iter().any(|word| line.starts_with(word))
 }
 
-/// Splits a line with M98 or M99 after other words in two: these words, and the rest from M98 or M99 on.
+/// Splits a line before M98 or M99: returns the words before it, and the rest of the line. `None` if the line begins
+/// with M98 or M99, or has neither.
 #[inline(never)]
 pub(super) fn split_call(line: &[u8]) -> Option<(&[u8], &[u8])> {
     line.split_at_checked(find_m_word(line, &[b"98", b"99"]).filter(|at| *at > 0)?)

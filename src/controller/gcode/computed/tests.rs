@@ -352,7 +352,7 @@ fn tree() -> impl Strategy<Value = Tree> {
     })
 }
 
-/// Cases that random tests have found: here, differences were rounded by more than `Estimate` had allowed.
+/// Random tests have found these cases. Differences were rounded by more than `Estimate` had allowed.
 #[test]
 fn nearly_no_angle_is_none() {
     exact("[TAN[[SIN[83702]/96956509885]]]", "0");

@@ -223,7 +223,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         }
     }
 
-    /// Whether S is 0, which makes the feed of G95 undefined.
+    /// Returns whether S is 0, which makes the feed of G95 undefined.
     fn lacks_speed(&self) -> bool {
         if self.parsed.values.has(b'S') { self.value(b'S') == Decimal::ZERO } else { self.state.modal.speed == 0.0 }
     }
@@ -591,8 +591,8 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         along(&system, axis) + along(&self.action.g92, axis) + along(&self.action.tool_length, axis)
     }
 
-    /// Whether a rotation or scaling is in force. Then the program's coordinates differ from machine coordinates by
-    /// more than an offset.
+    /// Returns whether a rotation or scaling is in force. Then the program's coordinates differ from machine
+    /// coordinates by more than an offset.
     #[inline(never)]
     fn is_turned(&self) -> bool {
         self.state.rotation.is_some()

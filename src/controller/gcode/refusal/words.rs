@@ -431,7 +431,7 @@ fn explain_brackets(word: &[u8], out: &mut Reason) {
     say(out, "the expression of % is malformed", &[name]);
 }
 
-/// Whether a number has a comma next to a digit.
+/// Returns whether a number has a comma next to a digit.
 #[inline(never)]
 fn is_comma(number: &[u8]) -> bool {
     number.windows(2).any(|pair| matches!(pair, [b',', b'0'..=b'9'])) && number.first() != Some(&b',')
@@ -439,7 +439,7 @@ fn is_comma(number: &[u8]) -> bool {
         || number.last() == Some(&b',') && number.len() > 1
 }
 
-/// Whether a number has more than one decimal point.
+/// Returns whether a number has more than one decimal point.
 #[inline(never)]
 fn points(number: &[u8]) -> bool {
     let plain = number.iter().take_while(|byte| is_of_number(**byte));

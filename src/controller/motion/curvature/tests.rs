@@ -178,8 +178,8 @@ fn no_turn_that_limits_is_left_out_in_advance() {
     }
 }
 
-/// Returns the ratio of path length to straight length for the piece with number `place`. It exceeds 1 for some pieces,
-/// as for blocks after moves without a step.
+/// Returns the ratio of path length to straight length for the piece with number `place`. Pieces with a ratio above 1
+/// stand for blocks after moves without a step, because the path of such a block includes these moves.
 fn winding(place: usize) -> f32 {
     if place % 50 < 15 { 1.0 + 0.3 * (place % 50) as f32 } else { 1.0 }
 }
@@ -298,8 +298,9 @@ fn only_limits_that_the_machine_cannot_exceed_are_left_out() {
             slower += usize::from(*attainable < all * 0.999);
         }
     }
-    // A limit with `Bend::once` does not apply if an entry in its range is already slow. If the limit that makes this
-    // entry slow was left out, the limit with `Bend::once` applies, and the machine can be slower. That must be rare.
+    // A limit with `Bend::once` does not apply if an entry in its range is already slow. The limit that makes this
+    // entry slow can have been left out. Then the limit with `Bend::once` applies, and the machine can be slower. That
+    // must be rare.
     assert!(slower < places / 200, "{slower} of {places}");
     assert!(of_attainable < of_all * 4 / 5 || !LEAVES_OUT, "{of_attainable} bends instead of {of_all}");
 }

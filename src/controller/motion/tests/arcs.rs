@@ -337,8 +337,8 @@ fn the_place_in_the_midst_of_a_chord_is_known() {
     }
 }
 
-/// A chord ends between two steps. On a machine with six axes, too, the step task receives how far each end is from
-/// the nearest step. This offset is in sevenths of a step, counted in the direction of motion.
+/// A chord ends between two steps. The step task receives how far each end is from the nearest step, in sevenths of a
+/// step, counted in the direction of motion. This must be so on a machine with six axes, too.
 #[test]
 fn six_axes_have_their_ends() {
     let three = settings(10.0, 100.0, 500.0);

@@ -173,9 +173,9 @@ proptest! {
     }
 }
 
-/// In a bend, rounding can lower the entry speed² by one bit when the exit speed² rises by one bit. Here an entry
-/// just reaches its cap, and would no longer reach it after such a rise. It must not count as settled (final,
-/// whatever is appended).
+/// In a bend, rounding can lower the entry speed² by one bit when the exit speed² rises by one bit. Here the entry
+/// speed² just reaches its cap. After such a rise of the exit speed², it would no longer reach the cap. So the entry
+/// must not count as settled (final, whatever is appended).
 #[test]
 fn what_rounding_can_take_away_is_not_settled() {
     let bend = Block { length: 0.1, acceleration: 400.0, curve: CurveLoad::new(1000.0, 400.0), ..straight(1.0) };
@@ -233,8 +233,9 @@ fn what_is_before_a_bend_that_gets_steep_is_not_settled() {
     }
 }
 
-/// A bend limits the entry speeds of the last two blocks. It lowers only that of the second-last block. An earlier
-/// entry, which counts as settled (final), depends on the lowered one, so it must be lowered, too.
+/// A bend limits the entry speeds of the last two blocks. The entry of the last block is slow enough already, so only
+/// the entry of the second-last block is lowered. An earlier entry, which counts as settled (final), depends on the
+/// lowered one. So the earlier entry must be lowered, too.
 #[test]
 fn what_counts_on_a_lowered_entry_is_lowered() {
     let mut ring = planner(24);

@@ -192,7 +192,7 @@ fn noise_of_the_last_digit_costs_no_time() {
 
 #[test]
 fn a_corner_between_long_chains_is_no_bend() {
-    // Rows that meet in sharp corners must take as long if each row consists of many short moves as if it is one move.
+    // The rows meet in sharp corners. Rows of many short moves must take the same time as rows of one move each.
     let row = |pieces: u32| {
         let mut rig = Rig::<3, 512>::new(settings(80.0, 500.0, 200.0));
         for k in 1..=pieces * 4 {

@@ -11,7 +11,7 @@ use proptest::prelude::*;
 
 const FEED: Speed = Speed::Feed(100.0);
 
-/// Returns the ends of moves along a straight line, rounded to multiples of `digit` (mm).
+/// Returns the points at which moves along a straight line end. They are rounded to multiples of `digit` (mm).
 fn chords(length: f64, angle: f64, chord: f64, digit: f64) -> Vec<[f64; 3]> {
     let (y, x) = angle.to_radians().sin_cos();
     let count = (length / chord).round();
@@ -256,8 +256,8 @@ proptest! {
                 }
                 places.push(at);
             }
-            // The limit is 1.5 steps: half a step each for the ends of blocks, for the line between them, and for the
-            // points of a joined block.
+            // The limit of 1.5 steps is the sum of three errors of half a step each: at the ends of blocks, on the line
+            // between these ends, and at the points that a joined block passes.
             assert_along(&places, &corners, 1.5 + 1e-6);
             rig.check_acceleration(hold.is_some());
         }

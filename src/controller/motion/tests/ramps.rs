@@ -207,9 +207,8 @@ fn blocks_do_not_show_in_a_ramp() {
     }
 }
 
-/// Two blocks of a chain also move the slow Z axis, so they allow only 94 % of the acceleration. One lies in the
-/// middle of the ramp up, the other in the middle of the ramp down. The whole motion takes at most 5 % longer for
-/// that.
+/// Two blocks of a chain also move the slow Z axis, so they allow only 94 % of the acceleration. One lies in the middle
+/// of the ramp up, the other in the middle of the ramp down. The two blocks make the whole motion at most 5 % longer.
 #[test]
 fn a_slow_axis_in_one_block_does_not_spoil_the_ramp() {
     let mut config = machine(5.0e3);

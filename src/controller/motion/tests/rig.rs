@@ -67,7 +67,7 @@ pub struct Rig<const N: usize, const B: usize> {
     pub waits: usize,
     pub segments: usize,
     pub last_flags: usize,
-    /// Units of the block that have been queued for the stepper so far.
+    /// Length of the segments of the current block queued so far, in units (1/16 step of the dominant axis).
     units: u32,
 }
 
@@ -283,8 +283,8 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         self.queue.push_back(ToStep::Resume { stops });
     }
 
-    /// Discards the queued messages, as the stepper does while its gate is shut, and the rig's records of their
-    /// segments.
+    /// Discards the queued messages, as the stepper does while its gate is shut. Also discards the rig's records of the
+    /// segments in these messages.
     pub fn flush(&mut self) {
         self.queue.clear();
         self.shadow.clear();
@@ -304,7 +304,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         false
     }
 
-    /// Starts and runs all moves to rest.
+    /// Starts the moves, and runs until all of them are done and the machine is at rest.
     pub fn run(&mut self) {
         for _ in 0..1_000_000 {
             self.pump();
@@ -334,7 +334,7 @@ impl<const N: usize, const B: usize> Rig<N, B> {
         let hz = f64::from(self.hz);
         for record in &self.trace {
             let interval = record.interval as f64 / hz;
-            // Allows for one percent, and for the clock tick to which a time is rounded.
+            // The tolerance is 1 % plus one clock tick, because a time is rounded to a whole tick.
             assert!(
                 record.path <= record.nominal * (interval * 1.01 + 1.0 / hz) + 1e-9,
                 "too fast: {} of {} mm/s at {record:?}",
@@ -346,8 +346,8 @@ impl<const N: usize, const B: usize> Rig<N, B> {
     }
 
     /// Checks the acceleration as in [`Rig::check_limits`]. `cut_short`: `true` if there were overrides or holds at
-    /// very low speed. They can drop a pending tick of one unit or make it earlier. So the speed may also jump by as
-    /// much as the acceleration allows within one unit.
+    /// very low speed. Such an override or hold can drop a pending tick of one unit, or make it earlier. In this case
+    /// the check also accepts a jump of the speed, as large as the acceleration allows within one unit.
     pub fn check_acceleration(&self, cut_short: bool) {
         let hz = f64::from(self.hz);
         let mut window: Option<(f64, f64, f64)> = None; // middle, speed, acceleration limit
@@ -368,13 +368,13 @@ impl<const N: usize, const B: usize> Rig<N, B> {
                 if let Some((before, old, old_limit)) = window {
                     let most = limit.max(old_limit);
                     let seen = (speed - old).abs() / (middle - before);
-                    // Allows for an error of one clock tick in the duration of a window of 2 ms.
+                    // The error of the acceleration if the duration of a window of 2 ms is wrong by one clock tick.
                     let rounding = speed.max(old) / (0.002 * hz) / (middle - before);
                     let short = if cut_short { (2.0 * most * unit).sqrt() / (middle - before) } else { 0.0 };
-                    // A phase of the speed curve (accelerating, cruising or braking) ends on a whole step. So its
-                    // last segment also contains the start of the next phase, with another acceleration. For example,
-                    // a segment lasts T. Its speed is constant for the time t, then changes with the acceleration a.
-                    // The segment's first speed is then wrong by a·t·(T - t)/2T, at most a·T/8.
+                    // A phase of the speed curve (accelerating, cruising or braking) ends on a whole step. So its last
+                    // segment also contains the start of the next phase, with another acceleration. For example, a
+                    // segment lasts the time T. Its speed is constant for the time t, and then changes with the
+                    // acceleration a. The segment's first speed is then wrong by a·t·(T - t)/2T, at most a·T/8.
                     let edge = most * (step / speed / 2.0).min(0.002 / 8.0) / (middle - before);
                     assert!(
                         seen <= most * 1.015 + rounding * 2.0 + short + edge,

@@ -79,7 +79,8 @@ proptest! {
             });
             prop_assert_eq!(by_whole, by_small);
         }
-        // The second `lend_ring` returns the ring of segments in flight. It changes the position of neither motion.
+        // The second `lend_ring` gives the ring of segments in flight back to `lender`. Both motions must keep their
+        // positions.
         let before = (lender.machine_steps(), small.machine_steps());
         lender.lend_ring(&mut small);
         prop_assert_eq!(before, (lender.machine_steps(), small.machine_steps()));

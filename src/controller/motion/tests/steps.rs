@@ -174,8 +174,8 @@ fn tiny_increments_add_up() {
     }
     rig.run();
     assert_eq!(rig.position, [16_000, 0, 0]);
-    // 200 mm at 10 mm/s, plus v/a for the ramps. The time would be shorter if the lengths of moves too short for a step
-    // were not carried over to the next block.
+    // The moves take 20 s (200 mm at 10 mm/s), plus v/a for the ramps. Each move is too short for a step. If its length
+    // were not carried over to the next block, the time would be shorter.
     assert!((rig.seconds() - 20.02).abs() < 0.02, "{}", rig.seconds());
     rig.check_limits();
 }

@@ -101,8 +101,8 @@ fn a_hold_acts_between_the_steps_of_a_crawl() {
     let called = rig.seconds();
     assert!(rig.run_ticks(100_000));
     assert!(rig.seconds() - called < 0.025, "{}", rig.seconds() - called);
-    // An override is set while a tick is pending (at one step per minute, ticks of a sixteenth of a step are 3.75 s
-    // apart).
+    // At one step per minute, ticks of a sixteenth of a step are 3.75 s apart. So a tick is pending when the override
+    // is set.
     rig.motion.resume();
     rig.run_ticks(10);
     rig.motion.set_overrides(100.0, 1.0);

@@ -38,8 +38,8 @@ fn a_cut_goes_before_the_first_line_of_each_host_that_comes() {
     assert_eq!(both.text(), "G4P0\n|G0\n|G0\n");
 }
 
-/// The start of a line is in the queue, and the rest waits in the link when the host opens its port. The rest is
-/// dropped: after the [`HOST_CHANGED`] it would be a line of its own.
+/// When the host opens its port, the start of a line is already in the queue, and the rest waits in the link. The rest
+/// is dropped, because it would be a line of its own after the [`HOST_CHANGED`].
 #[test]
 fn of_a_line_sent_before_the_port_is_opened_nothing_is_read() {
     let mut both = Both::<16>::new(8, 4);
@@ -119,8 +119,8 @@ fn a_line_in_which_another_host_resets_is_refused_to_its_end() {
     }
 }
 
-/// On 0x19 of another host, the link must keep complete lines, even those that wait for room in the queue. The reason
-/// is Grbl's dialect, which ignores 0x19.
+/// If the other host sends 0x19, the link must keep complete lines, even those that wait for room in the queue. Grbl's
+/// dialect ignores 0x19, so these lines are still to be executed.
 #[test]
 fn a_stop_by_another_host_keeps_whole_lines() {
     let mut both = Both::<16>::new(8, 4);

@@ -97,7 +97,8 @@ impl<const HELD: usize> Both<HELD> {
         self.queues.lines.iter().map(shown).collect::<String>().trim_start_matches('|').into()
     }
 
-    /// Leaves out [`HOST_CHANGED`], because its `epoch` field counts disconnected hosts.
+    /// Returns the epochs of the bytes in the line queue. Leaves out [`HOST_CHANGED`], because its `epoch` field counts
+    /// disconnected hosts.
     pub fn epochs(&self) -> Vec<u16> {
         self.queues.lines.iter().filter(|byte| byte.byte != HOST_CHANGED).map(|byte| byte.epoch).collect()
     }

@@ -72,7 +72,7 @@ pub(crate) enum Interrupted {
 /// How the machine reacts to an open door, or to a fault that acts like one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Opening {
-    /// The tool is parked, where the settings and the program allow it.
+    /// The tool is parked if the settings and the program allow it.
     pub retract: bool,
     /// Spindle and coolant stay on.
     pub spindle_on: bool,
@@ -205,7 +205,7 @@ impl<const N: usize> Controller<N> {
         self.open(Interrupted::Job, opening);
     }
 
-    /// Retracts the tool after the machine has braked for a fault. The alarm follows.
+    /// Retracts the tool after the machine has braked for a fault. The alarm follows once the tool is parked.
     pub(crate) fn retract_for(&mut self, opening: Opening) {
         self.open(Interrupted::Job, opening);
         self.begin_parking();
@@ -340,10 +340,10 @@ impl<const N: usize> Controller<N> {
         }
     }
 
-    /// Starts the first parking move, which pulls the tool out. The tool stays where it is if the reaction (`retract`)
-    /// does not include parking, if the position is untrusted, if settings lock motion, if the program disables
-    /// parking (M56 P0), or for the reasons of [`Parking::leave_job`]. In these cases goes on at once with spindle and
-    /// coolant.
+    /// Starts the first parking move, which pulls the tool out. The tool stays where it is in five cases: the reaction
+    /// (`retract`) does not include parking; the position is untrusted; settings lock motion; the program disables
+    /// parking (M56 P0); or a reason of [`Parking::leave_job`] applies. In these cases, spindle and coolant are
+    /// switched off at once, unless the reaction leaves them on.
     ///
     /// [`Parking::leave_job`]: crate::states::door::parking::Parking::leave_job
     fn begin_parking(&mut self) {

@@ -69,8 +69,8 @@ impl<const N: usize> Parking<N> {
     }
 
     /// Plans the parking moves from the machine position of the job's `motion`. Returns whether the tool will be
-    /// parked. It is not parked if parking or homing is off, in laser mode, if it is not `allowed`, or if the tool is
-    /// already at or beyond the parking point.
+    /// parked. The tool stays at the job if `allowed` is `false`, if parking or homing is off, in laser mode, if the
+    /// parking axis turns without end, or if the tool is already at or beyond the parking point.
     pub fn leave_job(&mut self, allowed: bool, settings: &Settings<N>, motion: &mut Motion<N>) -> bool {
         self.route = if allowed { Route::from(motion.machine_position(), settings) } else { None };
         if self.is_away() {

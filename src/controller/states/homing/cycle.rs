@@ -10,11 +10,11 @@
 //! At a switch, motion stops without a ramp: the rates of homing are low enough for that, and during a ramp the axis
 //! could run into the end of the switch. Axes of a cycle that have not reached their switch continue. At the end of its
 //! cycle, an axis is one pull-off away from its switch. The position of the axis is set at that moment, not after the
-//! last cycle. If a later cycle moves the axis as well (for example by backlash in belts that two axes share), its
-//! position includes that movement.
+//! last cycle. A later cycle can move an axis that was homed before (for example by backlash in belts that two axes
+//! share). The position of the homed axis includes that movement.
 //!
-//! An axis with two motors and two switches is squared: the motor whose switch closes first stops while the other moves
-//! alone, in each seek and each locate.
+//! An axis with two motors and two switches is squared. In each seek and each locate, the motor whose switch closes
+//! first stops, and the other motor moves on alone.
 
 use crate::axes::{Axis, AxisMask, PerAxis};
 use crate::error::Alarm;
@@ -140,7 +140,7 @@ impl<const N: usize> HomingCycle<N> {
     }
 
     /// Returns the next order. Call it when the previous order has been carried out, or when a watched switch has ended
-    /// its move. `switches` are the limit switches that are closed now.
+    /// the move of that order. `switches`: the limit switches that are closed now.
     pub fn next(&mut self, switches: AxisMask) -> Order<N> {
         match (self.moving, self.pass) {
             (true, Pass::Seek | Pass::Locate) => {

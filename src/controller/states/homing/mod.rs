@@ -21,8 +21,8 @@ use cycle::{HomingCycle, HomingSettings, Order};
 enum Wait {
     /// The end of a move, or the closing of one of these switches.
     Motion(AxisMask),
-    /// A stop of the step task, because a switch has closed. This value also stands for no wait at all: the next order
-    /// can follow at once.
+    /// A stop of the step task, because a switch has closed. Also used if homing has nothing to wait for, so that the
+    /// next order can follow at once.
     Stop,
     /// This point in time.
     Until(Instant),
@@ -65,7 +65,7 @@ impl<const N: usize> Homing<N> {
         Ok((homing, next))
     }
 
-    /// Returns when [`Homing::advance`] has to be called again; `None` if homing does not wait for a time.
+    /// Returns the time at which [`Homing::advance`] has to be called again; `None` if homing does not wait for a time.
     pub(crate) fn wakeup(&self) -> Option<Instant> {
         match self.wait {
             Wait::Until(moment) => Some(moment),

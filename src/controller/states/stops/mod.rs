@@ -56,8 +56,8 @@ impl<const N: usize> Controller<N> {
         self.finish_stop();
     }
 
-    /// Called when the step task has failed. If the machine was already stopping or braking for a reason at least as
-    /// serious, that reason will be reported in place of the failure.
+    /// Handles a failure of the step task while the machine is already stopping or braking for another reason. If that
+    /// reason is at least as serious as the failure, it will be reported in place of the failure.
     fn await_what_brakes(&mut self, failure: Alarm) {
         if let Some(reason) = self.stop_under_way()
             && reason.heavier(StopReason::Alarm(failure)) == reason

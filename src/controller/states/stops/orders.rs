@@ -39,7 +39,7 @@ impl StopReason {
         match self {
             StopReason::Nothing => 1,
             StopReason::Switch | StopReason::Contact => 2,
-            // The lowest of the alarms: a lost spindle speed and a lost host do not affect motors and position.
+            // The least serious alarms, because a lost spindle speed and a lost host do not affect motors and position.
             StopReason::Alarm(Alarm::SpindleSpeed | Alarm::AbortInMotion) => 3,
             StopReason::Alarm(Alarm::DriverFault) => 5,
             StopReason::Alarm(Alarm::EmergencyStop) => 6,
@@ -122,7 +122,7 @@ impl Stops {
         self.wait_for(reason);
     }
 
-    /// Orders a stop of the step task. An order joins an earlier one that has not been sent yet; both are one stop.
+    /// Orders a stop of the step task. If an earlier order has not been sent yet, both orders are one stop.
     pub fn order(&mut self, reason: StopReason) {
         if !self.ordered {
             self.add_expected(1);
@@ -145,8 +145,8 @@ impl Stops {
         ordered
     }
 
-    /// Returns the number of stops that have happened if `ToStep::Resume`, which carries this number, has to be sent
-    /// now. Returns it only once for each stop.
+    /// Returns the number of stops that have happened, if it has to be sent in a `ToStep::Resume` now; otherwise
+    /// `None`. Marks the `ToStep::Resume` as sent.
     pub fn take_resume(&mut self) -> Option<u16> {
         core::mem::take(&mut self.resume).then_some(self.seen)
     }

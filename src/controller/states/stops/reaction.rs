@@ -6,7 +6,7 @@ use crate::settings::{Key, Settings};
 /// How motion ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Braking {
-    /// At once, without braking. At speed the position is lost.
+    /// The machine stops at once, without braking. If it was moving at speed, the position is lost.
     AtOnce,
     /// The machine brakes along the path, within the accelerations. The position is kept.
     Controlled,

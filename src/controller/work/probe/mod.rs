@@ -34,15 +34,16 @@ impl<const N: usize> Controller<N> {
         true
     }
 
-    /// Orders a stop once the step task has braked for a contact. The report of that stop brings the position at rest.
-    /// Until the stop, the step task takes no messages.
+    /// Orders a stop once the step task has braked for a contact. The report of that stop contains the position at
+    /// which the machine rests. Until the stop, the step task takes no messages.
     pub(crate) fn settle_probe(&mut self) {
         if self.m.probe.is_braking() && self.m.step_supply.observed().step_idle && !self.m.stops.is_awaited() {
             self.m.stops.order(StopReason::Contact);
         }
     }
 
-    /// Returns whether contact was made once the probing move is over; `None` until then. Drops the rest of the move.
+    /// Returns the outcome of the probing move: `true` if it has made contact. Returns `None` until the move is over.
+    /// Once the move is over, drops the rest of it.
     #[inline(never)]
     pub(crate) fn take_probe(&mut self, must_touch: bool) -> Option<bool> {
         let touched = self.m.probe.outcome(self.m.motion.is_idle())?;

@@ -4,16 +4,16 @@
 //!  begin ──▶ Seeking ──contact──▶ Braking ──stopped──▶ Touched ──▶ finish
 //!               └──── end of the move without a contact ──────────▶ finish
 //! ```
-//! The step task checks the input at each tick, and brakes after the contact without an order. Once the step task is at
-//! rest, the controller orders a stop, because the report of the stop gives the position. Then it lets the step task
-//! run again.
+//! The step task checks the input at each tick. After the contact it brakes by itself, without an order of the
+//! controller. Once the step task is at rest, the controller orders a stop, because the report of the stop gives the
+//! position. Then the controller lets the step task run again.
 
 use crate::axes::PerAxis;
 use crate::messages::ToStep;
 use crate::units::Coordinate;
 
-/// What the step task looks for: the level of the input, and the deceleration with which to brake then
-/// ([`ToStep::Watch`]).
+/// What the step task looks for: the level of the input, and the deceleration with which it brakes when the input has
+/// that level ([`ToStep::Watch`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Watched {
     level: bool,
@@ -85,8 +85,8 @@ impl<const N: usize> Probe<N> {
         }
     }
 
-    /// Returns whether the step task is braking after a contact, or waits to be stopped after that. The step task takes
-    /// no messages until it has been stopped.
+    /// Returns whether the step task is braking after a contact, or has braked and waits to be stopped. The step task
+    /// takes no messages until it has been stopped.
     pub fn is_braking(&self) -> bool {
         self.phase == Some(Phase::Braking)
     }

@@ -70,7 +70,7 @@ impl<const N: usize> Controller<N> {
         self.enter(State::Hold(Hold::BEGUN));
     }
 
-    /// Returns the reason if the tool cannot be changed and measured; `None` if it can. Called before anything moves.
+    /// Returns an error if the tool cannot be changed and measured; `None` if it can. Called before anything moves.
     #[inline(never)]
     pub(crate) fn refuse_tool_change(&mut self) -> Option<Error> {
         if !self.line.action.is_tool_change_alone() || self.line.action.motion != MotionCommand::None {
@@ -183,7 +183,7 @@ impl<const N: usize> Controller<N> {
         if outside || self.limits_travel() && way.iter().any(|place| self.is_outside_travel(place)) {
             return self.fail_tool_change(Alarm::SoftLimit);
         }
-        // In laser mode, the move down is a rapid. In a feed move of this line, the laser would be on.
+        // In laser mode, the move down is a rapid, because in a feed move of this line the laser would be on.
         let rate = per_second(self.m.settings.value(Key::ParkingPullOutRate));
         let feed = if self.m.settings.is_on(Key::Laser) { Feed::Rapid } else { Feed::PerMinute(rate) };
         self.line.action.return_with_tool(way, feed, length);

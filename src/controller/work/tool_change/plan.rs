@@ -20,8 +20,8 @@ use crate::units::Coordinate;
 
 /// The axis along which the tool moves to the setter, and whose coordinate is measured.
 const ALONG: Axis = Axis::Z;
-/// How far, in mm, the tool is pulled off the setter after the first contact. The second pass may go as far below the
-/// first contact. A setter can be pressed down further: by about 5 mm.
+/// After the first contact, the tool is pulled off the setter by this distance, in mm. The second pass goes down to at
+/// most this distance below the first contact. A setter can be pressed down further: by about 5 mm.
 const PULL_OFF: i32 = 2;
 
 /// Positions of a tool change, in machine coordinates, and its rates in mm/s.
@@ -56,7 +56,7 @@ impl<const N: usize> ChangePlan<N> {
     };
 
     /// Returns whether G30 and G59.3 have been stored and `depth` is above 0. A G30 at machine zero counts as not
-    /// stored, unless `zero_is_clear`: then homing ends at machine zero (`$932=1`).
+    /// stored. But it counts as stored with `zero_is_clear`, because homing then ends at machine zero (`$932=1`).
     pub fn is_set_up(&self, zero_is_clear: bool) -> bool {
         let nowhere = PerAxis::all(Coordinate::ZERO);
         (self.change != nowhere || zero_is_clear) && self.setter != nowhere && self.depth > Coordinate::ZERO
