@@ -41,6 +41,8 @@ pub fn safe_state() {
     }
     // Also force the PWM's output low. Without preload, the manual does not guarantee when a compare value of 0 takes
     // effect (TIMx_CCMR1, OC1PE, note 2).
+    // SAFETY: unsafe because the owners of the timers are by-passed; safe because outputs that are low and a stopped
+    // counter are right whenever this function is called, and no code runs after it.
     unsafe {
         (*pac::TIM3::ptr()).ccmr1_output().write(|w| w.bits(FORCED_LOW));
         (*pac::TIM3::ptr()).ccmr2_output().write(|w| w.bits(FORCED_LOW));
