@@ -134,6 +134,9 @@ impl Outcome {
             };
             return (text.into(), advice.into());
         }
+        if text.starts_with("no subroutine ") {
+            return (text.into(), other_subroutines(job.subroutines()));
+        }
         let unset = text.strip_prefix("#<").and_then(|rest| rest.split_once("> is not set"));
         if let Some(name) = unset.and_then(|(name, _)| job.name_like(name)) {
             return (text.into(), format!("The file sets #<{name}>: is that the name?"));
@@ -231,6 +234,19 @@ fn without_length(source: &str) -> String {
          too deep or too shallow: insert G10 L1 P{number} Z<difference> above this line, and one such line for each other \
          tool. The difference is the length of the tool minus the length of the tool with which you zero Z, in program units"
     )
+}
+
+/// Returns advice for the call of a subroutine that the file does not have above the call. `present`: the subroutines
+/// that it has, each with its line.
+fn other_subroutines(present: &[(String, u64)]) -> String {
+    let named: Vec<String> =
+        present.iter().take(MOST_NAMED).map(|(number, line)| format!("{number} (line {line})")).collect();
+    let define = "write the subroutine above the line, from sub to endsub";
+    match &named[..] {
+        [] => format!("The file has no subroutine so far: {define}."),
+        [only] => format!("The only subroutine so far is {only}: call it if you mean that one, or {define}."),
+        several => format!("The subroutines so far are {}: correct the number, or {define}.", several.join(", ")),
+    }
 }
 
 /// Returns the error text for calls of the subprogram `number`, such as `O1001`, which is not in the file. `more`: the
@@ -651,6 +667,8 @@ mod tests {
         let unset = |text| checked("oxmill", text).warnings.into_iter().map(|warning| warning.line).collect::<Vec<_>>();
         assert_eq!(unset("G21\n#100=5\nG1 X#1000 F#100\nX[#1000+#5 + #5220]\n(#200)\n"), [3]);
         assert!(unset("G21\n#[100]=5\nG1 X#100 F100\n").is_empty());
+        let call = checked("oxmill", "o101 sub\nG91 G0 X1\no101 endsub\no110 call\n").errors;
+        assert!(call[0].advice.starts_with("The only subroutine so far is o101 (line 1): call it if"), "{call:?}");
         let calls = "O1 (MAIN)\nG21 G90\nM98 P20\nM98 P20\nM30\nO21\nG1 X1 F100\nM99\n";
         let summary = checked("oxmill", calls);
         assert_eq!((summary.errors.len(), summary.errors[0].line), (1, 3), "{:?}", summary.errors);

@@ -69,6 +69,8 @@ pub struct JobText {
     names: Vec<String>,
     /// Numbers of the parameters that lines of the file set, such as 100 for `#100=5`.
     numbers_set: BTreeSet<u32>,
+    /// Subroutines of the file, such as `o100`, each with the line number of its `sub`; at most [`MOST_NAMES`].
+    subroutines: Vec<(String, u64)>,
     /// Numbers of the parameters that lines of the file read, each with its first line; at most [`MOST_NAMES`].
     numbers_read: BTreeMap<u32, u64>,
     /// Whether a line sets a parameter whose number it computes, such as `#[#1+100]=5`.
@@ -165,6 +167,7 @@ impl JobText {
             failed: None,
             names: Vec::new(),
             numbers_set: BTreeSet::new(),
+            subroutines: Vec::new(),
             numbers_read: BTreeMap::new(),
             sets_computed: false,
             mentions_inches: false,
@@ -431,6 +434,9 @@ impl JobText {
             shown += " ...";
         }
         self.mentions_inches |= mentions_inches(text);
+        if text.contains(['o', 'O']) {
+            self.note_subroutine(text);
+        }
         if text.contains('#') {
             self.note_names(text);
             self.note_numbers(text);
@@ -455,6 +461,22 @@ impl JobText {
                 self.names.push(name.to_owned());
             }
         }
+    }
+
+    /// Notes the number of the subroutine that begins in a line such as `o100 sub`.
+    fn note_subroutine(&mut self, line: &str) {
+        let line = column::as_read(line);
+        if let Some(number) = line.strip_prefix('O').and_then(|rest| rest.strip_suffix("SUB"))
+            && number.bytes().all(|byte| byte.is_ascii_digit())
+            && self.subroutines.len() < MOST_NAMES
+        {
+            self.subroutines.push((format!("o{number}"), self.lines));
+        }
+    }
+
+    /// Returns the subroutines of the file, such as `o100`, each with its line number.
+    pub fn subroutines(&self) -> &[(String, u64)] {
+        &self.subroutines
     }
 
     /// Notes the numbers of the parameters that a line sets and reads. Only `#31` to `#4999` count, because lower

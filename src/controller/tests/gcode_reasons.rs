@@ -355,7 +355,13 @@ const ROWS: &[Row] = &[
     ("F100", "G2 X1 K1", 35, "I and J are missing in G2, or R: the plane is G17"),
     ("F100 | G18", "G3 X1", 35, "I and K are missing in G3, or R: the plane is G18"),
     ("F100 | G90.1", "G2 X5 I2", 35, "I and J are both needed in G2: G90.1 is active"),
-    // A lost digit and a wrong sign: only the probable centre is suggested.
+    // A lost zero, swapped digits and a wrong sign: only the probable centre is suggested.
+    (
+        "F100 | G0 X0 Y-25",
+        "G2 X-25 Y0 I0 J52",
+        33,
+        "the radius of G2 is 52.000 mm at its start, 36.797 at its end. Write I0.000 J25.000",
+    ),
     (
         "F100 | G0 X60",
         "G2 X30 Y-30 I-3 J0",

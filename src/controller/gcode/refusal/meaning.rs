@@ -737,14 +737,24 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
     }
 }
 
-/// Returns whether `written` becomes `meant` by a slip of the hand: a digit or the decimal point in the wrong place
-/// (2 instead of 20), or a wrong sign.
+/// Returns whether the two values have the same digits but for zeros, in any order. Then one is probably a slip of the
+/// other: a lost zero, a shifted point, two swapped digits or a wrong sign. Digits beyond 1 um do not count.
+#[inline(never)]
 fn is_slip(written: i64, meant: i64) -> bool {
     const MICROMETRE: i64 = DECIMAL_ONE / 1000;
-    [-1, 10, 100].iter().any(|factor| {
-        (written.saturating_mul(*factor) - meant).abs() <= MICROMETRE
-            || (meant.saturating_mul(*factor) - written).abs() <= MICROMETRE
-    })
+    let digits = |value: i64| {
+        let mut rest = (value.unsigned_abs() + MICROMETRE.unsigned_abs() / 2) / MICROMETRE.unsigned_abs();
+        let mut counts = [0_u8; 10];
+        while rest > 0 {
+            if let Some(count) = counts.get_mut((rest % 10) as usize) {
+                *count += 1;
+            }
+            rest /= 10;
+        }
+        counts[0] = 0;
+        counts
+    };
+    digits(written) == digits(meant)
 }
 
 #[inline(never)]
