@@ -26,15 +26,17 @@ SUBSTITUTES = str.maketrans(" #%)189>XY", "shpdlbgtxy")
 NUMBERS = 4096
 # The session's letters are capitals that one damaged bit cannot turn into a realtime command.
 LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWZ"
-# If more answers in a row than this are damaged or of another session, another sender must be using the machine.
+# Maximum number of answers in a row that are damaged or of another session. If there are more, another sender must be
+# using the machine.
 STRANGE = 32
 # Maximum number of bytes of lines that have been sent and not answered; the machine has room for 255.
 WINDOW = 120
-# Seconds without an answer after which a question (an empty line, one byte) is sent.
+# After this many seconds without an answer, the sender sends a question: an empty line, which is one byte.
 PATIENCE = 0.5
 # Maximum number of unanswered questions.
 QUESTIONS = 32
-# Seconds without a byte after which the link counts as dead. (The machine sends the requested reports in every state.)
+# After this many seconds without a byte, the link counts as dead, because the machine sends the requested reports in
+# every state.
 SILENCE = 20.0
 # Maximum length of a line with its comments: four times what the machine accepts without comments.
 LONGEST = 1000
@@ -165,14 +167,16 @@ class Sender:
     def __init__(self, link, lines, tell=print, session=None):
         self.link, self.lines, self.tell = link, lines, tell
         self.session = session or new_session()
-        # Numbers of lines: taken by the machine, sent, and the maximum of `sent`. When lines are sent again, `sent`
-        # goes back. The lines from there to `furthest` can still arrive from the first time.
+        # Numbers of lines: `taken` by the machine, `sent` to it, and `furthest`, which is the maximum of `sent`.
+        # `sent` goes back when lines are sent again. Then the lines from `sent` to `furthest` can still arrive from
+        # the first time.
         self.taken = self.sent = self.furthest = 0
         # Lengths in bytes of the lines that have been sent and not answered, oldest first.
         self.sizes = []
         # True while the sender waits until all sent lines have arrived. Then it sends the lines not taken again.
         self.is_draining = False
-        # Counts: unanswered questions; `sent` at the last question; plain answers (not checked ones) in a row.
+        # `questions`: number of unanswered questions. `asked_at`: value of `sent` at the last question. `plain`:
+        # number of answers in a row that are plain, not checked.
         self.questions = self.asked_at = self.plain = 0
         # Number of damaged answers since the last good one.
         self.strange = 0
@@ -212,14 +216,14 @@ class Sender:
             time.sleep(PATIENCE / 4)
             self.link.send(b"?")
             for line in self.receive():
-                # This `ok` may answer a repeated `$LC=OFF`.
+                # Ignore an `ok`: it may answer a repeated `$LC=OFF`.
                 if line != "ok":
                     self.read(line)
 
     def begin(self):
         """Requests checked lines until the machine expects line 0. An empty line ends any partial line before."""
         for _ in range(20):
-            # A machine that holds does not answer lines, but reports its state.
+            # The `?` is for a machine that holds: it answers no lines, but it reports its state.
             self.link.send(f"\n$LC=ON{self.session}\n?".encode("ascii"))
             until = time.monotonic() + 2 * PATIENCE
             while time.monotonic() < until:
@@ -272,8 +276,8 @@ class Sender:
             self.questions = 0
         if text == "known":
             self.questions = max(0, self.questions - 1)
-            # All lines sent before the question have arrived (or only some of them, if the link has doubled a line
-            # end).
+            # All lines sent before the question have arrived. If the link has doubled a line end, only some of them
+            # have.
             if self.is_draining:
                 self.counts["lines sent again"] += self.sent - self.taken
                 self.is_draining, self.sent, self.sizes = False, self.taken, []

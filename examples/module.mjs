@@ -44,7 +44,7 @@ try {
   console.log(JSON.stringify(summary, undefined, 2));
   exit(summary.errors.length || summary.alarm || !summary.complete ? 1 : 0);
 } catch (error) {
-  // A panic ends the instance and leaves a text.
+  // A panic of the firmware ends the instance and leaves its message as the text `panic`.
   console.error(text("panic") || error.message);
   exit(2);
 }

@@ -29,7 +29,7 @@ class Oxmill:
         try:
             return self.exports[f"oxmill_{name}"](self.store, *arguments)
         except Trap as trap:
-            # A panic ends the instance and leaves a text.
+            # A panic of the firmware ends the instance and leaves its message as the text `panic`.
             raise Refused(self.text("panic") or str(trap)) from trap
 
     def text(self, name):

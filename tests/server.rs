@@ -7,13 +7,13 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Maximum time for an answer, even on a slow machine.
+/// Maximum time for an answer, even on a slow computer.
 const PATIENCE: Duration = Duration::from_secs(20);
 const WELCOME: &str = "Grbl 1.1h ['$' for help]";
 const BUSY: &str = "[MSG:Another host has the machine]\r\n";
 
-/// Requests the page of `serve --web` with handwritten HTTP: as a browser that shows this page does, and as pages of
-/// other sites would.
+/// Requests the page of `serve --web` with handwritten HTTP. Some requests are those of a browser that shows this
+/// page, others are requests that pages of other sites would make.
 #[test]
 fn a_page_is_served_to_this_computer_only() {
     let page = Path::new(env!("CARGO_TARGET_TMPDIR")).join("page.html");
@@ -213,7 +213,8 @@ fn thousands_of_connections_leave_nothing_behind() {
     let ports = [(tcp, tcp_address, "", 3000), (page, page_address, "", 1000), (pinned, pins, "steps\n", 1000)];
     for (server, address, line, many) in ports {
         let address = address.as_str();
-        // The first connection makes the server start the rest of its own threads, so count them after it.
+        // At the first connection the server starts the rest of its own threads. So count its threads only after a
+        // first connection.
         answer_to(address, b"GET / HTTP/1.0\r\n\r\n");
         std::thread::sleep(Duration::from_millis(500));
         let before = held(&server.program);
@@ -243,8 +244,8 @@ fn thousands_of_connections_leave_nothing_behind() {
     }
 }
 
-/// Clients of the pin port that never read their answers are disconnected in favour of others, and until then memory
-/// does not grow.
+/// Some clients of the pin port never read their answers. The server disconnects such clients in favour of others.
+/// Until then, the memory of the server does not grow.
 #[cfg(target_os = "linux")]
 #[test]
 fn clients_that_do_not_read_hold_no_place() {
@@ -269,7 +270,7 @@ fn clients_that_do_not_read_hold_no_place() {
         assert_eq!(before.ask("door 0"), "ok");
         assert!(resident(&server.program) < memory + 8192, "{memory} {}", resident(&server.program));
         let mut new = Client::of(&pins);
-        // A rejected client can find its connection closed.
+        // This write may fail, because the server can already have closed the connection of a rejected client.
         let _ = new.stream.write_all(b"door 1\n");
         let mut said = String::new();
         match new.lines.read_line(&mut said) {
@@ -321,8 +322,8 @@ fn no_client_makes_the_server_grow() {
     assert_eq!(short.ask("G21"), "ok");
     short.send([b'X'; (1 << 16) + 2000]);
     assert_eq!(short.line(), "[MSG:The line has no end]");
-    // A line without an end is also rejected as the first line of a client, where the server looks for a browser's HTTP
-    // request.
+    // A line without an end is also rejected if it is the first line of a client. In a first line the server looks for
+    // the HTTP request of a browser.
     let mut first = server.served();
     first.send([b'X'; (1 << 16) + 2000]);
     assert_eq!(first.line(), "[MSG:The line has no end]");
@@ -373,8 +374,8 @@ fn a_recording_with_alarms_of_pins_is_played_again() {
     std::fs::remove_dir_all(&folder).expect("it is there");
 }
 
-/// A port given without an address is opened on the loopback only, even the one for the pins. With 64 connections open,
-/// the next one gets a message and is closed.
+/// If a port is given without an address, the server opens it on the loopback only. This also holds for the port of
+/// the pins. If 64 connections are open, the next connection gets a message and is closed.
 #[test]
 fn a_port_alone_is_of_the_loopback() {
     for port in ["0", ":0"] {
@@ -565,7 +566,7 @@ fn a_client_that_leaves_in_mid_job_is_one_that_closes_its_port() {
     for (hold, pending) in [(1, true), (1, false), (0, true), (0, false)] {
         let server = Server::new(&["--set", &format!("914={hold}")]);
         let mut first = server.served();
-        // The move is long enough not to end before the closed port is noticed, even on a busy host.
+        // The move is so long that the server notices the closed port before the move ends, even on a busy host.
         let to = if hold == 1 { 300 } else { 60 };
         assert_eq!(first.ask(&format!("G1 X{to} F60")), "ok");
         if pending {
@@ -640,8 +641,8 @@ fn a_recording_is_of_one_server() {
     Server::new(&["--record", text]);
 }
 
-/// Settings given as options are active at power-up, as on a board: if they enable homing, the machine starts locked,
-/// and startup lines are carried out.
+/// Settings given as options are active at power-up, as on a board. If they enable homing, the machine starts locked.
+/// If they contain a startup line, the machine carries it out.
 #[test]
 fn a_server_has_its_settings_at_power_up() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
@@ -753,7 +754,8 @@ fn a_pseudo_terminal_keeps_nothing_for_the_next_client() {
     watch.join().expect("no panic").expect("a program");
 }
 
-/// A symbolic link that leads to a file is not replaced; a dangling link, as an earlier run leaves behind, is replaced.
+/// The server does not replace a symbolic link that leads to a file. It replaces a dangling link, because an earlier
+/// run can have left it behind.
 #[cfg(unix)]
 #[test]
 fn no_link_to_a_file_is_taken_for_a_pseudo_terminal() {

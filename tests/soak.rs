@@ -2,9 +2,9 @@
 //! receive buffer takes them, with holds, overrides, reports, stops and resets among them. Hosts close the port and
 //! reconnect, or are silent for too long. Inputs stop the machine. `$924` to `$928` select the reactions.
 //!
-//! Invariants: each line is answered once; whenever the machine comes to rest, the motors have made exactly the steps
-//! of the program; after a stop or a reset the reported position is that of the motors, and the program continues from
-//! there; memory does not grow.
+//! Four conditions must hold. Each line is answered once. Whenever the machine comes to rest, the motors have made
+//! exactly the steps of the program. After a stop or a reset, the reported position is that of the motors, and the
+//! program continues from there. Memory does not grow.
 //!
 //! `OXMILL_SOAK=N` plays N lines instead of 3,000; `OXMILL_SOAK_SEED` sets the seed.
 
@@ -20,7 +20,7 @@ const PATIENCE: Duration = Duration::from_secs(600);
 const GROWTH: u64 = 4_096;
 /// Settings that enable the host timeouts of jobs (`$922`) and jogs (`$923`), and hard limits.
 const WATCHES: [&str; 3] = ["$922=0.3", "$923=0.2", "$21=1"];
-/// Reactions (values of `$924` to `$928`) that keep the position and, after a host timeout, the job.
+/// Reactions (values of `$924` to `$928`) that keep the position. After a host timeout they keep the job, too.
 const CONTROLLED: [&str; 4] = ["1", "2", "4", "5"];
 /// Inputs that stop the machine: the name in the pin protocol, the setting that selects the reaction, and the alarm.
 const FAULTS: [(&str, &str, &str); 3] =

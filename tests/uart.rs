@@ -332,8 +332,8 @@ fn nothing_is_dropped_behind_damaged_bytes() {
     }
 }
 
-/// DMA has counted a byte but not yet written it: the reader leaves the byte for its next run. If damage was reported
-/// before, the reader still takes that byte as damaged.
+/// DMA has counted a byte but not yet written it, so the reader leaves the byte for its next run. If damage was
+/// reported before, the reader takes this byte as damaged, although it reads the byte only later.
 #[test]
 fn a_byte_that_is_counted_and_not_written() {
     let (wire, mut receiver) = by_dma();
@@ -345,8 +345,8 @@ fn a_byte_that_is_counted_and_not_written() {
     wire.write();
     out.look(&mut receiver);
     assert_eq!(out.text(), "abc");
-    // Now the byte is damaged. It is not yet written when the reader first sees the damage flag, nor when the reader
-    // runs next.
+    // Now the byte is damaged. DMA has not yet written it in two runs of the reader: the run that first sees the
+    // damage flag, and the next run.
     wire.damaged.set(true);
     wire.count(b'1');
     out.look(&mut receiver);
@@ -359,8 +359,8 @@ fn a_byte_that_is_counted_and_not_written() {
     assert_eq!(out.text(), "abc#@@@\n");
 }
 
-/// All slots but one can hold waiting bytes for any time. If one more byte arrives, all are lost except the last stop
-/// (a byte that stops the machine). The loss is reported once.
+/// All slots but one can hold waiting bytes for any time. If one more byte arrives, all waiting bytes are lost, except
+/// the last stop (a byte that stops the machine). The loss is reported once.
 #[test]
 fn a_full_buffer_and_a_lap() {
     for more in [0, 1, 2, SLOTS - 1, SLOTS, SLOTS + 1, 3 * SLOTS + 7] {
@@ -373,7 +373,7 @@ fn a_full_buffer_and_a_lap() {
                 out.0.clear();
                 let count = SLOTS - 1 + more;
                 let mut bytes = vec![b'x'; count];
-                // `stop` counts from the newest byte: older bytes can have been overwritten.
+                // `stop` counts from the newest byte, because older bytes can have been overwritten.
                 if let Some(stop) = stop {
                     bytes[count - 1 - stop] = b'!';
                 }
@@ -399,9 +399,9 @@ fn a_full_buffer_and_a_lap() {
     }
 }
 
-/// Nobody takes the reader's messages while bytes arrive without end. The oldest bytes are lost, except those that stop
-/// the machine, and the loss is reported once. The reader moves bytes to make room, so DMA never laps it, and no pass
-/// has to empty all slots.
+/// Nobody takes the reader's messages while bytes arrive without end. The oldest bytes are lost, except those that
+/// stop the machine, and the loss is reported once. The reader moves bytes to make room. So DMA never overtakes the
+/// reader by a round of the ring, and no pass has to empty all slots.
 #[test]
 fn the_oldest_bytes_are_lost_where_nobody_takes_them() {
     let (wire, mut receiver) = by_dma();
@@ -475,8 +475,8 @@ fn a_lap_is_seen_when_another_byte_comes_meanwhile() {
     assert_eq!(out.text(), "#end\n");
 }
 
-/// The step task can interrupt a pass anywhere, and bytes can arrive in that time. The reader must not mistake a slot
-/// that such a byte has filled for an overrun.
+/// The step task can interrupt a pass anywhere, and bytes can arrive in that time. To the reader, a slot that such a
+/// byte has filled must not look like an overrun.
 #[test]
 fn bytes_that_come_while_a_look_asks_where_it_is() {
     for counts in (0..81).map(|code| [code % 3, code / 3 % 3, code / 9 % 3, code / 27]) {
@@ -525,7 +525,8 @@ fn a_lap_within_a_look_leaves_no_reader_waiting() {
         wire.damaged.set(true);
         wire.at_clear.replace(vec![b'y'; late]);
         (0..40).for_each(|_| _ = out.look(&mut receiver));
-        // The next bytes reveal that DMA has lapped the reader, and are lost together with the waiting ones.
+        // From the next bytes the reader detects that DMA has overtaken it. These bytes are lost, together with the
+        // waiting ones.
         wire.come_all(b"\n\n");
         out.look(&mut receiver);
         wire.come_all(b"end\n");
@@ -549,8 +550,8 @@ fn bytes_that_come_while_the_slots_are_emptied() {
         let (wire, mut receiver) = by_dma();
         let mut out = Out::default();
         wire.come_all(&vec![b'x'; SLOTS + 5]);
-        // The reader calls `place` at the start of its run, twice after it has waited for DMA to complete the newest
-        // byte, before it empties the first slot, and after it has emptied the last one.
+        // The reader calls `place` five times: at the start of its run, twice after it has waited for DMA to complete
+        // the newest byte, once before it empties the first slot, and once after it has emptied the last slot.
         wire.at_place.replace([b"", b"", b"", first, last].map(Vec::from).into());
         out.look(&mut receiver);
         wire.come_all(b"end\n");
@@ -602,7 +603,7 @@ fn what_is_to_be_called_for() {
         assert_eq!(out.glance(&mut receiver, &mut room), Look::default());
     }
     // If no message can be sent, the bytes stay in the buffer, and the reader requests a call of the serial task for
-    // them: at once if a stop is among them.
+    // them. If a stop is among the bytes, the reader requests an immediate call.
     out.0.clear();
     wire.come_all(b"?G1X1\n!\n");
     out.glance(&mut receiver, &mut 0);

@@ -5,7 +5,8 @@ use std::fs;
 use std::io::{Read, Write};
 use std::process::Stdio;
 
-/// If answers cannot be written, or the input cannot be read to its end, the program ends with status 2 and the reason.
+/// If answers cannot be written, or the input cannot be read to its end, the program prints the reason and ends with
+/// status 2.
 #[cfg(unix)]
 #[test]
 fn a_device_on_standard_input_loses_nothing_silently() {
@@ -14,7 +15,7 @@ fn a_device_on_standard_input_loses_nothing_silently() {
         // The program's input stays open, so only the failed output can end the program.
         let mut program = oxmill(&[&["serve", "--stdio", "--speed", "max"], pins].concat());
         let mut program = program.stdin(Stdio::piped()).stdout(full()).spawn().expect("it starts");
-        // This may fail: writing the greeting has already failed, so the program can have ended.
+        // This write may fail: the program can have ended already, because it could not write its greeting.
         let _ = program.stdin.as_mut().expect("a pipe").write_all(b"G1 X1 F1000\n");
         let (code, said) = ended(program);
         assert!(code == Some(2) && said.contains("cannot write the answers"), "{pins:?}: {code:?}, {said}");
@@ -72,8 +73,8 @@ fn a_device_on_standard_input_greets_and_answers() {
     assert!(said.contains("[VER:1.1h.") && said.ends_with("ok\r\nok\r\n"), "{said}");
 }
 
-/// A wrong byte in the store: `run` reports it and does not start. A device reports it and stays locked until the
-/// user has listed the settings (`$$`) and unlocked it (`$X`).
+/// If the store has a wrong byte, `run` reports it and does not start. A device (`serve`) reports it and stays locked
+/// until the user has listed the settings (`$$`) and unlocked the device (`$X`).
 #[test]
 fn a_damaged_store_is_told_and_locks() {
     let job = file("stored.nc", "G21 G90\nG0 X10\n");

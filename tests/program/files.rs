@@ -41,7 +41,7 @@ fn files_that_are_no_jobs_are_named() {
     }
     let empty = run(&["check", "-"]);
     assert_eq!(empty.status.code(), Some(2), "{}", String::from_utf8_lossy(&empty.stderr));
-    // The lines before the damage are run.
+    // Line 20,001 has a byte 0. The program runs the lines before it.
     let job = file("damaged.nc", &format!("{}G1 X2\0\nG1 X3\n", "G1 X1 F6000\n".repeat(20_000)));
     let output = run(&["run", "--json", text(&job)]);
     let said = String::from_utf8_lossy(&output.stderr);

@@ -18,8 +18,8 @@ fn shells_and_man_know_the_commands() {
     }
 }
 
-/// `serve --web` looks for the page in the folder of the program, as in the archive of a release. If the page is
-/// missing, the message names a release and `cargo xtask web` as its sources, and the option `--page`.
+/// `serve --web` looks for the page in the folder of the program, where the archive of a release has it. If the page
+/// is missing, the message names two ways to get it (a release, and `cargo xtask web`) and the option `--page`.
 #[test]
 fn the_page_is_looked_for_beside_the_program() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("released");
@@ -39,8 +39,9 @@ fn the_page_is_looked_for_beside_the_program() {
     assert!(refused().contains("is not the page of Oxmill"));
 }
 
-/// Each option is in the manual that `man` prints, and in the page of its command that `man --out` writes. The page of
-/// the program, or of the command above it, refers to this page.
+/// The manual that `man` prints has each option. `man --out` writes a page for each command, which has the options of
+/// this command. Another page must refer to the page of a command: the page of the program, or the page of the command
+/// above it.
 #[test]
 fn the_manual_has_the_options_of_each_command() {
     let plain = |text: &str| text.replace('\\', "");
@@ -72,7 +73,7 @@ fn the_manual_has_the_options_of_each_command() {
     assert_eq!(run(&["man", "--out", text(&file)]).status.code(), Some(2));
 }
 
-/// `docs/json.md` explains every field with its type, and no field that does not exist.
+/// `docs/json.md` explains every field of the JSON summary with its type. It explains no other fields.
 #[test]
 fn the_page_of_the_json_has_its_fields() {
     let job = file("json.nc", "G1 X1 F100 (so what!)\nG999\nT1\nG38.2 Z-1\n");

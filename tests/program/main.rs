@@ -72,8 +72,8 @@ fn places_are_numbers_without_a_resolution() {
     }
 }
 
-/// A dwell longer than the virtual clock can run is reported as an unfinished job. A shorter one, however long, runs to
-/// its end.
+/// If a dwell is longer than the virtual clock can run, the job is reported as unfinished. A dwell that the clock can
+/// run is run to its end, even if it takes more than a thousand years.
 #[test]
 fn a_dwell_of_many_thousand_years_ends_the_simulation() {
     let years = "50000000000";
@@ -160,8 +160,8 @@ fn errors_stand_in_the_summary_with_their_lines_and_end_with_1() {
     assert!(words.contains("line 2") || words.contains("     2"), "{words}");
 }
 
-/// A probing line is answered after its alarm; a line beyond the travel is not answered. Either way the alarm has the
-/// number of the line that raised it.
+/// A probing line is answered after its alarm. A line whose target is beyond the travel is not answered. In both cases
+/// the alarm has the number of the line that raised it.
 #[test]
 fn an_alarm_has_the_line_that_raised_it() {
     let limits: Vec<&str> = "--set 20=1 --set 22=1 --set 130=60 --work-zero=-40,-20,-10".split(' ').collect();
@@ -247,9 +247,9 @@ fn a_held_program_that_is_too_long_is_measured() {
     let job = file("too_long.nc", &program);
     let output = run(&["check", text(&job), "--json", "--board", "nucleo_f401re"]);
     let error = &json(&output)["errors"][0];
-    // The board must hold the text of the program in memory. It needs 9 bytes for each of the 700 lines (8 without
-    // blanks, and 1 for the length), then M98P1, M30, O1 with its keyword, X3, and 64 bytes that must stay free. The
-    // board has 6144 bytes.
+    // The board must hold the text of the program in memory. Each of the 700 lines needs 9 bytes: 8 for its text
+    // without blanks, and 1 for the length. M98P1, M30, O1 with its keyword, and X3 come on top. Another 64 bytes must
+    // stay free. The board has 6144 bytes.
     let lacking = 700 * 9 + 6 + 4 + 6 + 3 + 64 - 6144;
     assert_eq!(error["code"], 83);
     let advice = error["advice"].as_str().expect("advice");
@@ -268,8 +268,8 @@ fn a_held_program_that_is_too_long_is_measured() {
     );
 }
 
-/// A check warns of each line with a byte that would act as a realtime command if it were sent unchanged, and of a
-/// line that takes hours.
+/// A check warns of two kinds of lines: a line that takes hours, and a line with a byte that would act as a realtime
+/// command if a sender sent the byte unchanged.
 #[test]
 fn lines_are_named_that_do_what_may_not_be_meant() {
     let job = file("meant.nc", "G21 G91\n(Grüße, Über-Maß à 5)\nG1 X1 F600\n(so what! go~)\nG1 X6 F0.05\nM2\n");

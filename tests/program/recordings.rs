@@ -24,7 +24,7 @@ fn a_recorded_job_is_played_again() {
         summary["job"] = Value::Null;
     }
     assert_eq!(recorded, played);
-    // A recording whose steps are the same but whose outputs or clock differ is reported.
+    // The replay reports a recording that has the same steps, but other outputs or another clock rate.
     let text_of = fs::read_to_string(&recording).expect("a recording is text");
     for (from, to) in [("job M3 S500\\n\n", ""), ("nucleo_f446re 90000000", "nucleo_f446re 90000001")] {
         assert!(text_of.contains(from), "{from}");
@@ -39,7 +39,7 @@ fn a_recorded_job_is_played_again() {
     let time: u64 = time.parse().expect("a time");
     let changed = file("other_end.rec", &format!("{lines}\n{} {state}\n", time ^ 1));
     assert_eq!(run(&["replay", text(&changed)]).status.code(), Some(3), "another end");
-    // A recording of a program that makes other steps is reported.
+    // The replay reports a recording of a program that makes other steps.
     let other = fs::read_to_string(&recording).expect("a recording is text").replace("G0 X0 Z1", "G0 X0 Z2");
     let changed = file("changed.rec", &other);
     let output = run(&["replay", text(&changed)]);
@@ -54,7 +54,7 @@ fn a_recorded_job_is_played_again() {
     assert_eq!(run(&["run", text(&job), "--record", text(&job)]).status.code(), Some(2), "the job itself");
 }
 
-/// The replay does not wait for the end of the dwell.
+/// The job has a dwell of many days. The replay does not wait for the end of the dwell.
 #[test]
 fn a_recorded_job_with_a_very_long_dwell_is_played_again() {
     let job = file("long_dwell.nc", "G0 X1\nG4 P10000000\nG0 X2\n");
@@ -135,8 +135,8 @@ fn a_recorded_conversation_is_played_again() {
     let played = run(&["replay", text(&recording), "--json"]);
     let summary = json(&played);
     assert_eq!((&summary["steps"], played.status.code()), (&serde_json::json!([0, 500, 250]), Some(1)));
-    // `bad` is the host's third line. The setting does not count as a line, because it was active before the host
-    // connected.
+    // `bad` is the third line of the host. The setting `$120=200` does not count as a line, because it was active
+    // before the host connected.
     assert_eq!((&summary["errors"][0]["line"], &summary["errors"][0]["code"]), (&3.into(), &2.into()));
     assert!(String::from_utf8_lossy(&played.stderr).is_empty(), "the same steps");
 }

@@ -34,19 +34,19 @@ fn settings_are_those_of_the_dialect() {
         let output = run(&[&arguments[..], &["--dialect", "grbl"]].concat());
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     }
-    // A dump lists soft limits (`$20`) before homing (`$22`), which they need.
+    // A dump lists soft limits (`$20`) before homing (`$22`), although soft limits need homing.
     let dump = file("dump_of_grbl.txt", "$20=1\n$22=1\n$0=2.5\n");
     let output = run(&["check", text(&job), "--dialect", "grbl", "--settings", text(&dump)]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // A dump of the dialect of grblHAL lists the masks `$10` and `$22` before `$900=3`, which selects the dialect in
-    // which these values are valid.
+    // A dump of the dialect of grblHAL lists the masks `$10` and `$22` before `$900=3`. The values of these masks are
+    // valid only in the dialect that `$900=3` selects.
     let dump = file("dump_of_grblhal.txt", "$10=511\n$22=207\n$900=3\n$932=1\n");
     let output = run(&["check", text(&job), "--json", "--settings", text(&dump)]);
     assert_eq!(json(&output)["dialect"], "grblhal", "{}", String::from_utf8_lossy(&output.stderr));
     let output = run(&["check", text(&job), "--dialect", "oxmill", "--settings", text(&dump)]);
     assert!(output.status.code() == Some(2) && String::from_utf8_lossy(&output.stderr).contains("error:52"));
-    // The program normally tries a rejected value again after all others, but not if a later value for the same setting
-    // follows.
+    // The program normally tries a rejected value again after all others. It does not try again if a later value for
+    // the same setting follows.
     let twice = ["check", text(&job), "--dialect", "grbl", "--set", "32=2", "--set", "32=0"];
     let output = run(&twice);
     assert!(output.status.code() == Some(2) && String::from_utf8_lossy(&output.stderr).contains("--set 32=2"));

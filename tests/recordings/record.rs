@@ -49,7 +49,8 @@ pub fn answers(text: &str) -> usize {
     lines(text).iter().filter(|line| *line == "ok" || line.starts_with("error:")).count()
 }
 
-/// Numbers of records, by how this controller's answers compare with the recorded ones.
+/// Results of the comparison so far: the numbers of records whose answers are equal to the recorded ones, accepted by
+/// a rule, or listed as a difference. `other`: a message for each record with other answers.
 #[derive(Clone)]
 pub struct Tally {
     pub equal: usize,

@@ -127,7 +127,8 @@ fn line(random: &mut Random) -> String {
             for _ in 0..random.below(100) {
                 line.push(char::from(b' ' + random.below(95) as u8));
             }
-            // With a random setting, feed or dwell a session could take days: remove the letters of these words.
+            // With a random setting, feed or dwell a session could take days. So remove the letters with which such
+            // words begin.
             line.retain(|c| !matches!(c, '$' | 'F' | 'f' | 'P' | 'p' | 'Q'));
         }
         13 => line += &"G1X1".repeat(random.below(90) as usize),

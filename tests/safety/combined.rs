@@ -37,10 +37,12 @@ const BACKLASH: &str = "backlash_mm = [0.1, 0.06, 0.08, 0]\n";
 const TAKEN_UP: &str = "$160=0.1 $161=0.06 $162=0.08";
 const TURNS: &str = "$930=4 $103=250 $113=9000 $123=900 $133=0";
 const PARKS: &str = "$41=1 $56=0.3 $57=900 $58=-3 $59=2000";
-/// [`RACKED`]: the second motor of X starts 0.3 mm ahead of the first. [`SECOND`]: this motor has its own switch.
+/// Hardware of an X axis with two motors, TOML. [`RACKED`]: the second motor starts 0.3 mm ahead of the first one.
+/// [`SECOND`]: the second motor has its own switch.
 const RACKED: &str = "racked_mm = 0.3\n";
 const SECOND: &str = "[[switch]]\naxis = \"x\"\nat_mm = 2\nside = \"positive\"\nsecond_motor = true\n";
-/// Machines. Each has two TOML texts before [`SWITCHES`], one TOML text after it, and three texts of settings.
+/// Machines. Each entry has two TOML texts that come before [`SWITCHES`] in the description of the hardware, then a
+/// TOML text that comes after it, then three texts of settings.
 const MACHINES: [([&str; 2], &str, [&str; 3]); 10] = [
     (["", ""], "", ["", "", ""]),
     ([BACKLASH, ""], "", [TAKEN_UP, "$43=2", ""]),
@@ -63,7 +65,7 @@ struct Mill {
     turns: bool,
     belts: bool,
     has_backlash: bool,
-    /// State and number of step events at the last check; `true` if nothing has been sent since then.
+    /// State and number of step events at the last check, and `true` if nothing has been sent since that check.
     before: (String, u64, bool),
     /// Everything sent and received, for diagnosis.
     log: String,
@@ -161,7 +163,8 @@ impl Mill {
     }
 
     /// Checks that the tool is within its travel. With belts, a motor that takes up its backlash moves the tool along
-    /// both axes, so along the other axis the tool can be outside by up to half of the backlash.
+    /// both X and Y. So a move along one of these axes can push the tool out of the travel of the other axis, by up to
+    /// half of the backlash.
     fn assert_in_travel(&mut self) {
         let drag = if self.belts && self.has_backlash { 0.08 } else { 0.0 } + 0.003;
         let (reported, status) = self.reported();

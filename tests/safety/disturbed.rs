@@ -23,7 +23,8 @@ const SETTINGS: &str = "$0=1 $22=1 $24=600 $25=3000 $26=1 $110=6000 $111=5000 $1
                         $131=60 $132=60 $20=1 $392=0.05 $393=0.02";
 const BELTS: &str = "$904=1";
 const TURNS: &str = "$930=4";
-/// Backlash of a drive (`$160` to `$162`), with the same distance in the simulated machine, mm: 5, 8 and 10 steps.
+/// Backlash of each drive: the setting (`$160` to `$162`), and the same distance in the simulated machine, mm. The
+/// distances are 5, 8 and 10 steps.
 const BACKLASH: [(&str, f64); AXES] = [("$160=0.02", 0.02), ("$161=0.032", 0.032), ("$162=0.04", 0.04)];
 /// Settings of each machine, and `true` if it parks its tool. Parking moves leave the path, so the path of such a
 /// machine is not compared.
@@ -179,7 +180,7 @@ struct Mill {
     answers: Vec<String>,
     sent: usize,
     alarm: bool,
-    /// State and number of step events at the last check; `true` if nothing has been sent since then.
+    /// State and number of step events at the last check, and `true` if nothing has been sent since that check.
     before: (String, u64, bool),
     /// Everything sent, for diagnosis.
     log: String,
@@ -347,8 +348,8 @@ fn program(homed: &Mill, random: &mut Random) -> (Vec<String>, Mill) {
     (program, mill)
 }
 
-/// Asserts that two machines have ended at the same position. Rounded corners can leave out a reversal that is
-/// shorter than a step. A motor then stands at the other end of its backlash, although the tool is at the same
+/// Asserts that two machines have ended at the same position. A path with rounded corners can leave out a reversal
+/// that is shorter than a step. Then a motor stands at the other end of its backlash, although the tool is at the same
 /// position.
 fn assert_same_place(mill: &Mill, alone: &Mill, seed: u64) {
     let (place, expected) = (tool(&mill.bench, mill.settings), tool(&alone.bench, alone.settings));

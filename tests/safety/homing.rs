@@ -90,8 +90,8 @@ fn homing_begins_on_a_switch_that_is_closed_already() {
     assert_eq!(bench.place()[0], -250 - PULL_OFF);
 }
 
-/// Asserts the state after a failed homing: alarm sent, line answered, machine locked, at rest and not trusted; `$X`
-/// and `$H` work.
+/// Asserts the state after a failed homing: the alarm was sent, the line was answered, the machine is locked and at
+/// rest, and its position is not trusted. Then asserts that `$X` and `$H` work.
 #[track_caller]
 fn assert_failed(bench: &mut Bench, said: &[String], alarm: u8, what: &str) {
     let alarms: Vec<&String> = said.iter().filter(|l| l.starts_with("ALARM")).collect();
@@ -103,8 +103,8 @@ fn assert_failed(bench: &mut Bench, said: &[String], alarm: u8, what: &str) {
     let reported = bench.reported();
     bench.wait(1.0);
     assert_eq!(bench.place(), place, "{what}: it goes on after the alarm");
-    // If the homing cycle of an axis was complete, its position counts from its switch, otherwise from the power-up
-    // position.
+    // If the homing cycle of an axis was complete, the position of this axis counts from its switch. Otherwise the
+    // position counts from the power-up position.
     let place = std::array::from_fn(|axis| {
         let homed = place[axis] - AT[axis];
         if (reported[axis] - f64::from(homed)).abs() < 0.01 { homed } else { place[axis] }
@@ -281,8 +281,8 @@ fn with_zero_at_the_pull_off_nothing_that_goes_to_zero_meets_a_switch() {
             bench.carry_out(line);
         }
         assert_eq!(bench.place(), home, "{what}");
-        // The far end of the travel is where it would be without `$932`: at the travel's distance from the position at
-        // which the switch closes.
+        // `$932` does not move the far end of the travel: this end is as far from the position at which the switch
+        // closes as the travel is long.
         for axis in 0..AXES {
             let letter = ["X", "Y", "Z"][axis];
             let end = -sign[axis] as f64 * (TRAVEL - 1.5);

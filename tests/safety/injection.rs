@@ -1,5 +1,6 @@
-//! Three jobs, each interrupted in every segment of the step task. The position must be the one that the pulses make,
-//! the state must be the expected one, and a job that may continue must end at the same position by the same path.
+//! Three jobs, each interrupted in every segment (a piece of planned motion) of the step task. After an interruption,
+//! the reported position must be the one that the pulses make, and the state must be the expected one. A job that may
+//! continue must end at the same position by the same path.
 
 use super::bench::{AXES, Bench, HZ, STEPS, assert_place};
 use oxmill_controller::messages::SpindleDirection;
@@ -157,13 +158,13 @@ fn assert_braked(run: &Run, what: &str) {
 }
 
 /// At every time of the reference, interrupts a new run of the job by `act` (bytes or a pin) and then calls `check`.
-/// Its third argument is `true` if the machine was moving when `act` was called.
+/// The third argument of `check` is `true` if the machine was moving when `act` was called.
 fn at_every_moment(job: &Job, what: &str, act: fn(&mut Bench), check: impl Fn(&mut Run, &Reference, bool, &str)) {
     let reference = reference(job);
     for moment in &reference.moments {
         let mut run = Run::at(job, *moment);
         let what = format!("{what} after {:.3} ms", *moment as f64 * 1000.0 / HZ as f64);
-        // The machine moves only if it has started a segment: work that is merely queued does not count.
+        // The machine moves only if it has started a segment. Work that is merely queued does not count as motion.
         let stepping = run.bench.mill.is_stepping() && !run.bench.mill.trace().segments().is_empty();
         act(&mut run.bench);
         check(&mut run, &reference, stepping, &what);
@@ -291,7 +292,7 @@ fn stop(job: &Job) {
         assert!(said.iter().all(|line| line == "ok"), "{what}: {said:?}");
         assert_true_and_at_rest(&mut run.bench, what);
         assert!(run.bench.mill.controller().is_trusted(), "{what}");
-        // The machine has followed the path of the reference as far as it got.
+        // Up to the stop, the machine has followed the path of the reference.
         let path = run.path();
         if let Some(end) = path.last() {
             let same = reference.path.iter().any(|p| p.iter().zip(end).all(|(a, b)| a.abs_diff(*b) <= 1));

@@ -77,7 +77,7 @@ fn no_jog_moves_that_was_received_before_what_ends_jogs() {
             let (received, rest) = both.split_at(at);
             send_and_end(&mut bench, received, end);
             bench.wait(0.5);
-            // A reconnected host must not start with half a line.
+            // After a reconnection the rest is not sent, because the new host must not start with half a line.
             let rest = if end == End::HostGoes { "" } else { rest };
             bench.send(rest);
             go_on(&mut bench);

@@ -226,7 +226,7 @@ fn a_probe_is_broken_off_at_any_moment() {
 }
 
 /// The door opens during a probe and the tool is parked ($41). A contact while the tool retracts, is parked or returns
-/// must not count: the controller would report its position as that of the plate.
+/// must not count, because the controller would report the position of this contact as the position of the plate.
 #[test]
 fn a_parked_tool_makes_no_contact() {
     let switches: String =

@@ -54,9 +54,9 @@ impl Conversation {
         }
         let stop = (random.below(2) == 0).then(|| STOPS[random.below(STOPS.len() as u64) as usize]);
         let mut at = random.below(text.len() as u64) as usize;
-        // A stop byte of 0x80 or more inside a character could form another character with the character's bytes. A `~`
-        // would cut the character, and the rest of the character could act as a command. So move such a stop byte to
-        // the start of the character.
+        // Inside a character, a stop byte of 0x80 or more could form another character together with the bytes around
+        // it. A `~` would split the character, and the rest of the character could act as a command. So move such a
+        // stop byte to the start of the character.
         while stop.is_some_and(|stop| !stop.is_ascii() || stop == b'~') && !text.is_char_boundary(at) {
             at -= 1;
         }

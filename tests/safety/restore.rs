@@ -81,8 +81,8 @@ fn read(listing: &[String]) -> Set {
         .collect()
 }
 
-/// Sends settings one by one. A lock message must not name the same setting as the lock message before, except the
-/// setting that was just sent.
+/// Sends settings one by one and checks the lock messages. A lock message must name another setting than the lock
+/// message before, or else the setting that was just sent.
 fn send_all(bench: &mut Bench, lines: &[String]) {
     let mut named = None;
     for line in lines {

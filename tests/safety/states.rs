@@ -221,8 +221,8 @@ struct Key {
     flood: bool,
     waiting: bool,
     busy: bool,
-    /// Last request for a stop (`0x19`), a sleep (`$SLP`) or a pause (`M0`). Empty from the next time that the machine
-    /// is idle.
+    /// Last request for a stop (`0x19`), a sleep (`$SLP`) or a pause (`M0`). Becomes empty as soon as the machine is
+    /// idle.
     mark: &'static str,
 }
 

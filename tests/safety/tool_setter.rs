@@ -1,5 +1,5 @@
-//! Tool changes with a tool setter (`$918=2`), and interruptions at any time. Away from the work, only a probing move
-//! may go down and the spindle must be off. No unmeasured tool may count as measured.
+//! Tool changes with a tool setter (`$918=2`), and interruptions at any time. Two rules hold away from the work: the
+//! tool may go down only in a probing move, and the spindle must be off. No unmeasured tool may count as measured.
 
 use super::bench::{AXES, Bench, STEPS, assert_place};
 
@@ -206,8 +206,8 @@ impl Mill {
     }
 }
 
-/// Returns copies of the machine, taken at intervals during a tool change. In all of them the line of the tool change
-/// is unanswered.
+/// Returns copies of the machine, taken at intervals during a tool change. In each copy, the machine has not yet
+/// answered the line of the tool change.
 fn moments(mill: &Mill) -> Vec<Mill> {
     let mut mill = mill.clone();
     mill.bench.send("T2 M6\n");

@@ -50,8 +50,8 @@ class Window:
     def __init__(self):
         self.application = None
         self.boxes = []
-        # Number of jobs started, and number of jobs after which bCNC has cleaned up (it sends hold, reset and `$X`, in
-        # another thread).
+        # Number of jobs started, and number of jobs after which bCNC has cleaned up. To clean up, bCNC sends hold,
+        # reset and `$X` in another thread.
         self.started = self.cleaned = 0
         self.to_do = queue.Queue()
 

@@ -58,7 +58,7 @@ class Line:
         self.rate = rate
         self.faults = {"flipped": 0, "dropped": 0, "doubled": 0, "late": 0}
         host, port = address.rsplit(":", 1)
-        # Output of the machine before any damage.
+        # Everything that the machine has sent, without damage.
         self.said = bytearray()
         self.listener = socket.create_server(("127.0.0.1", 0))
         self.address = "127.0.0.1:%d" % self.listener.getsockname()[1]

@@ -26,7 +26,7 @@ JOB = ROOT / "examples/pcb_isolation.nc"
 SPEED = "200"
 # Maximum wait, s, for something that must happen. No check depends on how long it takes.
 PATIENCE = 120
-# Maximum number of attempts to reset during a job, of which one must occur during motion.
+# Maximum number of attempts to reset a job during motion. The test fails if none of them succeeds.
 RESETS = 5
 REALTIME = set(b"!?~\x18\x19") | set(range(0x80, 0x100))
 
@@ -236,7 +236,7 @@ class Scenario:
         held = self.machine.rest()
         if self.wire.since(self.begun)[1].count("ok") >= self.expected["lines"]:
             raise Failed("the job was over before it was held")
-        # No step may occur within half a second, in which a running job makes thousands.
+        # No step may occur within the next half second. A running job would make thousands of steps in this time.
         time.sleep(0.5)
         if self.machine.steps() != held:
             raise Failed("the machine moves in a hold")

@@ -64,10 +64,10 @@ class Library:
         self.streamer.disconnect()
 
     def start(self):
-        # The library sends lines without a lock in two threads: the thread that starts a job and, from the first `ok`
-        # on, the receiving thread. It also takes an answer to one of its own requests for an answer to the job. So
-        # start the job in the receiving thread, after everything else has been answered: at the `ok` after `$N1=`, the
-        # last line of the listing of `$N`.
+        # The library sends lines without a lock in two threads: in the thread that starts a job and, from the first
+        # `ok` on, in the receiving thread. It also mistakes the answer to one of its own requests for an answer to the
+        # job. So start the job in the receiving thread, after everything else has been answered. This is at the `ok`
+        # after `$N1=`, which is the last line of the listing of `$N`.
         self.streamer.poll_stop()
         self.streamer.job_new()
         self.streamer.set_feed_override(False)

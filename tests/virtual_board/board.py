@@ -218,8 +218,8 @@ class Board:
         self.iwdg = fit(0x4000_3000, Iwdg("IWDG", self))
         self.usart = self.peripherals[self.wiring.usart]
         self._timed = [p for p in self.peripherals.values() if type(p).advance is not Peripheral.advance]
-        # DWT_CTRL, DWT_CYCCNT; DBGMCU_IDCODE, CR and the two freeze registers: they only store what is written, because
-        # no debugger halts this processor.
+        # The registers DWT_CTRL and DWT_CYCCNT, and of DBGMCU: IDCODE, CR and the two freeze registers. They only
+        # store what is written, because no debugger halts this processor.
         self.plain = {0x1000: 0x4000_0001, 0x1004: 0, 0x4_2000: 0x1000_0431, 0x4_2004: 0, 0x4_2008: 0, 0x4_200C: 0}
 
     def _add(self, base, peripheral):

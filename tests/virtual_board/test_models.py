@@ -123,7 +123,7 @@ class GpioTraces(unittest.TestCase):
         port.drive(3, 0)
         self.assertEqual(port.read(gpio.IDR) & 0b1011, 0b0001)
         self.assertEqual(port.level(2), None)
-        # Open drain: with a 1 the pull-up determines the level; a 0 drives.
+        # Open drain: a 1 leaves the level to the pull-up, and a 0 drives the pin low.
         port.write(gpio.OTYPER, 1)
         port.write(gpio.MODER, 1)
         self.assertEqual(port.level(0), 0)
@@ -187,7 +187,7 @@ class RccTraces(unittest.TestCase):
             model.write(rcc.AHB1ENR, 7 | 3 << 21)
             model.write(rcc.APB1ENR, 0xF | 1 << 28)
             model.check_sleep()
-            # Bit 0 enables TIM1. On the F411 its clock stops in sleep after a reset.
+            # Bit 0 enables TIM1. After a reset of an F411, the clock of TIM1 stops while the processor sleeps.
             model.write(rcc.APB2ENR, 1 | 1 << 14)
             if stands:
                 with self.assertRaises(Misuse):
@@ -454,7 +454,7 @@ class TimerTraces(unittest.TestCase):
             model.write(timer.CCER, 0x0010)
             model.edge(2)
         with self.assertRaises(Unmodelled):
-            # DMA request of a compare event of channel 2 or 4.
+            # The model does not support DMA requests of compare events of channel 2 or 4.
             model.write(timer.DIER, 1 << 12)
 
     def test_pwm_duty(self):
@@ -605,8 +605,8 @@ class DmaTraces(unittest.TestCase):
         base = self.receiving(8)
         self.until(9011)
         self.assertEqual((self.bench.read_memory(0x2000_0100, 1), self.model.read(base + dma.NDTR)), (b"\xff", 8))
-        # The byte is stored twelve cycles after the request: eight cycles of the core, and four of a bus that is as
-        # fast.
+        # The byte is stored twelve cycles after the request: eight cycles of the core, and four cycles of the bus.
+        # This bus is as fast as the core.
         self.until(9012)
         self.assertEqual((self.bench.read_memory(0x2000_0100, 1), self.model.read(base + dma.NDTR)), (b"0", 7))
         self.until(38_000)
@@ -693,7 +693,7 @@ class DmaTraces(unittest.TestCase):
         self.receiving(8)
         self.bench.puts_out_steps = lambda: True
         with self.assertRaises(Misuse):
-            # DMA2 serves a USART on APB2 while it may write to a port.
+            # DMA2 must not serve a USART on APB2 while it may write steps to a port.
             self.until(9000)
         self.fresh(2)
         with self.assertRaises(Misuse):
@@ -1231,8 +1231,8 @@ class NvicTraces(unittest.TestCase):
         model.begin(16 + 28)
         model.level(28, False)
         self.assertEqual(model.end(), 16 + 28)
-        # Interrupt 28 does not become pending again, because its line has fallen. Interrupt 37 does when it returns,
-        # because its line is still high.
+        # Interrupt 28 does not become pending again, because its line has fallen. Interrupt 37 becomes pending again
+        # when its handler returns, because its line is still high.
         self.assertEqual(model.takeable(0, 0), (None, False))
         self.assertEqual(model.end(), 16 + 37)
         self.assertEqual(model.takeable(0, 0), (16 + 37, False))

@@ -94,8 +94,8 @@ def clock(machine, board):
 
 @belief("wait states and voltage scale fit that clock", FIELDS, "RM0383 3.4.1 table 5, PWR_CR")
 def wait_states(machine, board):
-    # From 2.7 V on, 0 to 3 wait states are for up to 30, 64, 90 and 100 MHz; above 84 MHz voltage scale 1 (VOS = 3) is
-    # required.
+    # From 2.7 V on, flash needs 0 wait states up to 30 MHz, 1 up to 64 MHz, 2 up to 90 MHz, and 3 up to 100 MHz. Above
+    # 84 MHz, voltage scale 1 (VOS = 3) is required.
     states = sum(board.core_hz > limit * 1_000_000 for limit in (30, 64, 90))
     return machine.expect("flash_ctrl", "ACR", LATENCY=states) + ", " + machine.expect("pwr", "CR", VOS=3)
 
@@ -201,7 +201,7 @@ def answers(machine, _):
         raise Broken(f"`$$` has other lines than settings, or lacks some: {lines}")
     if any(f"{name}={value}" in lines for name, value in DRAWN.items()):
         raise Broken("a setting that is to be stored has that value already")
-    # More than the 320 slots of the UART's buffer.
+    # Together, these comments are longer than the 320 slots of the UART's buffer.
     for _ in range(5):
         machine.ask(f"({'-' * 64})")
     return f"{len(lines)} settings"
@@ -295,8 +295,8 @@ def stores(machine, _):
 
 @belief("flash is unlocked by these two keys in this order", FIELDS, "RM0383 3.5.1")
 def keys(machine, _):
-    # The registers of the flash interface are plain memory in this machine, because labwired requires no key: so a
-    # value written to KEYR can be read back.
+    # labwired requires no key: in this machine the registers of the flash interface are plain memory. So a value
+    # written to KEYR can be read back.
     register = machine.address("flash_ctrl", "KEYR")
     # At its first start the firmware writes to flash. Run in steps of 20 us until the first key has been written,
     # return to the last state before that, and continue in small steps.
@@ -368,9 +368,9 @@ def chain_is_watched(machine, _):
 @belief("the streams of the edges read memory as a peripheral that counts up and write BSRR; channel 6 is TIM1's", FIELDS, "RM0383 chapter 9, DMA2 request mapping, GPIOx_BSRR")
 def edges(machine, board):
     ports = sorted({pin[0] for pin in board.step + board.direction + (board.second_step, board.second_direction)})
-    # The key is the number of ports with step or direction pins. The value lists the DMA2 streams that output the
-    # rising edge (True) or the end of the pulse (False). The requests come from TIM1: channel 1 serves stream 1,
-    # channel 2 stream 2, channel 3 stream 6, channel 4 stream 4.
+    # The key is the number of ports with step or direction pins. The value lists the DMA2 streams. True: the stream
+    # outputs the rising edge. False: it outputs the end of the pulse. The requests come from TIM1: channel 1 requests
+    # stream 1, channel 2 stream 2, channel 3 stream 6, and channel 4 stream 4.
     streams = {1: {1: True, 4: False}, 2: {1: True, 2: False, 6: True, 4: False}}[len(ports)]
     told = []
     for stream, counts in streams.items():

@@ -4,9 +4,9 @@
 //! of addresses is the instruction count. The cycles are estimated from the instructions at these addresses (see
 //! `thumb.rs`). Nothing is timed, so the figures are the same on every machine.
 //!
-//! Each unit of work is a row of the printed table and has a limit. The command fails if a row exceeds its limit. A
-//! limit is the cost when it was set plus about 2%, because the compiler arranges the same code differently after other
-//! changes.
+//! Each unit of work is a row of the printed table and has a limit. The command fails if a row exceeds its limit. When
+//! a limit is set, it is the present cost plus about 2 %. The 2 % are allowed because the compiler arranges the same
+//! code differently after changes elsewhere.
 
 use crate::elf::{self, Function};
 use crate::paths::cargo_for_boards;

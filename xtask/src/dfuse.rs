@@ -117,7 +117,7 @@ mod tests {
         [Stretch { address: VECTORS, bytes: bytes(404) }, Stretch { address: 0x0801_0000, bytes: bytes(70_001) }]
     }
 
-    /// The offsets are from the tables of UM0391, not from the writer.
+    /// The expected offsets come from the tables of UM0391, not from the code that writes the file.
     #[test]
     fn the_file_is_laid_out_as_the_format_says() {
         let file = file("a board", &image());
@@ -167,7 +167,7 @@ mod tests {
         assert!(check(&file("x", &low), &low, VECTORS).is_err());
     }
 
-    /// `dfu-suffix` belongs to dfu-util; `.ci/run` installs it.
+    /// Needs `dfu-suffix`, a program of dfu-util. `.ci/run` installs dfu-util.
     #[test]
     fn dfu_util_takes_the_suffix() {
         let path = std::env::temp_dir().join(format!("oxmill-{}.dfu", std::process::id()));

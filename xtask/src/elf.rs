@@ -33,7 +33,8 @@ pub fn segments<'a>(elf: &Elf<'a>) -> Option<Vec<(u32, &'a [u8])>> {
     all.filter(|segment| segment.is_none_or(|(_, bytes)| !bytes.is_empty())).collect()
 }
 
-/// Returns the memory that a section occupies at run time; `None` if it occupies none, such as debug information.
+/// Returns the memory that a section occupies at run time; `None` if it occupies none. Debug information, for example,
+/// occupies none.
 pub fn memory(section: &ElfSection32<'_, '_, LittleEndian>) -> Option<Range<u32>> {
     let header = section.elf_section_header();
     let start = header.sh_addr(LittleEndian);

@@ -13,8 +13,9 @@ use std::path::{Path, PathBuf};
 /// Minimum size of the code, bytes: an image with less cannot contain the controller.
 const LEAST_CODE: u64 = 16 * 1024;
 
-/// Maximum size of `.data` (statics that do not start as 0), bytes. A larger `.data` contains some of the controller's
-/// memory. That memory must start as all 0, because the initial values of `.data` take up flash.
+/// Maximum size of `.data` (statics that do not start as 0), bytes. If `.data` is larger, it contains some of the
+/// controller's memory. It must not, because the initial values of `.data` take up flash. So the controller's memory
+/// must start as all 0.
 const MOST_DATA: u64 = 2 * 1024;
 /// Number of bytes at the start of a function that are searched for the instructions that reserve its stack.
 const PROLOGUE: u32 = 32;
@@ -24,7 +25,7 @@ fn step_handler(board: &str) -> &'static str {
     if board == QEMU_BOARD { "TIMER0" } else { "TIM5" }
 }
 
-/// Calls to addresses in registers that the step interrupt may make. All of them wake the task `control`. A queue or
+/// Calls through a register that are allowed in the step interrupt. All of them wake the task `control`. A queue or
 /// signal calls the waker of the task, and the waker sets the interrupt of the task's dispatcher pending.
 const STEP_CALLS: [Allowed; 6] = [
     Allowed { function: "step_timer::", targets: &["executor::waker_wake", "executor::waker_drop"] },

@@ -139,9 +139,9 @@ impl Lines {
     }
 }
 
-/// Makes the firmware fail during motion, by the byte `way` to the test stand: `P` panic, `F` fault, `C` the control
-/// task hangs, `H` everything hangs. After the restart, the welcome must contain `message`, motion must be locked, and
-/// `$RC` must list all parts of `record`.
+/// Makes the firmware fail during motion. The byte `way` tells the test stand how: `P` is a panic, `F` is a fault, `C`
+/// hangs the control task, `H` hangs everything. After the restart, the welcome must contain `message`, motion must be
+/// locked, and `$RC` must list all parts of `record`.
 fn failure(lines: &mut Lines, way: &[u8], message: &str, record: &[&str]) -> Result<(), Failure> {
     lines.send(b"G21G91G1X50F600\n")?;
     lines.wait_until_beyond(1.0)?;
@@ -197,8 +197,8 @@ fn recorded_failure(lines: &mut Lines) -> Result<(), Failure> {
     lines.stand.write_all(b"P").map_err(|error| error.to_string())?;
     let welcome = lines.expect("to unlock]\r\n")?;
     ensure(welcome.contains("line 50") && welcome.contains("$REC what came in"), || welcome.clone())?;
-    // The recording must not change in two cases: a host has not noticed the failure and continues its job, or a host
-    // queries and jogs.
+    // The recording must not change in two cases: a host that has not noticed the failure continues its job, or a host
+    // sends queries and jogs.
     lines.send(b"X5\n$RC\n$X\n")?;
     let unlocked = |text: &str| text.contains("Caution: Unlocked") && text.ends_with("ok\r\n");
     let told = read_until(&mut lines.host, LIMIT, unlocked)?;

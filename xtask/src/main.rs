@@ -36,7 +36,7 @@ use std::process::{Command, ExitCode};
 
 /// Rust target of every board.
 const TARGET: &str = "thumbv7em-none-eabihf";
-/// The emulated board, which needs no hardware.
+/// Name of the board that QEMU emulates. It has no pin table.
 const QEMU_BOARD: &str = "qemu_mps2";
 
 const USAGE: &str = "\

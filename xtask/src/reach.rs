@@ -1,6 +1,6 @@
 //! Checks on the linked image that the step interrupt cannot reach a panic, software floating point or software
-//! division. If the compiler cannot prove that an index is in range, or if code divides a `u64`, only this check shows
-//! it.
+//! division. The source does not show all of them: the compiler adds a panic if it cannot prove that an index is in
+//! range, and software division if code divides a `u64`. Only this check shows such cases.
 //!
 //! The check follows every branch and call from the interrupt handler on. The target of a call through a register
 //! cannot be read from the code. So each function that makes such calls must be listed by name, with all possible
@@ -13,7 +13,8 @@ use object::read::elf::ElfSymbol32;
 use object::{LittleEndian, Object, ObjectSymbol};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Parts of the names of functions that the step interrupt must not reach, each with what such a function does.
+/// Parts of function names, each with what a function of this name does. The step interrupt must not reach these
+/// functions.
 const FORBIDDEN: [(&str, &str); 18] = [
     ("panic", "a panic"),
     ("unwrap_failed", "a panic"),
@@ -153,9 +154,9 @@ pub fn check(elf: &Elf<'_>, handler: &str, allowed: &[Allowed]) -> Result<Vec<St
     }
 }
 
-/// Returns `true` if a function's name matches a part of [`FORBIDDEN`]. Some parts, such as `2d`, are for runtime
-/// routines of the compiler, such as `__aeabi_f2d`. The name of a routine has no `::`, so these parts do not match in a
-/// Rust path.
+/// Returns `true` if `part`, an entry of [`FORBIDDEN`], forbids the function `name`. Some parts, such as `2d`, stand
+/// for runtime routines of the compiler, such as `__aeabi_f2d`. The name of such a routine has no `::`, so these parts
+/// match no Rust path.
 fn forbids(part: &str, name: &str) -> bool {
     let routine = !name.contains("::");
     match part {

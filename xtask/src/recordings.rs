@@ -1,6 +1,6 @@
-//! Repeats recorded conversations with Grbl 1.1h on the firmware in QEMU. A group is one recording; each starts after a
-//! new power-up. Groups that change an input pin are left out. The rules of the comparison and the list of allowed
-//! differences are in `tests/recordings`; the tests of the simulator use the same.
+//! Repeats recorded conversations with Grbl 1.1h on the firmware in QEMU. A group is one recording. Each group starts
+//! after a new power-up. Groups that change an input pin are left out. The rules of the comparison and the list of
+//! allowed differences are in `tests/recordings`, because the tests of the simulator use them, too.
 //!
 //! A script inside the machine (`boards/qemu_mps2/script.rs`) plays the host, so the state of the machine when a byte
 //! arrives does not depend on the load of this computer.

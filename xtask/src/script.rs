@@ -23,8 +23,8 @@ impl Script {
         self.0.extend(bytes);
     }
 
-    /// Waits until this many answers (`ok` or `error:`) have arrived since the previous record (section of the script)
-    /// ended.
+    /// Waits until this many answers (`ok` or `error:`) have arrived since the end of the previous record (section of
+    /// the script).
     pub fn answers(&mut self, count: u32) {
         self.code(b'A', count);
     }

@@ -9,8 +9,8 @@ use std::process::{Command, Stdio};
 
 /// Environment variable with the runner for the ARM target.
 const RUNNER: &str = "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUNNER";
-/// Runner for QEMU, relative to the workspace: cargo splits the variable at blanks, which the path of the workspace can
-/// contain.
+/// Runner for QEMU, as a path relative to the workspace. The path of the workspace can contain blanks, and cargo
+/// splits the variable at blanks.
 const QEMU_RUNNER: &str = ".cargo/qemu-runner.sh";
 /// Suites that need only the processor, memory and flash.
 const SUITES: [&str; 4] = ["controller", "settings", "copies", "queues"];

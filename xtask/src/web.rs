@@ -29,7 +29,7 @@ pub fn build() -> Result<(), Failure> {
 pub fn test(names: &[&str]) -> Result<(), Failure> {
     build()?;
     run(cargo().args(["build", "--quiet", "--locked", "--release", "--package", "oxmill"]))?;
-    // An existing image may be from an earlier state of the tree, as long as the form of pin tables is the same.
+    // An existing image may come from an earlier state of the tree. It needs only the present form of pin tables.
     if !root().join("target/boards").join(format!("{LOADED}.dfu")).exists() {
         image::build(LOADED)?;
     }
@@ -64,8 +64,8 @@ fn module() -> Result<(), Failure> {
     Ok(())
 }
 
-/// Installs the page's npm packages in the versions of `package-lock.json`. Does nothing if that file is not newer than
-/// the last installation.
+/// Installs the page's npm packages in the versions of `package-lock.json`. Does this only if that file is newer than
+/// the last installation, or if there was no installation.
 fn tools() -> Result<(), Failure> {
     if !exists(NPM) {
         return Err("Node.js with npm is missing: the page is written in TypeScript".into());

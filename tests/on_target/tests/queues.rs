@@ -101,7 +101,7 @@ mod suite {
             defmt::assert_eq!(filter.sample(0b101), 0);
         }
         defmt::assert_eq!(filter.sample(0b001), 0b001);
-        // The eighth sample of bit 2 was low, so its count starts again.
+        // The eighth sample of bit 2 was low, so the count of bit 2 starts again.
         for _ in 0..7 {
             defmt::assert_eq!(filter.sample(0b101), 0b001);
         }

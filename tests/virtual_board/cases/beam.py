@@ -214,10 +214,10 @@ def raster_stops(bench):
         bench.wait(is_due, 0.1, "a change of power that is due")
         moment = board.now + away()
         if what == "0x18":
-            # `lead`: cycles from the moment at which the board notices the byte to the change of power. `takes`: the
-            # shortest time, in cycles, from that moment until the laser was off, in the stops so far. The first three
-            # stops only measure `takes`. A byte is read 9.5 bits after its start; with DMA the board notices the byte
-            # at the next sample of the inputs. A run of the step task can delay the stop.
+            # `lead`: cycles from the moment at which the board notices the byte to the change of power. `takes`:
+            # cycles from that moment until the laser is off, in the fastest of the stops so far. The first three stops
+            # only measure `takes`. The byte is read 9.5 bits after its start. With DMA, the board notices it only at
+            # the next sample of the inputs. A run of the step task can delay the stop.
             lead = 40 * US * hz if k < 3 else takes + 240 - 30 * k if k < 15 else takes + random.uniform(-300, 3000)
             seen = heard = round(moment - lead)
             if bench.wiring.uart_irq is None:
@@ -233,7 +233,8 @@ def raster_stops(bench):
         off = next((at for at, share in after if share == 0), None)
         if off is None or after[-1][0] > off:
             raise Failure(f"{what} {k + 1}: after it power is {after}")
-        # DMA may still serve a request that came before the stop; the program must not write the next power any more.
+        # With a PWM of TIM3, DMA may still write a power that was requested before the stop. With a PWM of TIM1, the
+        # program writes the power, and after the stop it must write no power other than 0.
         if bench.wiring.pwm_timer == "TIM1" and any(share and at > watch.halted_at for at, share in after):
             raise Failure(f"{what} {k + 1}: power after the last edge: {after}")
         if what == "0x18":

@@ -249,7 +249,8 @@ def joins_for(board):
     ring = dma.values[registers + M0AR]
     places = dma.whole[stream]
     moments = [board.word(ring + 4 * place) for place in range(places)]
-    # The DMA stream of event times is one event ahead of the output. The slot after the last event holds a past time.
+    # The DMA stream of event times is one event ahead of the output. The slot after the last event holds a past time,
+    # so the loop ends at the last event.
     at = (places - dma.values[registers + NDTR] - 1) % places
     while (moments[(at + 1) % places] - moments[at] & 0xFFFF_FFFF) < 1 << 31:
         at = (at + 1) % places

@@ -322,8 +322,8 @@ def faulted(bench):
     stuck = [name for name in wiring.step if board.level(name) == 1]
     if late > STOP_S or stuck:
         raise Failure(f"pulses for {us(late)} after the fault, step pins left high: {stuck}")
-    # The motors must keep their supply, because an axis without a brake would drop. (In a reset the pin floats; such an
-    # edge has the level None and not 0.)
+    # The motors must keep their supply, because an axis without a brake would drop. In a reset the pin floats. The
+    # level of such an edge is None and not 0, so the check ignores it.
     if any(edge > at and level == 0 and f"{port}{pin}" == wiring.motor_power for edge, port, pin, level in board.edges):
         raise Failure("the fault switches the motors' supply off")
     yield f"HardFault: spindle and coolant off after {us_off(bench, at)}, last rising edge after {us(late)}"

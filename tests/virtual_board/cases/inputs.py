@@ -28,7 +28,8 @@ def trips(bench):
             hang(bench)
             begin = board.now
             board.drive(pin, 0)
-            # The queued motion lasts longer than these 6 ms, so the test would see pulses that nothing stops.
+            # The queued motion lasts longer than these 6 ms. So if nothing stopped the pulses, the test would see them
+            # until the end of the 6 ms.
             board.run(seconds=0.006)
             rising = [step.at for step in scope.steps()]
             worst = max(worst, (rising[-1] - begin) / wiring.core_hz)
@@ -88,8 +89,8 @@ def noise(bench):
         board.drive(wiring.limits[0], 0)
         board.run(seconds=length)
         board.drive(wiring.limits[0], None)
-        # A run of the step task can delay a sample of the inputs. If the pause between two glitches were shorter, no
-        # sample might see it.
+        # The pause between two glitches is at least 110 us, because a run of the step task can delay a sample of the
+        # inputs. A shorter pause could fall between two samples.
         board.run(seconds=(110 + 37 * k % 60) * US)
     bench.wait_state("Idle", 3)
     shown = {line[5:].split(",")[0]: line[:-1].split(",")[1:] for line in bench.ask("$PINS") if line.startswith("[PIN:")}

@@ -191,7 +191,7 @@ def waiting_line(bench):
             board.run(seconds=0.05)
         if len(host.answers) != before:
             raise Failure("a hold takes lines: this proves nothing")
-        # The watchdog also calls the task, but only rarely.
+        # The supervisor of the watchdog also calls the serial task, but only every 100 ms. The test below allows 2 ms.
         resumed = board.seconds(host.send("~"))
         bench.wait(lambda wanted=before + 1: len(host.answers) >= wanted, 1, f"the answer to {line}")
         took = board.seconds(host.lines[-1][0]) - resumed

@@ -226,8 +226,8 @@ def program_outputs(bench):
     if [level for _, level in changes] != [1, 0] or len(steps) != 20_000:
         raise Failure(f"{outputs[1]} changes to {changes} in {len(steps)} steps")
     late = [(at - steps[first]) / wiring.core_hz for (at, _), first in zip(changes, (5_000, 10_000), strict=True)]
-    # The change may precede the first step, because a block begins one interval before its first step. If the path does
-    # not stop there, this interval is one step period.
+    # The change may precede the first step, because a block begins one interval before its first step. If the path
+    # does not stop before the block, this interval is one step period.
     if not all(-1e-3 <= seconds <= OUTPUT_S for seconds in late):
         raise Failure(f"changes {us(late[0])} and {us(late[1])} after the first steps of their motions")
     yield f"M62 and M63 {us(late[0])} and {us(late[1])} after the first step of their motions, allowed {us(OUTPUT_S)}"

@@ -160,7 +160,8 @@ def hard_start(bench):
     for attempt in range(8):
         bench.board.run(seconds=attempt * 7e-6)
         way = f"{'-' if attempt % 2 else ''}4"
-        # A sender asks for the state as soon as it has the answer, while the first segments are output.
+        # Request a report as soon as the line is answered, as a sender does. At that time the first segments are
+        # output.
         bench.ask(f"G91 G1 X{way} Y{way} Z{way} F{rate * 3**0.5:.4f}")
         bench.status()
         bench.board.run(seconds=0.005)
@@ -458,8 +459,9 @@ def late_starts(bench):
     harmless = [start(6 * k * US, 100 * US) - max(usual) for k in range(1, 81)]
     if max(harmless) > US:
         raise Failure(f"masked for 100 us up to 480 us before, a start is put off by {us(max(harmless))}")
-    # Each mask begins before the step task is called, or while the task generates the first events. The mask ends near
-    # the planned time of the first event, or just after the usual time of the first step.
+    # Each time, interrupts are masked from a moment before the step task is called, or from a moment while the task
+    # generates the first events. The mask ends near the planned time of the first event, or just after the usual time
+    # of the first step.
     delays = {}
     for before in range(200, 500, 6):
         for end in (-60 * US, -2 * US, 5 * US, max(usual) + 5 * US):

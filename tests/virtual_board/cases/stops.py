@@ -40,8 +40,8 @@ def hold(bench):
     steps = [step.at for step in scope.steps()]
     later = [at for at in steps if at > heard]
     intervals = [(b - a) / hz for a, b in pairwise(later)]
-    # Single intervals have jitter. So the ramp begins, for this test, where twenty intervals are longer by 1 % on
-    # average.
+    # Single intervals have jitter. So this test looks for the first twenty intervals that are on average 1 % longer
+    # than at full speed, and takes their start as the start of the ramp.
     begin = next((k for k in range(len(intervals) - 20) if sum(intervals[k : k + 20]) > 20.2 / speed), None)
     if begin is None:
         raise Failure("there is no ramp")

@@ -48,8 +48,8 @@ def baud_rates(bench):
     yield f"after a start at {board.usart.baud():.0f} baud"
     # The host sends as many bytes ahead as the board announces (`Bf:`).
     host.window = 255
-    # The comments have various lengths, so that settings are stored while any number of bytes wait. They consist first
-    # of text, then of other bytes, of which the receiver reads fewer at a time.
+    # The comments have various lengths, so that settings are stored while any number of bytes wait. The first comments
+    # consist of text. The later ones consist of other bytes, of which the receiver reads fewer at a time.
     random, overruns = Random(931), board.usart.overruns
     for letter, count in ("a", 300), ("\u00e4", 200):
         lines = [f"${130 + k % 3}={200 + k}.5({random.randrange(40) * letter})" for k in range(count)]

@@ -319,7 +319,7 @@ def usb_unread(bench):
     board.run(seconds=0.05)
     reopen()
     yield "closed with half a line unfetched: the next host begins a line of its own"
-    # Now answers stay unfetched; one packet of them is already in the endpoint.
+    # Now the host fetches no answers. One packet of answers is already in the endpoint.
     host.reads = False
     host.send(b"G4P0\n" * 20)
     board.run(seconds=0.1)
@@ -332,8 +332,8 @@ def usb_unread(bench):
     if not host.text[after:].startswith(b"\r\nGrbl"):
         raise Failure(f"the next host got answers to the one before: {bytes(host.text[after:])!r}")
     yield "closed with answers unread: the next host gets none of them"
-    # A program that sends a whole file is ended. Its operating system first closes the port, and later cancels the
-    # bytes in flight.
+    # A program on the host ends while it sends a whole file. The host's operating system first closes the port, and
+    # later cancels the bytes in flight.
     bench.settings(s914=0)
     host.send("G4P0.01\n" * 400 + "G1 X5 F100\n" * 20)
     board.run(seconds=0.3)

@@ -185,7 +185,8 @@ class OtgFs(Peripheral):
             if side == IN:
                 self.complete[number] &= ~value
         elif register == 0x10:
-            # Endpoint 0 is exempt: the driver writes its size at a bus reset, for the next SETUP packets.
+            # The check leaves out endpoint 0, because the driver writes the size of endpoint 0 at a bus reset, for the
+            # next SETUP packets.
             if side == OUT and number and self.control[side, number] & EPENA:
                 raise Misuse(f"OTG_FS: the size of OUT endpoint {number} is written while it is enabled")
             self.size[side, number] = value

@@ -206,7 +206,8 @@ class Timer(Peripheral):
         for channel in range(1, 5):
             if off >> 8 + channel & 1 and any(dma.under_way.get(f"{self.name}_CH{channel}") for dma in self.board.dma):
                 raise Misuse(f"{self.name}: a request of DMA is taken back while it is under way")
-            # Channel 1 is exempt, because the firmware requests its first word right afterwards anyway.
+            # The check leaves out channel 1: a set flag may cause a request there, because the firmware requests the
+            # first word right afterwards anyway.
             if channel == 3 and on >> 8 + channel & 1 and self.values[SR] >> channel & 1 and not self.captures(channel):
                 raise Misuse(f"{self.name}: requests of channel 3 are switched on while its flag is set")
 

@@ -173,7 +173,8 @@ class Usart(Peripheral):
                 self.wire.sent(byte, ended)
         if self.wire:
             self._sample(now)
-        # One byte per call: after a stall of the processor, DMA must fetch it before the next one arrives.
+        # Take only one byte per call. After a stall of the processor, DMA must fetch each byte before the next byte
+        # arrives.
         if self.wire and (arriving := self.wire.next_byte()) and arriving[0] <= now:
             sampled = self.samples
             self.wire.taken()

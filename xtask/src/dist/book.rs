@@ -59,7 +59,7 @@ fn prepare(folder: &Path) -> Result<(), Failure> {
 
 /// Changes the links of a page that lead out of `docs/`, so that they lead to copies in the book. Returns the changed
 /// page, and the paths of the files to copy, relative to the workspace. A link to a Markdown file is replaced by the
-/// file's name: the links within that file would be broken in the book.
+/// file's name, because the links within that file would be broken in the book.
 fn inward(page: &str) -> (String, Vec<String>) {
     let (mut text, mut files, mut rest) = (String::new(), Vec::new(), page);
     while let Some((before, from)) = rest.split_once("](../") {

@@ -276,7 +276,8 @@ mod tests {
         assert!(texts["oxmill/LICENSE-MIT"].contains("MIT License"), "{:?}", texts.keys());
     }
 
-    /// The Nucleo's USB socket belongs to its debug probe, and there is no image of the F401.
+    /// The Nucleo's USB socket belongs to its debug probe, so its image is left out. The folder has no image of the
+    /// F401.
     #[test]
     fn the_site_carries_the_images_that_a_browser_can_load() {
         let folder = root().join("target/xtask-test-site-images");
@@ -327,7 +328,7 @@ mod tests {
         "tar --extract --file oxmill-*-book.tar.gz --directory site/book --strip-components 1",
     ];
 
-    /// Whatever a workflow does can be done by hand with the same commands. Every action is pinned to a commit, so its
+    /// A workflow runs only commands that a person can run by hand, too. Every action is pinned to a commit, so its
     /// code cannot change.
     #[test]
     fn workflows_call_only_what_can_be_called_by_hand() {

@@ -126,7 +126,7 @@ fn word(value: &Value) -> &str {
 type Name = String;
 
 /// Returns the dependencies of each crate. `tree`: lines of `cargo tree`. `2heapless v0.9.1` is two levels below the
-/// root, so the last crate of depth 1 before it needs it.
+/// root, so the crate that needs it is the last crate of depth 1 before it.
 fn linked(tree: &str) -> Result<BTreeMap<Name, BTreeSet<Name>>, Failure> {
     let mut needs = BTreeMap::<Name, BTreeSet<Name>>::new();
     let mut above: Vec<Name> = Vec::new();

@@ -70,7 +70,8 @@ impl<'a> Writer<'a> {
         centre: [i64; 2],
         feed: Option<i64>,
     ) -> Result<()> {
-        // Every arc line has its motion word: some interpreters do not treat it as modal.
+        // Every arc line has its motion word, because some interpreters do not treat the motion word of an arc as
+        // modal.
         let mut words = vec![motion.to_string()];
         self.push_place(&mut words, to, true);
         for (letter, value) in ['I', 'J'].into_iter().zip(centre) {

@@ -122,8 +122,8 @@ fn bounded(random: &mut Random) -> String {
     format!("[20 * {}[[{}] + 0.01357]]", random.of(&["SIN", "COS"]), chain(random, 1))
 }
 
-/// Returns the value of an axis word, a length from -50 to 50. It is not an integer, because `rs274` loses a bit of
-/// integers when the unit changes.
+/// Returns the value of an axis word, a length from -50 to 50. It is not an integer, because `rs274` loses some
+/// precision of integers when the unit changes.
 pub fn length(random: &mut Random) -> String {
     match random.below(20) {
         0..=7 => plain(random),

@@ -339,8 +339,8 @@ impl Writer {
             };
             line += &format!("{target} = {value} ");
         }
-        // The motion uses the values before the assignment, although the assignment is earlier in the line: it takes
-        // effect only after the whole line is read.
+        // An assignment takes effect only after the whole line has been read. So the motion uses the values before the
+        // assignment, although the assignment is earlier in the line.
         if random.below(5) == 0 {
             line += &format!("G0 X{}", expressions::length(random));
         }

@@ -23,7 +23,8 @@ const PROGRAMS: usize = 10_000;
 const BATCH: usize = 25;
 /// Maximum difference of end points, mm: `rs274` prints four decimals, even in inches.
 const TOLERANCE: f64 = 0.003;
-/// Maximum difference of parameter values, relative for values above 1: `rs274` has five decimals of inches.
+/// Maximum difference of parameter values, because `rs274` has five decimals of inches. For values above 1 it is a
+/// relative difference.
 const VALUE_TOLERANCE: f64 = 3e-4;
 /// Maximum relative difference of G93 rates, in addition to [`TOLERANCE`].
 const RATE_TOLERANCE: f64 = 2e-4;
@@ -55,8 +56,8 @@ pub enum Event {
     Spline(u8),
     /// A dwell, s.
     Dwell(f64),
-    /// A program output (M62 to M65, M67, M68): `true` if analog, number, value, `true` if it changes with the next
-    /// motion.
+    /// A program output (M62 to M65, M67, M68). The four values are: `true` if the output is analog; its number; its
+    /// new value; `true` if it changes with the next motion.
     Output(bool, i64, f64, bool),
     /// Feed rate of the feed move or arc before this event, mm/min. Occurs only in G93, where the rate follows from the
     /// length and the programmed time.

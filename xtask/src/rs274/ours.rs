@@ -140,8 +140,9 @@ impl Mill {
                 let mut is_first = true;
                 while let Some(step) = cycle.step(CLEARANCE) {
                     match step {
-                        // If the tool is already at R, the rise at the start of a cycle has no event, because `rs274`
-                        // does not output it. After a spline, the next move then shows where the spline ended.
+                        // A cycle starts with a rise to R. If the tool is already at R, the rise has no event, because
+                        // `rs274` does not output it. If a spline came before, the next move shows where the spline
+                        // ended.
                         CycleStep::Rapid(place) if std::mem::take(&mut is_first) && mm(&place) == self.place => {}
                         CycleStep::Rapid(place) => self.go(&place, true, &mut events),
                         CycleStep::Feed(place, _) => self.go(&place, false, &mut events),

@@ -526,8 +526,8 @@ impl Writer {
         self.put(line);
     }
 
-    /// Writes a rapid of X, Y and Z. Needed before M6 and M61, where the machine stub of `rs274` forgets changes of
-    /// offsets since the last move.
+    /// Writes a rapid of X, Y and Z. Needed before M6 and M61, because there the simulated machine in `rs274` forgets
+    /// a change of offsets since the last move.
     fn rapid_xyz(&mut self) {
         let (x, y, z) = (self.coordinate(), self.coordinate(), self.coordinate());
         self.put(format!("G0 X{x} Y{y} Z{z}"));
