@@ -118,7 +118,7 @@ pub struct Pwm {
     pub(super) timer: usize,
     /// Address of the channel's compare register.
     pub(super) compare: usize,
-    /// `true` if DMA1 can write the registers of the timer: TIM3, not TIM1.
+    /// `true` if DMA1 can write the registers of this timer. It can for TIM3, but not for TIM1.
     pub(super) is_in_reach: bool,
 }
 

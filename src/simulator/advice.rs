@@ -346,7 +346,7 @@ mod tests {
     fn a_sentence_that_says_what_to_write_needs_no_general_advice() {
         for sentence in [
             "#<DEPTH> is not set above this line: set it, or correct the name",
-            "Q is missing in G83: the depth of each peck, above 0, such as Q2",
+            "Q is missing in G83: the depth of each peck in program units, above 0, such as Q2",
             "the radius of G2 is 4.000 mm at its start, 6.000 at its end. Write I5.000 J0.000",
         ] {
             assert_eq!(beside(sentence, 33, "G2 X10 I4"), "", "{sentence}");

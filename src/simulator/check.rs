@@ -90,7 +90,7 @@ impl Outcome {
         if let Some(((number, stored), fault)) = stored {
             let column = column::of_word(fault, stored);
             let (text, advice) = self.explained(number, code, fault, stored, job);
-            let advice = format!("{advice} Line {line} ran this line.").trim_start().to_owned();
+            let advice = format!("{advice} It was stored, and line {line} ran it.").trim_start().to_owned();
             self.errors.push(LineError { line: number, code, column, text, advice, source: stored.into() });
             return;
         }
@@ -135,7 +135,8 @@ impl Outcome {
             return (text.into(), advice.into());
         }
         if text.starts_with("no subroutine ") {
-            return (text.into(), other_subroutines(job.subroutines()));
+            let number = text.split(' ').nth(2).unwrap_or_default();
+            return (text.into(), other_subroutines(number, job.subroutines()));
         }
         let unset = text.strip_prefix("#<").and_then(|rest| rest.split_once("> is not set"));
         if let Some(name) = unset.and_then(|(name, _)| job.name_like(name)) {
@@ -232,16 +233,16 @@ fn without_length(source: &str) -> String {
     format!(
         "no tool lengths are stored, so G43{tool} adds 0. If you zero Z with each tool, ignore this. If not, the tool cuts \
          too deep or too shallow: insert G10 L1 P{number} Z<difference> above this line, and one such line for each other \
-         tool. The difference is the length of the tool minus the length of the tool with which you zero Z, in program units"
+         H number of G43, with P equal to it. The difference is the length of the tool minus the length of the tool with which you zero Z, in program units"
     )
 }
 
-/// Returns advice for the call of a subroutine that the file does not have above the call. `present`: the subroutines
-/// that it has, each with its line.
-fn other_subroutines(present: &[(String, u64)]) -> String {
+/// Returns advice for the call of the subroutine `missing`, such as `110`, which the file does not have above the call.
+/// `present`: the subroutines that it has, each with its line.
+fn other_subroutines(missing: &str, present: &[(String, u64)]) -> String {
     let named: Vec<String> =
         present.iter().take(MOST_NAMED).map(|(number, line)| format!("{number} (line {line})")).collect();
-    let define = "write the subroutine above the line, from sub to endsub";
+    let define = format!("write o{missing} sub, its lines and o{missing} endsub above this line");
     match &named[..] {
         [] => format!("The file has no subroutine so far: {define}."),
         [only] => format!("The only subroutine so far is {only}: call it if you mean that one, or {define}."),
@@ -467,8 +468,8 @@ impl Check {
     /// Warns of a job whose moves cover several times the travel of an axis. The usual cause: the numbers are
     /// millimetres, but the program runs in inches.
     fn compare_with_travel(&mut self) {
-        /// Ratio above which an axis is noted. Smaller ratios are common: many jobs are made for a larger machine than
-        /// the settings describe.
+        /// An axis is named if its moves cover more than this many times its travel. Less is common: many jobs are made
+        /// for a larger machine than the settings describe.
         const MUCH: f64 = 5.0;
         let settings = self.simulator.controller().settings();
         let (low, high) = self.simulator.machine().extents();
@@ -662,7 +663,7 @@ mod tests {
             checked("oxmill", "G21\n#<step>=2\no100 repeat [2]\n  G91 G1 Y#<setp> F400 (up)\no100 endrepeat\n").errors;
         assert_eq!(
             looped.iter().map(|error| (error.line, error.column, &*error.advice)).collect::<Vec<_>>(),
-            [(4, Some(9), "The file sets #<step>: is that the name? Line 5 ran this line.")]
+            [(4, Some(9), "The file sets #<step>: is that the name? It was stored, and line 5 ran it.")]
         );
         let unset = |text| checked("oxmill", text).warnings.into_iter().map(|warning| warning.line).collect::<Vec<_>>();
         assert_eq!(unset("G21\n#100=5\nG1 X#1000 F#100\nX[#1000+#5 + #5220]\n(#200)\n"), [3]);

@@ -72,7 +72,11 @@ mod tests {
     fn the_word_is_found_as_it_was_written() {
         for (reason, line, column) in [
             ("comma in X1,5: write a decimal point", "g1 (X1) x 1,5 f100", Some(9)),
-            ("Q is missing in G83: the depth of each peck, above 0, such as Q2", "N10  G83 X1 Z-5 R1", Some(6)),
+            (
+                "Q is missing in G83: the depth of each peck in program units, above 0, such as Q2",
+                "N10  G83 X1 Z-5 R1",
+                Some(6),
+            ),
             ("the radius of G2 is 4.000 mm at its start", "G21 G02 X10 I4", Some(5)),
             ("G0 and G1 in one line: write one of them, or two lines", "G10 G01 G0 X1", Some(9)),
             ("no number behind X", "X1 Y2 X", Some(7)),

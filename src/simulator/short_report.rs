@@ -74,6 +74,10 @@ impl fmt::Display for ShortReport<'_> {
             let place = if *line > 0 { format!("line {line}: ") } else { String::new() };
             writeln!(f, "  {place}{message}")?;
         }
+        // A program for another kind of machine has no time and no extents worth showing.
+        if is_of_printer {
+            return Ok(());
+        }
         if !summary.errors.is_empty() {
             writeln!(
                 f,

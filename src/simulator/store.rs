@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 /// Size of a sector on the boards, in bytes.
 const SECTOR: u32 = 16 * 1024;
-/// Size of an image with both sectors, in bytes.
+/// Size in bytes of a file that holds the simulated flash memory for settings: both sectors.
 pub const IMAGE: usize = 2 * SECTOR as usize;
 const ERASED: u32 = u32::MAX;
 

@@ -82,7 +82,7 @@ pub struct ControlStatus {
     /// Whether UTF-8 characters in G-code comments are text. `false` until the first round of `control`. While it is
     /// `false`, each byte of such a character is a command or ignored, as in Grbl.
     pub reads_characters: AtomicBool,
-    /// Whether replies are those of grblHAL and its additional realtime commands are accepted.
+    /// `true` if the controller replies as grblHAL does, and accepts grblHAL's additional realtime commands.
     pub speaks_grblhal: AtomicBool,
     /// The requested power of spindle or laser, encoded by [`Power::want`].
     power: AtomicU32,

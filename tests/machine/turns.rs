@@ -508,7 +508,7 @@ fn no_turn_takes_longer_than_the_rule_needs() {
 /// limited number of moves, applies the rule to some runs of vertices only, and sees points that are rounded to
 /// digits.
 const SLOWER: f64 = 1.15;
-/// Allowance for the first and the last step, s.
+/// Maximum time that a measured duration lacks, in seconds: before the first step and after the last one.
 const UNSEEN: f64 = 0.01;
 
 /// Tests the measurement itself (`worst`) with motion computed by [`by_the_rule`]. The measurement must accept motion

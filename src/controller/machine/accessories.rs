@@ -307,7 +307,8 @@ impl Accessories {
             // This power applies only between moves. During a move the segments carry the laser's power.
             self.speed
         } else {
-            // S of the move whose power `running` returns; without a move, S of the line executed last.
+            // During a move, use the S that belongs to the power from `running`. Otherwise use the S of the line
+            // executed last.
             match running() {
                 Some(power) if power != range.output(self.speed, 100).0 => range.speed_of(power),
                 _ => self.speed,

@@ -184,8 +184,9 @@ proptest! {
             (sender.acts.unwrap(), position, sender.errors, sender.ends)
         };
         let (called, written) = (acts(&text), acts(&format!("{}\nM30", lines.join("\n"))));
-        // Many relative moves can lead beyond 50 m, where a line is refused. The refusal ends a call and all its
-        // callers, but not a program that is written out. Such programs are left out.
+        // Many relative moves can lead beyond 50 m, where a line is refused. A refusal within a
+        // subprogram ends all its callers, but the same lines without calls go on. So the test leaves out programs with
+        // such a line.
         prop_assume!(!written.2.contains(&Error::InvalidTarget.code()));
         prop_assert_eq!(called, written, "{}\n---\n{}", text, lines.join("\n"));
     }

@@ -181,7 +181,7 @@ pub struct Model {
     overrides: [u32; 3],
     /// Expected output since the last action, as patterns.
     pub said: Vec<String>,
-    /// Whether a step may occur in this action.
+    /// `false`: a step during this action is a fault.
     pub may_step: bool,
     /// Whether the machine must make at least one step during this action.
     pub must_step: bool,

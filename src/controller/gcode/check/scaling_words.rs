@@ -137,8 +137,8 @@ impl<const N: usize> Draft<'_, N> {
     #[inline(never)]
     pub(super) fn written_vector(&self, axes: PlaneAxes, vector: Vector) -> Vector {
         let Some(scaling) = self.scaling_of(false) else { return vector };
-        // The factors of the two axes are equal or, if the arc is mirrored, opposite. The sign does not affect the
-        // length.
+        // The factor of the first axis serves for both parts of the vector. The factor of the second axis is the same
+        // or, if the arc is mirrored, the opposite, and the sign does not affect the length.
         let written = |way| scaling.written_way(axes.first, way);
         Vector { first: written(vector.first), second: written(vector.second) }
     }

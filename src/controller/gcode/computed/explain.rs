@@ -261,8 +261,8 @@ impl<const N: usize> Interpreter<N> {
         say(out, "% has no O% % before it", &[name, label, opening]);
     }
 
-    /// Returns the first parameter in a text that cannot be read: a name without a value, or a number that no
-    /// parameter can have. (A valid number without a value is read as 0.)
+    /// Returns the first parameter in a text that cannot be read: a named one without a value, or a number for which no
+    /// parameter exists. A numbered parameter without a value reads as 0, so it is not returned.
     #[inline(never)]
     pub(in crate::gcode) fn unset_parameter<'t>(&self, text: &'t [u8]) -> Option<&'t [u8]> {
         (0..text.len()).find_map(|at| {

@@ -330,7 +330,7 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
                 } else if !has(b'R') {
                     lacks("R", motion, ": where the feed begins");
                 } else if kind.pecks() && !has(b'Q') {
-                    lacks("Q", motion, ": the depth of each peck, above 0, such as Q2");
+                    lacks("Q", motion, ": the depth of each peck in program units, above 0, such as Q2");
                 } else {
                     lacks("P", motion, ": how many seconds to wait");
                 }

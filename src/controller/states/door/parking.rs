@@ -46,7 +46,7 @@ pub enum ParkingPoint {
     Left,
     /// The end of the slow pull-out from the cut.
     Clear,
-    /// The parking position.
+    /// The parking position ($58), where the tool waits while the door is open.
     Park,
 }
 
