@@ -55,7 +55,7 @@ class Window:
         self.started = self.cleaned = 0
         self.to_do = queue.Queue()
 
-    def look(self):
+    def run_actions(self):
         """Runs the actions in `to_do`. The window's timer calls this method every 20 ms."""
         while not self.to_do.empty():
             action, done = self.to_do.get()
@@ -63,7 +63,7 @@ class Window:
                 done.put(action())
             except Exception as why:
                 done.put(why)
-        self.application.after(20, self.look)
+        self.application.after(20, self.run_actions)
 
     def do(self, action):
         if self.boxes:
@@ -151,7 +151,7 @@ class Window:
         class Application(bmain.Application):
             def mainloop(self, *_):
                 window.application = self
-                self.after(20, window.look)
+                self.after(20, window.run_actions)
                 threading.Thread(target=machine.main, args=({"bCNC in its window": lambda: window}, options), daemon=True).start()
                 super().mainloop()
 
