@@ -94,7 +94,7 @@ codes! {
     CutterCompensation = 122, "cutter compensation (G41, G42) is not supported: let the CAM program offset the path";
     NothingSaved = 123, "there is no state that M72 could restore: none was saved in this subroutine";
     DescriptionsLeftOut = 125, "this board has no room for the texts of settings, errors and alarms";
-    NotInRotatedPlane = 126, "arcs, cycles and a second rotation need the plane in which the coordinates are rotated";
+    NotInRotatedPlane = 126, "arcs, cycles and a second rotation must be in the plane of the rotation (G68)";
     RotationActs = 127, "coordinates cannot be set while G68 rotates them";
     RotationLeftOut = 128, "this board has no room for rotated coordinates";
     DamagedLine = 129, "line damaged, out of order or without checksum: send it again, or end line checks with $LC=OFF";

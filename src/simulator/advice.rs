@@ -41,7 +41,7 @@ pub const LONG_LINE: &str =
 pub const LONG_NUMBERS: &str = "Write at most four decimals in each number: the machine cannot use more. Most post-processors have a setting for it.";
 
 /// Advice for a line that is too long because of its expressions.
-pub const LONG_EXPRESSION: &str = "Calculate a part of the expression on a line above: #<part>=[20/3+1.5], then use it as X[#<part>+4]. Cut where a + or - is outside the inner brackets.";
+pub const LONG_EXPRESSION: &str = "Calculate a part of the expression on a line above: #<part>=[20/3+1.5], then use it as X[#<part>+4]. Divide the expression at a + or - that is outside its inner brackets.";
 
 /// Advice for a word of the axis A on a machine without that axis.
 const WORD_OF_A: &str =
@@ -199,7 +199,7 @@ pub fn for_error(error: Error) -> &'static str {
             "Give the arc a target or an offset in the plane: X, Y, I, J in G17; X, Z, I, K in G18; Y, Z, J, K in G19."
         }
         Error::InvalidTarget => {
-            "Arc: its start and its end must be equally far from the centre (I, J, K); with R the end must not be the start. Probing: the target must not be where the tool is. All: no place lies beyond 50 m. After a refused line, the next one starts elsewhere."
+            "Arc: its start and its end must be equally far from the centre (I, J, K); with R the end must not be the start. Probing: the target must not be where the tool is. Any move must stay within 50 m of machine zero. If an earlier line was refused, correct that one first: this move then starts at another point."
         }
         Error::ImpossibleRadius => "Give a radius of at least half the distance from start to end, or use I and J.",
         Error::UnusedWords => "Remove the words that no command of this line uses.",

@@ -60,8 +60,8 @@ pub fn play(
     if arrival.parted.is_none() {
         arrival.notes.push(match replay.met {
             0 => NOTHING_COMPARED.into(),
-            1 => "the motors come to the one place that is recorded, by the same blocks".into(),
-            places => format!("the motors come to all {places} places that are recorded, by the same blocks"),
+            1 => "the motors come to the one recorded place, by the same moves as on the board".into(),
+            places => format!("the motors come to all {places} recorded places, by the same moves as on the board"),
         });
     }
     arrival
@@ -186,14 +186,14 @@ fn begin_of(inputs: &[(u64, Input)]) -> Result<usize, String> {
     let state =
         inputs[from..].iter().position(reports(|report| matches!(report, BoardReport::Noted(Noted::Standing { .. }))));
     state.map(|at| from + at).ok_or_else(|| {
-        let why = if stored.is_some() { "no state behind the last stored setting" } else { "no state at rest" };
+        let why = if stored.is_some() { "no state after the last change of a setting" } else { "no state at rest" };
         let last = inputs.iter().rev().find_map(|(_, input)| match input {
             Input::Report(BoardReport::Ended { text, .. }) => Some(format!("; its end: {text}")),
             _ => None,
         });
         let lines = inputs.iter().filter(|(_, input)| matches!(input, Input::Host(_))).count();
         format!(
-            "begins in the middle: {why} is left in it, from which {lines} lines and commands could be played{}",
+            "begins in the middle: it has {why} from which to start, so its {lines} lines and commands cannot be played{}",
             last.unwrap_or_default()
         )
     })
@@ -513,14 +513,20 @@ impl<H: FnMut(&str), P: FnMut(u64)> Playing<'_, H, P> {
         if self.simulator.recorded_blocks() == blocks {
             return Ok(());
         }
-        Err(format!("{} the motors rest where they should, but other blocks have led there", self.seconds(time)))
+        Err(format!(
+            "{} the motors stopped at the recorded place, but came there by other moves than on the board",
+            self.seconds(time)
+        ))
     }
 
     fn compare_state(&mut self, time: u64, standing: &Standing) -> Result<(), String> {
         self.meet(time, self.hz() / 10_000, |simulator| simulator.is_idle());
         self.advance(time);
         let Some(mut here) = self.simulator.controller().standing() else {
-            return Err(format!("{} the board was at rest in a plain state; here it is not", self.seconds(time)));
+            return Err(format!(
+                "{} the board was at rest with outputs off and no G92, G68 or override; here the simulator is not",
+                self.seconds(time)
+            ));
         };
         here.counters = standing.counters.clone();
         here.place.truncate(standing.place.len());

@@ -163,7 +163,7 @@ impl Outcome {
                 let (line, source, text) = self.missing_program(line, source, job);
                 self.refused(line, Error::OutOfPlace.code(), &text, source, job);
             } else {
-                let text = "the program ended within the block that begins here";
+                let text = "the sub, loop or condition that begins here has no end";
                 self.refused(line, Error::FlowSyntax.code(), text, source, job);
             }
         }
@@ -384,7 +384,7 @@ impl Check {
             outcome.note(if simulator.waits_beyond_the_clock() {
                 format!("line {line} waits for so long that the simulated time ends before it")
             } else {
-                format!("line {line} waits for something that will not come")
+                format!("line {line} waits for an input or a command that the simulator never gets")
             });
         }
         true
@@ -419,7 +419,7 @@ impl Check {
                 let word = if end.is_tape_mark { "%" } else { "M2 or M30" };
                 let (lines, were) = if behind == 1 { ("line", "was") } else { ("lines", "were") };
                 self.outcome.note(format!(
-                    "line {} ended the program ({word}); {behind} more {lines} behind it {were} carried out, as a sender sends them",
+                    "line {} ended the program ({word}), but {behind} more {lines} after it {were} carried out, because a sender sends them too",
                     end.line
                 ));
             }

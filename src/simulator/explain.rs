@@ -184,7 +184,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
     (
         Key::CurveAcceleration,
-        "How much of the axes' acceleration may be used in curves. Leave it at 100 if motors stall in small arcs; a higher value is faster there, as with Grbl.",
+        "How much of the axes' acceleration may be used in curves. A value above 100 is faster in small arcs, as with Grbl, but motors may stall there; then use 100 or less.",
     ),
     (
         Key::ToolChange,
@@ -197,7 +197,7 @@ const ONCE: [(Key, &str); Key::COUNT] = [
     ),
     (
         Key::PeckClearance,
-        "How far the drill retracts in G73, and how far above the bottom of the hole its rapid ends in G83.",
+        "G73: how far the drill retracts after each peck. G83: how far above the depth reached so far the rapid back into the hole ends.",
     ),
     (
         Key::HostSilence,

@@ -38,7 +38,9 @@ pub fn home(simulator: &mut Simulator, work_zero: [f64; LINEAR]) -> Result<(), S
     say(simulator, &format!("G10 L2 P1 X{x:.6} Y{y:.6} Z{z:.6}")).map_err(|why| format!("G10 {why}"))?;
     let (machine, work) = (simulator.machine_place(), simulator.work_place());
     if (0..LINEAR).any(|axis| (machine[axis] - work[axis] - work_zero[axis]).abs() > ROUNDING_MM) {
-        return Err("the controller has another one: a stored offset or start-up line is in force".into());
+        return Err(
+            "the work zero is elsewhere after homing: a stored offset ($#) or a start-up line ($N) moves it".into()
+        );
     }
     name_steps(simulator, machine);
     Ok(())

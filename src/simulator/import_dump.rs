@@ -148,7 +148,7 @@ fn take_mask(import: &mut Import, number: u16, mask: &GrblHalMask, bits: u32, en
     if let Some(on) = mask.zero_at_pull_off(bits).filter(|_| import.what == "grblHAL") {
         import.take(Key::ZeroAtPullOff.number(), decimal(on.into()), entry);
     }
-    leave_bits(import, bits & !mask.bits(), "nothing does what they mean", entry);
+    leave_bits(import, bits & !mask.bits(), "Oxmill has no function for them", entry);
 }
 
 fn leave_bits(import: &mut Import, bits: u32, why: &str, entry: &FileEntry) {

@@ -148,7 +148,9 @@ fn down(state: &Interpreter<AXES>, entry: &Entry) -> Result<Vec<String>, String>
         place.set(Axis::Z, state.cycle_level());
         let level = state.to_program(&place).get(Axis::Z).unwrap_or(clearance);
         if entry.place.get(Axis::Z).is_some_and(|reached| level < reached) {
-            return Err("the canned cycles in force there began below their R".into());
+            return Err(
+                "its canned cycle was begun with the tool below R: choose a line before the cycle, or after G80".into(),
+            );
         }
         return Ok(if level == clearance { Vec::new() } else { vec![format!("G0 Z{}", exact(level.0))] });
     }

@@ -90,7 +90,7 @@ pub fn resume(machine: &Simulator, name: &str, job: &[u8], request: &ResumeReque
     let (front, rest) = (&lines[..at], &lines[at..]);
     let read_input = |line: &&&[u8]| spoken(line).contains("5399");
     if front.iter().any(|line| has_word(line, b'M', &[66])) && lines.iter().any(|line| read_input(&line)) {
-        return Err("what M66 has read in front of this line (#5399) is not known".into());
+        return Err("the job uses #5399, which an M66 before this line sets: its value is not known. Choose a line before that M66".into());
     }
     let mut walk = Walk::along(machine, front, false)?;
     let other = Walk::along(machine, front, true)?;
@@ -309,16 +309,20 @@ impl Walk {
         let offsets = |walk: &Walk| (walk.state().offsets().g92, walk.state().offsets().tool_length);
         let meaning = |walk: &Walk| *walk.state().modal();
         for (differs, what) in [
-            (offsets(self).0 != offsets(other).0, "an offset of G92 acts"),
-            (offsets(self).1 != offsets(other).1, "a tool length offset acts"),
-            (meaning(self) != meaning(other), "a modal state is in force"),
+            (offsets(self).0 != offsets(other).0, "the offset of G52 or G92"),
+            (offsets(self).1 != offsets(other).1, "the tool length offset"),
+            (meaning(self) != meaning(other), "a mode such as G20, G54, G91 or the feed"),
         ] {
             if differs {
-                return Err(format!("{what} that depends on where the machine stood when the job started"));
+                return Err(format!(
+                    "at this line {what} depends on where the machine stood when the job started: choose another line"
+                ));
             }
         }
         if self.waits_for_motion {
-            return Err("an output waits there for the next motion (M62, M63)".into());
+            return Err(
+                "an M62 or M63 before this line waits for the next motion: choose the line after that motion".into()
+            );
         }
         let moves_z = moved.get(Axis::Z) == Some(true);
         let clearance = if moves_z { Some(request.clearance.map_or_else(|| self.clearance(other), Ok)?) } else { None };
@@ -456,7 +460,7 @@ fn say(simulator: &mut Simulator, line: &str) -> Result<(), String> {
         if simulator.controller().is_paused() {
             simulator.press(Realtime::CycleStart);
         } else if !simulator.advance_once(u64::MAX) && simulator.unfetched() == 0 {
-            return Err("waits for something that will not come".into());
+            return Err("waits for an input or a command that the simulator never gets".into());
         }
     }
 }

@@ -298,7 +298,7 @@ fn chapter_2_10_1_five_circles_as_printed_are_refused_by_the_other_dialects() {
 fn chapter_2_3_4_an_arc_to_a_point_off_the_circle() {
     let line = "G02 X-30 Y-40 I-10 J-15 F500";
     let mut rig = Rig::with(CARVER);
-    let told = "[MSG:the radius of G2 is 18.028 mm at its start, 32.016 at its end. Write J-23.750 with I-10.000, or I-21.667 with J-15.000]";
+    let told = "[MSG:the radius of G2 is 18.028 mm at its start, 32.016 at its end. Write I-10.000 J-23.750, or I-21.667 J-15.000]";
     assert_eq!(rig.ask(line), [told, "error:33"]);
     rig.carry_out("$900=2");
     rig.carry_out(line);

@@ -285,7 +285,7 @@ fn lines_are_named_that_do_what_may_not_be_meant() {
             [
                 (
                     2,
-                    "if sent unchanged in dialect grbl: byte 0x9C of `Ü` raises the spindle by 1 %, byte 0xA0 of `à` switches flood coolant on or off"
+                    "if sent unchanged in dialect grbl: byte 0x9C of `Ü` raises the spindle speed by 1 %, byte 0xA0 of `à` switches flood coolant on or off"
                 ),
                 (4, "if sent unchanged in dialect grbl: `!` holds the machine, `~` resumes the held machine"),
             ]

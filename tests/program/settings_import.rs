@@ -101,7 +101,7 @@ fn masks_of_grblhal_come_apart() {
         ("$7=0", "PWM is off at S0"),
         ("$15=2", "in hardware"),
         ("$21=3", "sum 2: "),
-        ("$22=91", "sum 16: nothing does what they mean"),
+        ("$22=91", "sum 16: Oxmill has no function for them"),
         ("$32=2", "no lathe mode"),
         ("$47=0", "three homing cycles"),
         // `$220` is a jerk in Oxmill; in grblHAL it belongs to a motor driver.

@@ -358,7 +358,7 @@ fn arrival(log: &str) -> Option<oxmill_simulator::board_replay::Arrival> {
 fn a_replay_says_how_much_it_has_compared() {
     let log = two_moves();
     let said = |log: &str| arrival(log).unwrap().notes.pop().unwrap();
-    assert_eq!(said(&log), "the motors come to all 2 places that are recorded, by the same blocks");
+    assert_eq!(said(&log), "the motors come to all 2 recorded places, by the same moves as on the board");
     let without = |word: &str| log.lines().filter(|line| !line.contains(word)).collect::<Vec<_>>().join("\n");
     assert!(said(&without(" rest ")).starts_with("nothing in it tells where"), "{log}");
     // If a line of the host is missing, the motors come to rest at another position than the recorded one.

@@ -41,7 +41,7 @@ impl<const N: usize> Interpreter<N> {
             (None, Error::NotSupported | Error::BadNumber) if is_jump(line) => {
                 say(
                     out,
-                    "% is not supported: IF with THEN or GOTO, WHILE with DO and END, values in brackets",
+                    "% is not supported: write IF with THEN or GOTO, or WHILE with DO; put values in brackets",
                     &[line],
                 );
             }
@@ -109,7 +109,9 @@ impl<const N: usize> Interpreter<N> {
             Error::NotSupported if order.keyword == Keyword::BeginModalCall => {
                 say(out, "% takes plain numbers: each of its calls gets the same ones", &[name]);
             }
-            Error::NotSupported => say(out, "% with other words is not supported: it returns behind the call", &[name]),
+            Error::NotSupported => {
+                say(out, "% must be alone in its line: it returns to the line after its call", &[name])
+            }
             Error::TooDeep => say(out, "% is within too many others", &[name]),
             Error::EndlessLoop => say(out, "% came round 100,000 times", &[name]),
             Error::OutOfMemory => say(out, "no room to hold %: subroutines and loops are too long", &[name]),
@@ -226,7 +228,7 @@ impl<const N: usize> Interpreter<N> {
             Keyword::Call if self.computed.flow.find(label).is_none() => {
                 return say(out, "no subroutine % above this line", &[label]);
             }
-            Keyword::Call => return say(out, "% takes values in brackets, one behind the other", &[name]),
+            Keyword::Call => return say(out, "% takes values: put each one in its own brackets", &[name]),
             Keyword::EndSub if order.arguments == b"]" => {
                 return say(out, "O% SUB was refused where it is written: correct its first refused line", &[label]);
             }
@@ -235,7 +237,7 @@ impl<const N: usize> Interpreter<N> {
                 return say(out, "% lacks its value in brackets", &[name]);
             }
             _ if !order.is_well_formed() => return say(out, "nothing may come behind %", &[name]),
-            Keyword::Sub => return say(out, "% is within another one: write it in front", &[name]),
+            Keyword::Sub => return say(out, "% is inside another subroutine: write it above that one", &[name]),
             Keyword::If | Keyword::While | Keyword::Do | Keyword::Repeat => {
                 return say(out, "% is not ended", &[name]);
             }

@@ -100,7 +100,7 @@ impl<const N: usize> Interpreter<N> {
             Error::NothingSaved => say(out, "M72 has nothing to restore: M70 or M73 keeps a state before it", &[]),
             Error::TooDeep => {
                 let keep = text.code(b'M', &[700, 730]).unwrap_or_default();
-                say(out, "% saves one state too many: at most 8 levels of calls can save one", &[keep]);
+                say(out, "no room for %: 8 levels of calls have already saved a state", &[keep]);
             }
             Error::SplineOutsideXy => {
                 let aside = line.axes().find(|axis| axis.index() > 1);
@@ -141,7 +141,7 @@ impl<const N: usize> Interpreter<N> {
                 say(out, "% comes before G5.3 has ended the control points", &[line.motion()])
             }
             Error::TooFewControlPoints => {
-                say(out, "G5.3 has too few G5.2 lines before it: as many as the order L", &[])
+                say(out, "G5.3 needs at least L control points (order L), the start included", &[])
             }
             Error::TooManyControlPoints => say(out, "G5.2 finds no room: divide the curve", &[]),
             Error::NoParallelAxes => say(out, "U, V and W do not go with X, Y and Z in one line", &[]),
@@ -392,11 +392,11 @@ impl<'a, const N: usize> ReadableLine<'a, N> {
         if self.parsed.extended.circle.is_some() {
             say(
                 out,
-                "% after a D word: I could mean the wall (Haas). Write D0 above it if I is the tool's path",
+                "% after a D word: I may be the wall's radius (Haas). If it is the tool path's, write D0 above",
                 &[self.motion()],
             );
         } else if let Some(word) = self.text.code(b'M', &[520, 530]) {
-            say(out, "% is not supported with this P: nothing adapts the feed, and the hold always acts", &[word]);
+            say(out, "% is not supported with this P: there is no adaptive feed, and feed hold stays on", &[word]);
         } else if let Some(word) = self.text.code(b'G', &[80]) {
             say(out, "% is not supported: there is no lathe mode, X is no diameter", &[word]);
         }

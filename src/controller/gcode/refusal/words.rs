@@ -269,9 +269,11 @@ impl<const N: usize> Interpreter<N> {
             (b'O', [] | [b'.', ..]) if !before.is_empty() => {
                 say(out, "letter O in %%: write a 0", &[last_word(before), word]);
             }
-            (b'M', []) if next == b"M" => say(out, "no unit behind %: G21 is mm, G20 inch", &[last_word(before)]),
+            (b'M', []) if next == b"M" => {
+                say(out, "no unit may follow %: remove it, G21 is mm, G20 inch", &[last_word(before)])
+            }
             (b'I', []) if next.first() == Some(&b'N') => {
-                say(out, "no unit behind %: G21 is mm, G20 inch", &[last_word(before)]);
+                say(out, "no unit may follow %: remove it, G21 is mm, G20 inch", &[last_word(before)]);
             }
             (first, [] | [b'-' | b'+' | b'.']) => say(out, "no number behind %", &[&[first]]),
             (first, [b'=', ..]) => say(out, "no = in a word: write %%", &[&[first], rest.get(1..).unwrap_or_default()]),
