@@ -407,11 +407,16 @@ impl Check {
             }
             for (number, line) in job.never_set() {
                 let set = job.numbers_set();
-                let other = if set.is_empty() { String::new() } else { format!(" (the file sets {})", set.join(", ")) };
+                let name = format!("#{number}");
+                let other = match set.iter().find(|other| strsim::damerau_levenshtein(other, &name) == 1) {
+                    Some(near) => format!("{near}, which the file sets"),
+                    None if set.is_empty() => "another parameter".into(),
+                    None => format!("another parameter (the file sets {})", set.join(", ")),
+                };
                 let text = format!(
-                    "#{number} is 0 here, because no line of the file sets it. If you mean another parameter{other}, correct its \
-                     number. If not, insert a line such as #{number}=12.5 above. Ignore this if a program that ran before \
-                     sets #{number}: the machine keeps it until it is switched off"
+                    "{name} is 0 here, because no line of the file sets it. If you mean {other}, correct the number. If not, \
+                     insert a line such as {name}=12.5 above. Ignore this if a program that ran before sets {name}: the \
+                     machine keeps it until it is switched off"
                 );
                 self.outcome.warn(Warning { line, text });
             }
