@@ -470,7 +470,9 @@ const memory = async (page, devtools) => {
   return least + await page.evaluate(() => oxmill.app.checked.memory);
 };
 
-export async function ten_jobs_take_no_more_memory_than_two(browser) {
+/** After a leak, even the smallest measurement of the last five jobs would be above the smallest of the first five.
+ * Single measurements differ by a tenth, because the browser frees memory when it likes. */
+export async function ten_jobs_take_no_more_memory_than_five(browser) {
   const { page, faults } = await open(browser, file);
   const devtools = await page.context().newCDPSession(page);
   await devtools.send("Performance.enable");
@@ -480,6 +482,7 @@ export async function ten_jobs_take_no_more_memory_than_two(browser) {
     await openJob(page, `job-${job}.nc`, text);
     held.push(await memory(page, devtools));
   }
-  assert(held[9] < 1.05 * held[1] && held[9] > 1e6, `${held}`);
+  const [first, last] = [Math.min(...held.slice(0, 5)), Math.min(...held.slice(5))];
+  assert(last < 1.05 * first && last > 1e6, `${held}`);
   assert.deepEqual(faults, []);
 }
