@@ -406,6 +406,10 @@ impl Check {
                     .warn(Warning { line: job.file_line(line), text: format!("takes {}", clock_time(seconds)) });
             }
             for (number, line) in job.never_set() {
+                // A refused line, such as one without support for parameters, has an error of its own.
+                if self.outcome.errors.iter().any(|error| error.line == line) {
+                    continue;
+                }
                 let set = job.numbers_set();
                 let name = format!("#{number}");
                 let other = match set.iter().find(|other| strsim::damerau_levenshtein(other, &name) == 1) {
@@ -673,6 +677,13 @@ mod tests {
         let unset = |text| checked("oxmill", text).warnings.into_iter().map(|warning| warning.line).collect::<Vec<_>>();
         assert_eq!(unset("G21\n#100=5\nG1 X#1000 F#100\nX[#1000+#5 + #5220]\n(#200)\n"), [3]);
         assert!(unset("G21\n#[100]=5\nG1 X#100 F100\n").is_empty());
+        assert!(unset("G21\n#1=100\n##1=5\nG1 X#100 F100\n").is_empty());
+        assert!(checked("grbl", "G21\nG1 X#100 F100\n").warnings.is_empty());
+        // Only G20 in force, outside of comments, makes the numbers inches.
+        let inches =
+            |text| checked("oxmill", text).warnings.into_iter().map(|warning| warning.line).collect::<Vec<_>>();
+        assert_eq!(inches("G21\nG20\nG0 X80\n"), [2]);
+        assert!(inches("G20\nG21\nG0 X2000\n").is_empty() && inches("(no G20)\nG21\nG0 X2000\n").is_empty());
         let call = checked("oxmill", "o101 sub\nG91 G0 X1\no101 endsub\no110 call\n").errors;
         assert!(call[0].advice.starts_with("The only subroutine so far is o101 (line 1): call it if"), "{call:?}");
         let calls = "O1 (MAIN)\nG21 G90\nM98 P20\nM98 P20\nM30\nO21\nG1 X1 F100\nM99\n";

@@ -22,7 +22,7 @@ const MOST_NAMES: usize = 100;
 /// A name is suggested only if it differs from the unknown name by at most this many letters.
 const MOST_DIFFERENT: usize = 2;
 /// Maximum number of lines that are kept because the controller may have stored them.
-const MOST_STORED: usize = 20_000;
+const MOST_STORED: usize = 8_000;
 /// Maximum number of characters that the controller quotes of a stored line.
 const QUOTED: usize = 24;
 /// Reports show at most this many characters of a line.
@@ -280,9 +280,9 @@ impl JobText {
         self.metric_at
     }
 
-    /// Line number of the most recent line with G20 so far.
+    /// Line number of the most recent line with G20 so far; `None` if G21 has come after it.
     pub fn inches_at(&self) -> Option<u64> {
-        self.inches_at
+        self.inches_at.filter(|_| self.inches_at > self.metric_at)
     }
 
     /// Returns the line number and the text of the stored line that the controller quotes as `quoted`. Returns `None`
@@ -441,11 +441,8 @@ impl JobText {
             self.note_names(text);
             self.note_numbers(text);
         }
-        if text.contains("G21") || text.contains("g21") {
-            self.metric_at = Some(self.lines);
-        }
-        if text.contains("G20") || text.contains("g20") {
-            self.inches_at = Some(self.lines);
+        if text.contains(['2']) && text.contains(['G', 'g']) {
+            self.note_units(text);
         }
         self.unanswered.push_back((self.lines, shown, left_out));
     }
@@ -459,6 +456,17 @@ impl JobText {
                 && !self.names.iter().any(|known| known == name)
             {
                 self.names.push(name.to_owned());
+            }
+        }
+    }
+
+    /// Notes a line with G20 or G21.
+    fn note_units(&mut self, line: &str) {
+        for word in advice::words(line) {
+            match word.as_str() {
+                "G20" => self.inches_at = Some(self.lines),
+                "G21" => self.metric_at = Some(self.lines),
+                _ => {}
             }
         }
     }
@@ -484,7 +492,8 @@ impl JobText {
     fn note_numbers(&mut self, line: &str) {
         let line = column::as_read(line);
         for part in line.split('#').skip(1) {
-            self.sets_computed |= part.starts_with('[') && line.contains("]=");
+            // A number is computed as `#[#1+100]` or `##1`.
+            self.sets_computed |= (part.starts_with('[') || part.is_empty()) && line.contains('=');
             let digits = part.bytes().take_while(u8::is_ascii_digit).count();
             let (number, behind) = part.split_at(digits);
             match number.parse() {
