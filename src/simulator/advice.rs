@@ -221,7 +221,7 @@ pub fn for_error(error: Error) -> &'static str {
             "Correct the expression; docs/expressions.md has operators, functions and parameters."
         }
         Error::FlowSyntax => {
-            "Look for the missing start or end of this block: each O number needs both, and only a call may compute its number."
+            "Look for the missing start or end of this block: each O number needs a start and an end. Only a call may have an expression as its number."
         }
         Error::TooDeep => "Nest fewer brackets, calls or loops.",
         Error::OutOfMemory => "Use fewer or shorter subroutines and parameters.",

@@ -81,7 +81,10 @@ const ONCE: [(Key, &str); Key::COUNT] = [
         "Minimum time between a change of direction and the next step pulse. Use the value in the driver's data sheet; it is never shorter than 2 us.",
     ),
     (Key::SpindleMaximum, "Speed of the spindle at full output. Measure it without a cutter."),
-    (Key::SpindleMinimum, "Speed of the spindle at minimum output. Between the two, the output is proportional to S."),
+    (
+        Key::SpindleMinimum,
+        "Speed of the spindle at minimum output. Between this speed and the maximum ($30), the output rises evenly with S.",
+    ),
     (
         Key::Laser,
         "For a laser instead of a spindle: no waiting for spindle speed, no beam in jogs, no parking. Leave it at 0 on a mill.",
@@ -120,8 +123,8 @@ const ONCE: [(Key, &str); Key::COUNT] = [
         Key::SquaringShare,
         "How far one motor may move alone when homing squares an axis, in percent of the axis's travel. More is ALARM:10.",
     ),
-    (Key::SquaringLeast, "Minimum for squaring: how far one motor may move alone if $347 gives less."),
-    (Key::SquaringMost, "Maximum for squaring: how far one motor may move alone if $347 gives more."),
+    (Key::SquaringLeast, "How far one motor may move alone in squaring, even if the share of $347 is less."),
+    (Key::SquaringMost, "How far one motor may move alone in squaring at most, even if the share of $347 is more."),
     (
         Key::DoorSpindleDelay,
         "How long to wait for the spindle after the door was closed, before the coolant is turned on. The spindle must reach its speed in this time.",

@@ -104,24 +104,20 @@ fn verdict(summary: &Summary) -> (Style, String) {
     if summary.alarm.is_some() {
         (BAD, "ends in an alarm".into())
     } else if !summary.errors.is_empty() {
-        let warnings = match summary.warning_count() {
-            0 => String::new(),
-            warnings => format!(", {}", counted(warnings, "warning")),
-        };
+        let warnings = if_any(", ", summary.warning_count(), "warning");
         (BAD, format!("{} refused{warnings}", counted(summary.error_count(), "line")))
     } else if !summary.complete {
         (BAD, "not taken to the end".into())
     } else {
-        let warnings = match summary.warning_count() {
-            0 => String::new(),
-            warnings => format!(", with {}", counted(warnings, "warning")),
-        };
-        let notes = match summary.notes.len() as u64 + summary.more_notes {
-            0 => String::new(),
-            notes => format!(", with {}", counted(notes, "note")),
-        };
+        let warnings = if_any(", with ", summary.warning_count(), "warning");
+        let notes = if_any(", with ", summary.notes.len() as u64 + summary.more_notes, "note");
         (GOOD, format!("every line is accepted{warnings}{notes}"))
     }
+}
+
+/// Returns a count with its noun after `before`, such as `, with 2 notes`; an empty text if the count is 0.
+fn if_any(before: &str, count: u64, noun: &str) -> String {
+    if count == 0 { String::new() } else { format!("{before}{}", counted(count, noun)) }
 }
 
 #[cfg(test)]

@@ -72,18 +72,18 @@ const ROWS: [Row; 23] = [
     row("segment", "longest run: another direction, other power, both messages", Figure::Worst, None, (2_500, 3_590)),
     row("single", "one event by itself, with a look at the probe", Figure::Mean, None, (512, 820)),
     row("stop", "stop with a full ring, 96 events undone, with its report", Figure::Worst, None, (4_710, 6_090)),
-    row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (22, 28)),
-    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (585, 966)).beside("205 / 329", "196 / 313"),
+    row("masked", "longest time with interrupts masked (rtic-sync)", Figure::Worst, None, (20, 28)),
+    row("prepare", "prepare one segment", Figure::Mean, Some((250, 380)), (578, 966)).beside("205 / 329", "196 / 313"),
     row("plan", "plan one block, nothing to replan", Figure::Mean, Some((600, 950)), (1_770, 2_860))
         .beside("723 / 1210", "727 / 1200"),
-    row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (36, 49))
+    row("walk_far", "replanning, per block walked", Figure::Per(80, "walk_near"), Some((35, 45)), (32, 45))
         .beside("56 / 72", "41 / 55"),
     row("jerk_prepare", "prepare one segment with a jerk limit", Figure::Mean, None, (1_060, 2_090)),
     row("jerk_plan", "plan one block with a jerk limit", Figure::Mean, None, (2_350, 3_810)),
     row("jerk_walk_far", "replanning with it, per block walked", Figure::Per(200, "jerk_walk_near"), None, (186, 250)),
-    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_445, 2_170))
+    row("text", "`G1X12.345Y-6.789F1200`, text to action", Figure::Mean, Some((1100, 1600)), (1_385, 2_080))
         .beside("1092 / 1588", "1930 / 2868"),
-    row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (197, 297)).beside("138 / 241", "644 / 919"),
+    row("chord", "arc, per chord", Figure::Mean, Some((150, 220)), (194, 281)).beside("138 / 241", "644 / 919"),
     row("line", "short line, bytes in to segments out", Figure::Mean, Some((2600, 4000)), (5_940, 9_660))
         .beside("2800 / 4400", "4100 / 6500"),
     row("relief_line", "tight line: a relief of 0.1 mm at F2000", Figure::Mean, Some((5800, 9500)), (8_150, 13_200)),
