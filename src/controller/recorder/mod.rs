@@ -22,21 +22,20 @@
 //!
 //! `?` is not recorded, because hosts send it continually and it changes nothing.
 
+mod entry;
+mod listing;
+mod page;
+
+pub use page::Page;
+
 use crate::dispatch::Controller;
-use crate::messages::{
-    CrashKind, Event, HOST_CHANGED, LineByte, Noted, Realtime, Record, Recorded, Restart, Sensed, Standing, StepEvent,
-    Stopping, ToStep,
-};
+use crate::messages::{CrashKind, Event, HOST_CHANGED, LineByte, Noted, Realtime, Restart, Sensed, StepEvent, ToStep};
 use crate::protocol::intake::EPOCHS;
 use crate::protocol::realtime;
-use crate::units::{Coordinate, Instant};
-use core::sync::atomic::{Ordering, compiler_fence};
-
-/// Number of bytes for entries in a page.
-const ROOM: usize = 236;
-const OPEN: u32 = u32::from_le_bytes(*b"came");
-/// Value of [`Page::mark`] in the page in which the recording ends; `OPEN` in all other valid pages.
-const CLOSED: u32 = u32::from_le_bytes(*b"ends");
+use crate::units::Instant;
+use entry::{Rest, put_axes, put_bytes, put_word, tag};
+use listing::Reading;
+use page::CLOSED;
 
 /// Maximum number of bytes of a line gathered before they are written to the ring.
 const PLAIN: usize = 64;
@@ -52,128 +51,6 @@ const LONGEST_TURN_US: u32 = 10_000_000;
 // here, not a byte.
 const BASIS: u32 = 0x811C_9DC5;
 const PRIME: u32 = 0x0100_0193;
-/// Factor in the checksum of a page: odd, so that one wrong byte always changes the checksum.
-const FACTOR: u32 = 0x9E37_79B1;
-
-/// Tags: the first byte of an entry. Only printable characters and line ends of a line are entries of one byte without
-/// a tag.
-mod tag {
-    pub const BYTE: u8 = 0x80;
-    pub const TIME: u8 = 0x81;
-    pub const COMMAND: u8 = 0x82;
-    pub const INPUTS: u8 = 0x83;
-    pub const STEP: u8 = 0x84;
-    pub const STORED: u8 = 0x85;
-    pub const STORE_FAILED: u8 = 0x86;
-    pub const CONNECTED: u8 = 0x87;
-    pub const DISCONNECTED: u8 = 0x88;
-    pub const MORE: u8 = 0x89;
-    pub const DAMAGED: u8 = 0x8A;
-    pub const CUT: u8 = 0x8B;
-    pub const REST: u8 = 0x8C;
-    pub const STANDING: u8 = 0x8D;
-    pub const POWER_UP: u8 = 0x8E;
-    pub const ENDED: u8 = 0x8F;
-}
-
-/// A page of the ring: 256 bytes; every bit pattern is allowed.
-#[repr(C)]
-#[derive(Clone, Copy, Debug)]
-pub struct Page {
-    mark: u32,
-    /// Increases by one from page to page.
-    number: u32,
-    /// Time at which the page begins, in microseconds since power-up.
-    time: u64,
-    /// Number of used bytes (lower 8 bits) and their sum (upper 24 bits), in one word, so that a reset cannot separate
-    /// them.
-    state: u32,
-    bytes: [u8; ROOM],
-}
-
-impl Page {
-    /// A page without contents.
-    pub const EMPTY: Page = Page { mark: 0, number: 0, time: 0, state: 0, bytes: [0; ROOM] };
-
-    /// Returns the bytes of the pages as RAM holds them (little-endian). Only tests need them, to damage RAM contents.
-    pub fn bytes_of(pages: &[Page]) -> impl Iterator<Item = u8> {
-        pages.iter().flat_map(|page| {
-            let head = page.mark.to_le_bytes().into_iter().chain(page.number.to_le_bytes());
-            head.chain(page.time.to_le_bytes()).chain(page.state.to_le_bytes()).chain(page.bytes)
-        })
-    }
-
-    /// Returns the page that these 256 bytes of RAM (little-endian) hold. The result is never `None`, because 256
-    /// bytes are enough.
-    pub fn of_bytes(bytes: &[u8; 256]) -> Option<Page> {
-        let mut rest = Bytes(bytes);
-        let (mark, number) = (rest.word()?, rest.word()?);
-        let time = rest.some().map(u64::from_le_bytes)?;
-        Some(Page { mark, number, time, state: rest.word()?, bytes: rest.some()? })
-    }
-
-    /// Makes the page valid as page `number`, with its present contents: sets the mark, the number and the sum. For
-    /// tests.
-    pub fn seal(&mut self, number: u32) {
-        (self.mark, self.number) = (OPEN, number);
-        let used = self.used().min(ROOM);
-        let sum = self.bytes.iter().take(used).fold(self.seed(), |sum, byte| add_to_sum(sum, *byte));
-        self.state = sum << 8 | used as u32;
-    }
-
-    #[inline(always)]
-    fn used(&self) -> usize {
-        (self.state & 0xFF) as usize
-    }
-
-    /// Returns the checksum of a page without entries.
-    fn seed(&self) -> u32 {
-        let words = [self.number, self.time as u32, (self.time >> 32) as u32];
-        words.iter().flat_map(|word| word.to_le_bytes()).fold(0x5EED, add_to_sum)
-    }
-
-    /// Returns the entries, if the page is valid.
-    #[inline(never)]
-    fn entries(&self) -> Option<&[u8]> {
-        let bytes = self.bytes.get(..self.used()).filter(|_| matches!(self.mark, OPEN | CLOSED))?;
-        let sum = bytes.iter().fold(self.seed(), |sum, byte| add_to_sum(sum, *byte));
-        (sum << 8 == self.state & !0xFF).then_some(bytes)
-    }
-
-    fn begin(&mut self, number: u32, time: u64) {
-        // The page is invalid while it has no mark.
-        self.mark = 0;
-        compiler_fence(Ordering::SeqCst);
-        (self.number, self.time) = (number, time);
-        self.state = self.seed() << 8;
-        compiler_fence(Ordering::SeqCst);
-        self.mark = OPEN;
-    }
-
-    /// Appends all bytes, or none if there is no room. Returns whether they were appended.
-    #[inline]
-    fn append(&mut self, bytes: &[u8]) -> bool {
-        let used = self.used();
-        let end = used + bytes.len();
-        let Some(places) = self.bytes.get_mut(used..end) else { return false };
-        let mut sum = self.state >> 8;
-        for (place, byte) in places.iter_mut().zip(bytes) {
-            *place = *byte;
-            sum = add_to_sum(sum, *byte);
-        }
-        // The new bytes belong to the page only from here on, when all of them are written.
-        compiler_fence(Ordering::SeqCst);
-        self.state = sum << 8 | end as u32;
-        compiler_fence(Ordering::SeqCst);
-        true
-    }
-}
-
-#[inline(always)]
-fn add_to_sum(sum: u32, byte: u8) -> u32 {
-    sum.wrapping_mul(FACTOR).wrapping_add(u32::from(byte))
-}
-
 /// Packs a byte of a line into a word: its epoch in the upper 16 bits, [`LineByte::damaged`] in bit 8, and the byte in
 /// the lower 8 bits. So the plain bytes of an epoch (undamaged, blank to `~`) are consecutive words, and one
 /// comparison recognises them. The parts are joined in the order of the fields in memory and then rotated, because
@@ -181,20 +58,6 @@ fn add_to_sum(sum: u32, byte: u8) -> u32 {
 #[inline(always)]
 fn word_of(byte: LineByte) -> u32 {
     (u32::from(byte.epoch) | u32::from(byte.byte) << 16 | u32::from(byte.damaged) << 24).rotate_left(16)
-}
-
-/// How far the ring has been read for `$REC`.
-#[derive(Clone, Debug)]
-struct Reading {
-    /// `Page::number` of the page being read, if any.
-    number: Option<u32>,
-    at: usize,
-    time: u64,
-    /// The line being assembled.
-    line: heapless::Vec<u8, { Noted::HOST_BYTES }>,
-    /// Number of stored records (settings, offsets and the like) listed so far; `None` once all records are listed.
-    records: Option<u16>,
-    begun: bool,
 }
 
 /// Writes the recording into the ring of pages, and reads it back. `P` holds the pages.
@@ -237,7 +100,6 @@ pub struct Recorder<P> {
 impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     /// Starts the recorder after a reset of the board. Keeps a recording from before the reset.
     pub fn begin(pages: P, restart: &Restart) -> Self {
-        let reading = Reading { number: None, at: 0, time: 0, line: heapless::Vec::new(), records: None, begun: false };
         let mut recorder = Recorder {
             pages,
             slot: 0,
@@ -255,7 +117,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             blocks: BASIS,
             blocks_recorded: BASIS,
             standing_in: 0,
-            reading,
+            reading: Reading::new(),
         };
         match recorder.newest() {
             Some(number) => recorder.keep(number, restart),
@@ -679,225 +541,4 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         self.wants_standing = false;
         self.standing_in = self.number;
     }
-
-    // Reading
-
-    /// Starts reading at the oldest page.
-    #[inline(never)]
-    fn rewind(&mut self) {
-        let mut oldest = self.number;
-        while self.number.wrapping_sub(oldest) < self.pages.as_ref().len() as u32
-            && oldest > 0
-            && self.page(oldest - 1).is_some()
-        {
-            oldest -= 1;
-        }
-        let page = self.page(oldest);
-        let (number, time) = (page.map(|page| page.number), page.map_or(0, |page| page.time));
-        self.reading = Reading { number, at: 0, time, line: heapless::Vec::new(), records: Some(0), begun: false };
-    }
-
-    /// Passes the next item of the `$REC` listing to `tell`: the board, a stored record, the start time, an entry or
-    /// the end. `first`: begins the listing again. `name`: name of the board; `step_clock_hz`: frequency of its step
-    /// clock. `record` returns the stored record (a setting, an offset) with this index.
-    pub fn read(
-        &mut self,
-        first: bool,
-        (name, step_clock_hz): (&'static str, u32),
-        mut record: impl FnMut(u16) -> Option<Record>,
-        tell: impl FnOnce(&Recorded),
-    ) {
-        if first {
-            self.rewind();
-            return tell(&Recorded::Board { name, step_clock_hz });
-        }
-        if let Some(told) = self.reading.records {
-            if let Some(record) = record(told) {
-                self.reading.records = Some(told.saturating_add(1));
-                return tell(&Recorded::Record(record));
-            }
-            self.reading.records = None;
-        }
-        if !core::mem::replace(&mut self.reading.begun, true) {
-            return tell(&Recorded::Begin(self.reading.time));
-        }
-        match self.next_entry() {
-            Some(entry) => tell(&Recorded::Noted(self.reading.time, entry)),
-            None => tell(&Recorded::End),
-        }
-    }
-
-    /// Returns the next entry; its time is then in `self.reading.time`. `None`: the recording ends here.
-    #[inline(never)]
-    fn next_entry(&mut self) -> Option<Noted> {
-        loop {
-            let Some(number) = self.reading.number else { return self.take_line() };
-            let at = self.reading.at;
-            let Some(page) = self.page(number) else {
-                self.reading.number = None;
-                continue;
-            };
-            let bytes = page.bytes.get(at..page.used()).unwrap_or_default();
-            let Some((tag, rest)) = bytes.split_first() else {
-                let next = number.wrapping_add(1);
-                self.reading.number = (number != self.number).then_some(next);
-                self.reading.at = 0;
-                continue;
-            };
-            let tag = *tag;
-            let Some((used, found)) = decode(tag, rest) else {
-                // An entry that cannot be decoded ends the listing.
-                self.reading.number = None;
-                continue;
-            };
-            // The entry may be one that voids the unfinished line (a reset, a disconnected host). So return that line
-            // first.
-            if matches!(found, Found::Noted(_)) && !self.reading.line.is_empty() {
-                return self.take_line();
-            }
-            self.reading.at = at + 1 + used;
-            match found {
-                Found::Time(passed) => self.reading.time = self.reading.time.saturating_add(passed),
-                Found::Text(byte) => {
-                    let _ = self.reading.line.push(byte);
-                    if matches!(byte, b'\n' | b'\r') || self.reading.line.is_full() {
-                        return self.take_line();
-                    }
-                }
-                Found::Noted(entry) => return Some(entry),
-            }
-        }
-    }
-
-    fn take_line(&mut self) -> Option<Noted> {
-        let line = core::mem::take(&mut self.reading.line);
-        (!line.is_empty()).then_some(Noted::Host(line))
-    }
-}
-
-/// The bytes of an entry after its tag.
-type Rest = heapless::Vec<u8, ROOM>;
-
-// The following functions have many callers but rarely run. They are not inlined, to save flash.
-
-#[inline(never)]
-fn put_bytes(out: &mut Rest, bytes: &[u8]) {
-    for byte in bytes {
-        let _ = out.push(*byte);
-    }
-}
-
-#[inline(never)]
-fn put_word(out: &mut Rest, word: u32) {
-    put_bytes(out, &word.to_le_bytes());
-}
-
-#[inline(never)]
-fn put_axes(out: &mut Rest, axes: &[i32]) {
-    let _ = out.push(axes.len() as u8);
-    for axis in axes {
-        put_word(out, *axis as u32);
-    }
-}
-
-enum Found {
-    Time(u64),
-    Text(u8),
-    Noted(Noted),
-}
-
-/// Unread bytes of an entry.
-struct Bytes<'a>(&'a [u8]);
-
-impl Bytes<'_> {
-    fn some<const COUNT: usize>(&mut self) -> Option<[u8; COUNT]> {
-        let (some, rest) = self.0.split_first_chunk()?;
-        self.0 = rest;
-        Some(*some)
-    }
-
-    #[inline(never)]
-    fn byte(&mut self) -> Option<u8> {
-        self.some().map(|[byte]| byte)
-    }
-
-    #[inline(never)]
-    fn word(&mut self) -> Option<u32> {
-        self.some().map(u32::from_le_bytes)
-    }
-
-    #[inline(never)]
-    fn axes(&mut self) -> Option<heapless::Vec<i32, { Standing::AXES }>> {
-        let count = usize::from(self.byte()?);
-        let mut axes = heapless::Vec::new();
-        for _ in 0..count {
-            axes.push(self.word()? as i32).ok()?;
-        }
-        Some(axes)
-    }
-}
-
-/// Decodes the entry with this tag; `rest`: the bytes after the tag. Returns how many of these bytes the entry has,
-/// and the decoded entry. `None` if the entry is incomplete or unknown.
-fn decode(tag: u8, rest: &[u8]) -> Option<(usize, Found)> {
-    let mut bytes = Bytes(rest);
-    let found = match tag {
-        0..0x80 => Found::Text(tag),
-        tag::BYTE => Found::Text(bytes.byte()?),
-        tag::TIME => {
-            let mut passed = 0;
-            for shift in (0..64).step_by(7) {
-                let digit = bytes.byte()?;
-                passed |= u64::from(digit & 0x7F) << shift;
-                if digit < 0x80 {
-                    break;
-                }
-            }
-            Found::Time(passed)
-        }
-        tag::COMMAND => Found::Noted(Noted::Command(bytes.byte()?)),
-        tag::INPUTS => Found::Noted(Noted::Inputs { active: bytes.word()?, tripped: bytes.word()? }),
-        tag::STEP => {
-            let stopping = *Stopping::ALL.get(usize::from(bytes.byte()?))?;
-            Found::Noted(Noted::Step(stopping, bytes.axes()?))
-        }
-        tag::STORED | tag::STORE_FAILED => Found::Noted(Noted::Stored(tag == tag::STORED)),
-        tag::CONNECTED => Found::Noted(Noted::Connected),
-        tag::DISCONNECTED => Found::Noted(Noted::Disconnected),
-        tag::MORE => Found::Noted(Noted::More),
-        tag::DAMAGED => Found::Noted(Noted::Damaged),
-        tag::CUT => Found::Noted(Noted::Cut),
-        tag::REST => Found::Noted(Noted::Rest { counters: bytes.axes()?, blocks: bytes.word()? }),
-        tag::STANDING => Found::Noted(standing(&mut bytes)?),
-        tag::POWER_UP => Found::Noted(Noted::PowerUp),
-        tag::ENDED => {
-            let kind = bytes.byte()?;
-            let mut word = || bytes.word();
-            let place = [word()? as i32, word()? as i32, word()? as i32];
-            Found::Noted(Noted::Ended { crash: CrashKind::ALL.get(usize::from(kind)).copied(), place, line: word()? })
-        }
-        _ => return None,
-    };
-    Some((rest.len() - bytes.0.len(), found))
-}
-
-#[inline(never)]
-fn standing(bytes: &mut Bytes<'_>) -> Option<Noted> {
-    let flags = bytes.byte()?;
-    let (tool, active, blocks) = (bytes.word()?, bytes.word()?, bytes.word()?);
-    let (mut counters, mut place) = (heapless::Vec::new(), heapless::Vec::new());
-    for _ in 0..bytes.byte()? {
-        counters.push(bytes.word()? as i32).ok()?;
-        place.push(Coordinate(bytes.some().map(i64::from_le_bytes)?)).ok()?;
-    }
-    let mut words = heapless::Vec::new();
-    for _ in 0..bytes.byte()? {
-        words.push(bytes.byte()?).ok()?;
-    }
-    let bit = |n: u8| flags >> n & 1 != 0;
-    let (trusted, locked, inches) = (bit(0), bit(1), bit(2));
-    Some(Noted::Standing {
-        standing: Standing { counters, place, trusted, locked, inches, tool, active, words },
-        blocks,
-    })
 }
