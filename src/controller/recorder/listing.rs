@@ -1,8 +1,8 @@
 //! Reads the recording back, entry by entry: for `$REC`, and after a reset to find the time at which it ends.
 
-use super::Recorder;
 use super::entry::{Found, decode};
 use super::page::Page;
+use super::ring::Ring;
 use crate::messages::{Noted, Record, Recorded};
 
 /// How far the ring has been read for `$REC`.
@@ -24,88 +24,80 @@ impl Reading {
     pub(super) const fn new() -> Self {
         Reading { number: None, at: 0, time: 0, line: heapless::Vec::new(), records: None, begun: false }
     }
-}
 
-impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     /// Starts reading at the oldest page.
     #[inline(never)]
-    pub(super) fn rewind(&mut self) {
-        let mut oldest = self.number;
-        while self.number.wrapping_sub(oldest) < self.pages.as_ref().len() as u32
-            && oldest > 0
-            && self.page(oldest - 1).is_some()
-        {
-            oldest -= 1;
-        }
-        let page = self.page(oldest);
-        let (number, time) = (page.map(|page| page.number), page.map_or(0, |page| page.time));
-        self.reading = Reading { number, at: 0, time, line: heapless::Vec::new(), records: Some(0), begun: false };
+    pub(super) fn rewind<P: AsRef<[Page]> + AsMut<[Page]>>(&mut self, ring: &Ring<P>) {
+        let page = ring.page(ring.oldest());
+        *self = Reading { number: page.map(|page| page.number), records: Some(0), ..Reading::new() };
+        self.time = page.map_or(0, |page| page.time);
     }
 
     /// Passes the next item of the `$REC` listing to `tell`: the board, a stored record, the start time, an entry or
     /// the end. `first`: begins the listing again. `name`: name of the board; `step_clock_hz`: frequency of its step
     /// clock. `record` returns the stored record (a setting, an offset) with this index.
-    pub fn read(
+    pub(super) fn read<P: AsRef<[Page]> + AsMut<[Page]>>(
         &mut self,
+        ring: &Ring<P>,
         first: bool,
         (name, step_clock_hz): (&'static str, u32),
         mut record: impl FnMut(u16) -> Option<Record>,
         tell: impl FnOnce(&Recorded),
     ) {
         if first {
-            self.rewind();
+            self.rewind(ring);
             return tell(&Recorded::Board { name, step_clock_hz });
         }
-        if let Some(told) = self.reading.records {
+        if let Some(told) = self.records {
             if let Some(record) = record(told) {
-                self.reading.records = Some(told.saturating_add(1));
+                self.records = Some(told.saturating_add(1));
                 return tell(&Recorded::Record(record));
             }
-            self.reading.records = None;
+            self.records = None;
         }
-        if !core::mem::replace(&mut self.reading.begun, true) {
-            return tell(&Recorded::Begin(self.reading.time));
+        if !core::mem::replace(&mut self.begun, true) {
+            return tell(&Recorded::Begin(self.time));
         }
-        match self.next_entry() {
-            Some(entry) => tell(&Recorded::Noted(self.reading.time, entry)),
+        match self.next_entry(ring) {
+            Some(entry) => tell(&Recorded::Noted(self.time, entry)),
             None => tell(&Recorded::End),
         }
     }
 
-    /// Returns the next entry; its time is then in `self.reading.time`. `None`: the recording ends here.
+    /// Returns the next entry; its time is then in `time`. `None`: the recording ends here.
     #[inline(never)]
-    pub(super) fn next_entry(&mut self) -> Option<Noted> {
+    pub(super) fn next_entry<P: AsRef<[Page]> + AsMut<[Page]>>(&mut self, ring: &Ring<P>) -> Option<Noted> {
         loop {
-            let Some(number) = self.reading.number else { return self.take_line() };
-            let at = self.reading.at;
-            let Some(page) = self.page(number) else {
-                self.reading.number = None;
+            let Some(number) = self.number else { return self.take_line() };
+            let at = self.at;
+            let Some(page) = ring.page(number) else {
+                self.number = None;
                 continue;
             };
             let bytes = page.bytes.get(at..page.used()).unwrap_or_default();
             let Some((tag, rest)) = bytes.split_first() else {
                 let next = number.wrapping_add(1);
-                self.reading.number = (number != self.number).then_some(next);
-                self.reading.at = 0;
+                self.number = (number != ring.number()).then_some(next);
+                self.at = 0;
                 continue;
             };
             let tag = *tag;
             let Some((used, found)) = decode(tag, rest) else {
                 // An entry that cannot be decoded ends the listing.
-                self.reading.number = None;
+                self.number = None;
                 continue;
             };
             // The entry may be one that voids the unfinished line (a reset, a disconnected host). So return that line
             // first.
-            if matches!(found, Found::Noted(_)) && !self.reading.line.is_empty() {
+            if matches!(found, Found::Noted(_)) && !self.line.is_empty() {
                 return self.take_line();
             }
-            self.reading.at = at + 1 + used;
+            self.at = at + 1 + used;
             match found {
-                Found::Time(passed) => self.reading.time = self.reading.time.saturating_add(passed),
+                Found::Time(passed) => self.time = self.time.saturating_add(passed),
                 Found::Text(byte) => {
-                    let _ = self.reading.line.push(byte);
-                    if matches!(byte, b'\n' | b'\r') || self.reading.line.is_full() {
+                    let _ = self.line.push(byte);
+                    if matches!(byte, b'\n' | b'\r') || self.line.is_full() {
                         return self.take_line();
                     }
                 }
@@ -115,7 +107,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     }
 
     fn take_line(&mut self) -> Option<Noted> {
-        let line = core::mem::take(&mut self.reading.line);
+        let line = core::mem::take(&mut self.line);
         (!line.is_empty()).then_some(Noted::Host(line))
     }
 }

@@ -25,17 +25,20 @@
 mod entry;
 mod listing;
 mod page;
+mod ring;
 
 pub use page::Page;
 
 use crate::dispatch::Controller;
-use crate::messages::{CrashKind, Event, HOST_CHANGED, LineByte, Noted, Realtime, Restart, Sensed, StepEvent, ToStep};
+use crate::messages::{
+    CrashKind, Event, HOST_CHANGED, LineByte, Noted, Realtime, Record, Recorded, Restart, Sensed, StepEvent, ToStep,
+};
 use crate::protocol::intake::EPOCHS;
 use crate::protocol::realtime;
 use crate::units::Instant;
 use entry::{Rest, put_axes, put_bytes, put_word, tag};
 use listing::Reading;
-use page::CLOSED;
+use ring::Ring;
 
 /// Maximum number of bytes of a line gathered before they are written to the ring.
 const PLAIN: usize = 64;
@@ -63,10 +66,8 @@ fn word_of(byte: LineByte) -> u32 {
 /// Writes the recording into the ring of pages, and reads it back. `P` holds the pages.
 #[derive(Clone, Debug)]
 pub struct Recorder<P> {
-    pages: P,
-    /// Index of the page being written.
-    slot: usize,
-    number: u32,
+    ring: Ring<P>,
+    /// Time of the last entry, in microseconds since power-up.
     time: u64,
     /// The current epoch: number of resets, stops and jog cancels passed to the controller (wrapping), as in
     /// [`LineByte`].
@@ -101,9 +102,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     /// Starts the recorder after a reset of the board. Keeps a recording from before the reset.
     pub fn begin(pages: P, restart: &Restart) -> Self {
         let mut recorder = Recorder {
-            pages,
-            slot: 0,
-            number: 0,
+            ring: Ring::new(pages),
             time: 0,
             epoch: 0,
             plain_from: 0,
@@ -119,7 +118,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             standing_in: 0,
             reading: Reading::new(),
         };
-        match recorder.newest() {
+        match recorder.ring.newest() {
             Some(number) => recorder.keep(number, restart),
             None => {
                 recorder.clear(0);
@@ -132,7 +131,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
 
     /// Returns the pages of the ring, for tests of what a reset leaves in RAM.
     pub fn pages(&self) -> &[Page] {
-        self.pages.as_ref()
+        self.ring.pages()
     }
 
     /// Returns whether a recording from before the reset is kept. While it is kept, nothing is recorded. The message
@@ -145,13 +144,13 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     #[inline(never)]
     fn keep(&mut self, number: u32, restart: &Restart) {
         self.kept = true;
-        (self.number, self.slot) = (number, self.slot_of(number));
-        if self.page(number).is_none_or(|page| page.mark == CLOSED) {
+        self.ring.turn_to(number);
+        if self.ring.is_closed() {
             return;
         }
         // Read to the end: the last entry tells the time at which the recording ends.
-        self.rewind();
-        while self.next_entry().is_some() {}
+        self.reading.rewind(&self.ring);
+        while self.reading.next_entry(&self.ring).is_some() {}
         self.time = self.reading.time;
         let mut text = Rest::new();
         let (mut place, mut line, mut kind) = ([0; 3], 0, Noted::NO_CRASH);
@@ -170,57 +169,18 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
             put_word(&mut text, number);
         }
         self.put_tagged(tag::ENDED, &text);
-        let slot = self.slot;
-        if let Some(page) = self.pages.as_mut().get_mut(slot) {
-            page.mark = CLOSED;
-        }
-    }
-
-    // Pages of the ring: finding and beginning them
-
-    fn slot_of(&self, number: u32) -> usize {
-        number as usize % self.pages.as_ref().len().max(1)
-    }
-
-    /// Returns the page of this number, if it is valid.
-    #[inline(never)]
-    fn page(&self, number: u32) -> Option<&Page> {
-        let page = self.pages.as_ref().get(self.slot_of(number))?;
-        (page.number == number && page.entries().is_some()).then_some(page)
-    }
-
-    #[inline(never)]
-    fn newest(&self) -> Option<u32> {
-        let pages = self.pages.as_ref().iter().enumerate();
-        let whole = pages.filter(|(slot, page)| self.slot_of(page.number) == *slot && page.entries().is_some());
-        // Pages left from an earlier pass around the ring have lower numbers, so the highest number is the newest.
-        whole.map(|(_, page)| page.number).max()
+        self.ring.close();
     }
 
     /// Discards everything and starts recording.
     #[inline(never)]
     fn clear(&mut self, time: u64) {
-        for page in self.pages.as_mut() {
-            page.mark = 0;
-        }
-        (self.number, self.slot, self.time) = (0, 0, time);
+        self.ring.clear(time);
+        self.time = time;
         (self.kept, self.wants_standing, self.standing_in) = (false, true, 0);
         (self.blocks, self.blocks_recorded) = (BASIS, BASIS);
         self.next.clear();
         self.expect_plain();
-        if let Some(page) = self.pages.as_mut().first_mut() {
-            page.begin(0, time);
-        }
-    }
-
-    #[inline(never)]
-    fn turn_page(&mut self) {
-        self.number = self.number.wrapping_add(1);
-        self.slot = self.slot_of(self.number);
-        let (number, time) = (self.number, self.time);
-        if let Some(page) = self.pages.as_mut().get_mut(self.slot) {
-            page.begin(number, time);
-        }
     }
 
     // Writing: bytes are gathered in `next`, then written to a page
@@ -245,10 +205,10 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
     #[inline(never)]
     fn flush(&mut self) {
         for _ in 0..2 {
-            if self.pages.as_mut().get_mut(self.slot).is_some_and(|page| page.append(&self.next)) {
+            if self.ring.append(&self.next) {
                 break;
             }
-            self.turn_page();
+            self.ring.begin_next(self.time);
         }
         self.next.clear();
     }
@@ -263,10 +223,10 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         let _ = entry.push(tag);
         put_bytes(&mut entry, rest);
         for _ in 0..2 {
-            if self.pages.as_mut().get_mut(self.slot).is_some_and(|page| page.append(&entry)) {
+            if self.ring.append(&entry) {
                 return;
             }
-            self.turn_page();
+            self.ring.begin_next(self.time);
         }
     }
 
@@ -353,8 +313,7 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         if self.kept {
             return;
         }
-        let page = self.pages.as_mut().get_mut(self.slot).filter(|_| self.next.is_empty());
-        if !page.is_some_and(|page| page.append(&[tag::MORE])) {
+        if !(self.next.is_empty() && self.ring.append(&[tag::MORE])) {
             self.put_tagged(tag::MORE, &[]);
         }
     }
@@ -515,8 +474,8 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         }
         // Record a state in each quarter of the ring, so that the ring holds a state even after its oldest pages were
         // reused.
-        let pages = self.pages.as_ref().len() as u32;
-        if self.wants_standing || self.number.wrapping_sub(self.standing_in) >= (pages / 4).max(1) {
+        let pages = self.ring.pages().len() as u32;
+        if self.wants_standing || self.ring.number().wrapping_sub(self.standing_in) >= (pages / 4).max(1) {
             self.record_standing(now, controller);
         }
     }
@@ -539,6 +498,19 @@ impl<P: AsRef<[Page]> + AsMut<[Page]>> Recorder<P> {
         put_bytes(&mut rest, &standing.words);
         self.put_entry(now, tag::STANDING, &rest);
         self.wants_standing = false;
-        self.standing_in = self.number;
+        self.standing_in = self.ring.number();
+    }
+
+    /// Passes the next item of the `$REC` listing to `tell`: the board, a stored record, the start time, an entry or
+    /// the end. `first`: begins the listing again. `board`: name of the board, and frequency of its step clock in Hz.
+    /// `record` returns the stored record (a setting, an offset) with this index.
+    pub fn read(
+        &mut self,
+        first: bool,
+        board: (&'static str, u32),
+        record: impl FnMut(u16) -> Option<Record>,
+        tell: impl FnOnce(&Recorded),
+    ) {
+        self.reading.read(&self.ring, first, board, record, tell);
     }
 }

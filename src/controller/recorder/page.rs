@@ -1,7 +1,6 @@
 //! A page of the recording in RAM, which survives a reset: its bytes, its checksum, and the order in which they are
 //! written. A reset between any two writes leaves a valid page.
 
-use super::entry::Bytes;
 use core::sync::atomic::{Ordering, compiler_fence};
 
 /// Number of bytes for entries in a page.
@@ -43,10 +42,12 @@ impl Page {
     /// Returns the page that these 256 bytes of RAM (little-endian) hold. The result is never `None`, because 256
     /// bytes are enough.
     pub fn of_bytes(bytes: &[u8; 256]) -> Option<Page> {
-        let mut rest = Bytes(bytes);
-        let (mark, number) = (rest.word()?, rest.word()?);
-        let time = rest.some().map(u64::from_le_bytes)?;
-        Some(Page { mark, number, time, state: rest.word()?, bytes: rest.some()? })
+        let (mark, rest) = bytes.split_first_chunk()?;
+        let (number, rest) = rest.split_first_chunk()?;
+        let (time, rest) = rest.split_first_chunk()?;
+        let (state, rest) = rest.split_first_chunk()?;
+        let [mark, number, state] = [*mark, *number, *state].map(u32::from_le_bytes);
+        Some(Page { mark, number, time: u64::from_le_bytes(*time), state, bytes: *rest.first_chunk()? })
     }
 
     /// Makes the page valid as page `number`, with its present contents: sets the mark, the number and the sum. For
